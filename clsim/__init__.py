@@ -1,0 +1,57 @@
+"""What ultrasonic and audio receivers hear indoors while sources and receivers move.
+
+The pipeline is four values and three arrows between them::
+
+    Scene --find_paths--> PathSet --track--> Tracks --render--> Recording
+
+`render` takes the last two arrows at once.
+"""
+
+from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.paths.find_paths import find_paths
+from clsim.paths.path_set import PathSet
+from clsim.recording import Recording
+from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
+from clsim.render.plan import plan_render
+from clsim.render.render import render, render_chunks, render_tracks
+from clsim.render.tracks import Tracks, track
+from clsim.scene.air import Air
+from clsim.scene.directivity import Cardioid, Omni, Piston, named_directivity
+from clsim.scene.material import Material
+from clsim.scene.room import Shoebox
+from clsim.scene.scene import Receiver, Scene, Source
+from clsim.scene.signal import Signal
+from clsim.scene.trajectory import Trajectory
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Air",
+    "Bandlimited",
+    "Cardioid",
+    "ClsimError",
+    "ClsimWarning",
+    "DeviceError",
+    "InputError",
+    "Lagrange",
+    "Material",
+    "Omni",
+    "PathSet",
+    "Piston",
+    "Receiver",
+    "Recording",
+    "Scene",
+    "Shoebox",
+    "Signal",
+    "Source",
+    "Tracks",
+    "Trajectory",
+    "TruncatedLagrange",
+    "find_paths",
+    "named_directivity",
+    "plan_render",
+    "render",
+    "render_chunks",
+    "render_tracks",
+    "track",
+]

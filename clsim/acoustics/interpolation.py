@@ -1,0 +1,223 @@
+"""Fractional-delay filters as polynomials of the fraction (Farrow banks).
+
+A bank holds the taps ``c[q, k]`` of its branches: the delayed signal is
+``y[n] = sum_q mu**q sum_k c[q, k] x[n - D - k + centre]`` and is late by ``D + shift + mu`` samples.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import chebyshev, polynomial
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_OUT_OF_BAND_WEIGHT = 1e-6  # of the least squares above the band; 1e-4 stops at -88 dB, see docs/validation.md
+_LARGEST_LENGTH = 301
+_LARGEST_DEGREE = 40
+
+
+def lagrange_taps(order: int, delay: Floats) -> Floats:
+    """Return the taps of the Lagrange interpolator of an order, for delays in samples.
+
+    Parameters
+    ----------
+    order : int
+        Order N of the interpolating polynomial; it has N + 1 taps.
+    delay : ndarray (n,)
+        Delay from the first tap, samples; most exact around ``N / 2``.
+
+    Returns
+    -------
+    ndarray (n, N + 1)
+        Taps, ``h_k(D) = prod_{j != k} (D - j) / (k - j)``.
+
+    References
+    ----------
+    T. I. Laakso, V. Välimäki, M. Karjalainen, U. K. Laine, "Splitting the unit delay", IEEE Signal
+    Processing Magazine 13(1), 1996, eq. 42.
+
+    Examples
+    --------
+    >>> lagrange_taps(1, np.array([0.25]))
+    array([[0.75, 0.25]])
+    """
+    delay = np.asarray(delay, dtype=np.float64)
+    taps = np.ones((len(delay), order + 1))
+    for k in range(order + 1):
+        for j in range(order + 1):
+            if j != k:
+                taps[:, k] *= (delay - j) / (k - j)
+    return taps
+
+
+def lagrange_bank(order: int, length: int | None = None) -> Floats:
+    """Return the Lagrange taps as polynomials of ``mu = delay - order / 2``.
+
+    Parameters
+    ----------
+    order : int
+        Order of the prototype.
+    length : int, optional
+        Taps that are kept, the middle ones; all of them when left out. Fewer taps widen the band
+        (Välimäki and Haghparast, "Fractional delay filter design based on truncated Lagrange
+        interpolation", IEEE Signal Processing Letters 14(11), 2007).
+
+    Returns
+    -------
+    ndarray (order + 1, length)
+        Coefficient of ``mu**q`` of each tap.
+    """
+    middle = order / 2
+    columns = []
+    for k in range(order + 1):
+        others = [j for j in range(order + 1) if j != k]
+        scale = math.prod(float(k - j) for j in others)
+        columns.append(polynomial.polyfromroots([j - middle for j in others]) / scale if others else np.ones(1))
+    bank = np.stack(columns, axis=1)
+    if length is None:
+        return bank
+    dropped = (order + 1 - length) // 2
+    return bank[:, dropped : dropped + length]
+
+
+def chebyshev_degree(edge: float, mu_max: float, error: float) -> int:
+    """Return the smallest degree whose Chebyshev series of a pure delay is within `error`.
+
+    Parameters
+    ----------
+    edge : float
+        Highest angular frequency, rad per sample.
+    mu_max : float
+        Largest ``|mu|``, samples.
+    error : float
+        Largest allowed tail of the series (absolute, a pure delay being 1).
+
+    Notes
+    -----
+    ``exp(-j w mu) = sum_k (2 - [k=0]) (-j)^k J_k(w mu_max) T_k(mu / mu_max)`` (Jacobi-Anger), whose tail is at
+    most ``2 sum_{k > K} |J_k(w mu_max)|``.
+    """
+    from scipy.special import jv
+
+    orders = np.arange(_LARGEST_DEGREE + 30)
+    tail = 2 * np.cumsum(np.abs(jv(orders, edge * mu_max))[::-1])[::-1]  # tail[k]: terms k and above
+    within = np.flatnonzero(tail[1:] <= error)
+    return int(within[0]) if len(within) else _LARGEST_DEGREE
+
+
+def chebyshev_bank(degree: int, half: int, edge: float, mu_max: float) -> Floats:
+    """Return a band-limited bank: least-squares filters whose responses are the Bessel functions.
+
+    Parameters
+    ----------
+    degree : int
+        Degree in ``mu``.
+    half : int
+        Taps on either side of the middle one.
+    edge : float
+        Highest angular frequency that must be right, rad per sample.
+    mu_max : float
+        Largest ``|mu|``, samples.
+
+    Returns
+    -------
+    ndarray (degree + 1, 2 half + 1)
+        Coefficient of ``mu**q`` of each tap.
+
+    Notes
+    -----
+    Branch k of the Chebyshev series has the response ``(2 - [k=0]) (-j)^k J_k(w mu_max)`` up to the edge and is
+    rolled off above it with a small weight, since odd branches would otherwise jump at Nyquist.
+    """
+    from scipy.special import jv
+
+    w = np.linspace(0.0, math.pi, 16 * (half + 1) + 128)
+    inside = w <= edge * (1 + 1e-12)
+    w = np.union1d(w, np.linspace(0.0, edge, int(inside.sum()) + 32))
+    inside = w <= edge * (1 + 1e-12)
+    weight = np.where(inside, 1.0, _OUT_OF_BAND_WEIGHT)[:, None]
+    m = np.arange(1, half + 1)
+    even = np.concatenate([np.ones((len(w), 1)), 2 * np.cos(np.outer(w, m))], axis=1)  # h[0], h[m] = h[-m]
+    odd = 2 * np.sin(np.outer(w, m))  # h[m] = -h[-m]
+    k = np.arange(degree + 1)
+    target = np.where(inside[:, None], jv(k, w[:, None] * mu_max) * np.where(k == 0, 1.0, 2.0), 0.0)
+    # (-j)^k J_k against sum h[m] exp(-j w m): real part (-1)^(k/2) for even k, -j times (-1)^((k-1)/2) for odd k.
+    target = target * np.where(k % 4 < 2, 1.0, -1.0)
+    taps = np.zeros((degree + 1, 2 * half + 1))
+    solved = np.linalg.lstsq(even * weight, target[:, ::2] * weight, rcond=1e-14)[0]
+    taps[::2, half:] = solved.T
+    taps[::2, :half] = solved.T[:, :0:-1]
+    if degree > 0 and half > 0:
+        solved = np.linalg.lstsq(odd * weight, target[:, 1::2] * weight, rcond=1e-14)[0]
+        taps[1::2, half + 1 :] = solved.T
+        taps[1::2, :half] = -solved.T[:, ::-1]
+    powers = np.zeros((degree + 1, degree + 1))
+    for n in range(degree + 1):
+        powers[: n + 1, n] = chebyshev.cheb2poly(np.eye(degree + 1)[n, : n + 1])
+    return (powers @ taps) / (mu_max ** np.arange(degree + 1))[:, None]
+
+
+@lru_cache(maxsize=64)
+def design_bandlimited(error_db: float, edge: float, mu_max: float) -> tuple[Floats, float]:
+    """Return the smallest band-limited bank within an error, and the error that it reaches.
+
+    Parameters
+    ----------
+    error_db : float
+        Asked bound on ``bank_error`` in dB.
+    edge : float
+        Highest angular frequency, rad per sample, below pi.
+    mu_max : float
+        Largest ``|mu|``, samples.
+
+    Returns
+    -------
+    taps : ndarray (branches, length)
+        The bank; ``centre`` is ``length // 2`` and ``shift`` 0.
+    reached_db : float
+        Its largest error in dB.
+
+    Raises
+    ------
+    ValueError
+        If no bank of a sensible length reaches the error.
+    """
+    degree = chebyshev_degree(edge, mu_max, 10 ** ((error_db - 6.0) / 20))
+    half, step = max(2, (degree + 1) // 2), 1
+    while 2 * half + 1 <= _LARGEST_LENGTH:
+        taps = chebyshev_bank(degree, half, edge, mu_max)
+        reached = bank_error(taps, half, 0.0, edge, mu_max)
+        if 20 * math.log10(reached) <= error_db:
+            taps.flags.writeable = False
+            return taps, 20 * math.log10(reached)
+        step = max(1, half // 8)
+        half += step
+    raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {edge:.4g} rad")
+
+
+def bank_error(taps: Floats, centre: int, shift: float, edge: float, mu_max: float) -> float:
+    """Return the largest deviation of a bank from a pure delay (which is 1), over all delays and the band.
+
+    Parameters
+    ----------
+    taps : ndarray (branches, length)
+        Coefficients of ``mu**q``.
+    centre : int
+        Index of the tap without delay.
+    shift : float
+        Delay at ``mu = 0``, samples.
+    edge : float
+        Highest angular frequency, rad per sample.
+    mu_max : float
+        Largest ``|mu|``, samples.
+    """
+    w = np.linspace(0.0, edge, 256)
+    mu = mu_max * np.cos(np.linspace(0.0, math.pi, 65))
+    response = np.exp(-1j * np.outer(w, np.arange(taps.shape[1]) - centre)) @ taps.T
+    delayed = polynomial.polyval(mu, response.T)
+    wanted = np.exp(-1j * np.outer(w, mu + shift))
+    return float(np.max(np.abs(delayed - wanted)))

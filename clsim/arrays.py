@@ -1,0 +1,124 @@
+"""Checked, read-only arrays: what a frozen value holds."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.errors import InputError
+
+Floats = NDArray[np.float64]
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a contiguous read-only view, copied only where needed."""
+    out = np.ascontiguousarray(array)
+    if out is array:
+        out = out.view()
+    out.flags.writeable = False
+    return out
+
+
+def as_floats(field: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
+    """Convert to a read-only float64 array of finite values.
+
+    Parameters
+    ----------
+    field : str
+        Name used in the error.
+    value : array_like
+        What the user gave.
+    shape : tuple of int or None
+        Wanted shape; ``None`` stands for any positive length.
+
+    Returns
+    -------
+    ndarray
+        A read-only copy, float64.
+
+    Raises
+    ------
+    InputError
+        If the value is not numeric, has another shape, is empty or holds NaN or infinity.
+    """
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(field, f"must be numbers, but is {value!r:.80}") from error
+    wanted = " x ".join("n" if n is None else str(n) for n in shape) or "a single number"
+    if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        got = " x ".join(map(str, array.shape)) or "a single number"
+        raise InputError(field, f"must have the shape {wanted}, but has {got}")
+    if array.size == 0:
+        raise InputError(field, "must not be empty")
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        index = "".join(f"[{i}]" for i in bad[0])
+        raise InputError(f"{field}{index}", f"must be finite, but is {array[tuple(bad[0])]}")
+    return read_only(array)
+
+
+def as_number(
+    field: str,
+    value: Any,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    below: float = math.inf,
+    at_most: float = math.inf,
+    unit: str = "",
+) -> float:
+    """Convert to a finite float inside the stated bounds (``above`` and ``below`` exclude their end).
+
+    Raises
+    ------
+    InputError
+        If it is no number (a bool is none), not finite or out of bounds; the message names bound and value.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(field, f"must be a number, but is {value!r:.80}")
+    number = float(value)
+    unit = f" {unit}" if unit else ""
+    for holds, rule in (
+        (math.isfinite(number), "finite"),
+        (number > above or above == -math.inf, f"above {above:g}{unit}"),
+        (number >= at_least, f"at least {at_least:g}{unit}"),
+        (number < below or below == math.inf, f"below {below:g}{unit}"),
+        (number <= at_most, f"at most {at_most:g}{unit}"),
+    ):
+        if not holds:
+            raise InputError(field, f"must be {rule}, but is {number:g}{unit}")
+    return number
+
+
+def as_count(field: str, value: Any, *, at_least: int = 0, at_most: int | None = None) -> int:
+    """Convert to an int inside the stated bounds; floats and bools are refused.
+
+    Raises
+    ------
+    InputError
+        If it is no whole number or out of bounds.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise InputError(field, f"must be a whole number, but is {value!r:.80}")
+    if value < at_least or (at_most is not None and value > at_most):
+        rule = f"at least {at_least}" if at_most is None else f"from {at_least} to {at_most}"
+        raise InputError(field, f"must be {rule}, but is {value}")
+    return int(value)
+
+
+def as_choice(field: str, value: Any, choices: tuple[str, ...]) -> str:
+    """Return the value if it is one of the choices.
+
+    Raises
+    ------
+    InputError
+        If it is not; the message lists the choices.
+    """
+    if value not in choices:
+        listed = ", ".join(f'"{c}"' for c in choices)
+        raise InputError(field, f"must be one of {listed}, but is {value!r:.80}")
+    return str(value)

@@ -1,0 +1,47 @@
+"""What clsim raises: one class for what the user gave, one for the device, one for warnings."""
+
+from __future__ import annotations
+
+
+class ClsimError(Exception):
+    """Base of every error that clsim raises on purpose."""
+
+
+class InputError(ClsimError, ValueError):
+    """A value from the user breaks a rule.
+
+    Parameters
+    ----------
+    field : str
+        Where the value stands, for example ``"sources[1].trajectory.times"``.
+    problem : str
+        The rule and the value that breaks it.
+
+    Examples
+    --------
+    >>> raise InputError("times", "must increase strictly, but [2] = 0.5 s follows [1] = 0.75 s")
+    Traceback (most recent call last):
+        ...
+    clsim.errors.InputError: times: must increase strictly, but [2] = 0.5 s follows [1] = 0.75 s
+    """
+
+    def __init__(self, field: str, problem: str) -> None:
+        super().__init__(field, problem)
+        self.field = field
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"{self.field}: {self.problem}" if self.field else self.problem
+
+    def within(self, parent: str) -> InputError:
+        """Return the same error seen from the value that holds the field, e.g. ``"sources[1]"``."""
+        joint = "" if self.field.startswith("[") or not self.field else "."
+        return InputError(f"{parent}{joint}{self.field}", self.problem)
+
+
+class DeviceError(ClsimError, RuntimeError):
+    """The OpenCL device is missing or failed; the message says what to do."""
+
+
+class ClsimWarning(UserWarning):
+    """A result is right but perhaps not what was meant; the message says why."""

@@ -1,0 +1,174 @@
+"""Delay, gain and directions of every path, in float64 at any time: the definition of right.
+
+The OpenCL tracks are the small twin of this file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.acoustics.geometry import rotate
+from clsim.arrays import Floats
+from clsim.scene.directivity import Omni
+from clsim.scene.scene import Scene
+
+Motion = Literal["retarded", "quasi-static"]
+Amplitude = Literal["wave-equation", "static", "convective"]
+MOTIONS: tuple[str, ...] = get_args(Motion)
+AMPLITUDES: tuple[str, ...] = get_args(Amplitude)
+MACH_EXPONENT = {"static": 0, "wave-equation": 1, "convective": 2}
+
+_AXIS = np.array([1.0, 0.0, 0.0])  # where a transducer points at identity
+_NEWTON_LIMIT = 60
+_CONVERGED = 1e-15  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrivals:
+    """What P paths bring at T times, each array (P, T) or (P, T, 3).
+
+    Attributes
+    ----------
+    delay : ndarray (P, T)
+        From emission to reception, s.
+    delay_rate : ndarray (P, T)
+        Its derivative by the time of reception; the Doppler factor is ``1 - delay_rate``.
+    gain : ndarray (P, T)
+        Received over emitted pressure (at 1 m), signed.
+    departure, arrival : ndarray (P, T, 3)
+        Unit vectors: from the real source along the path, and from the receiver towards the image.
+    """
+
+    delay: Floats
+    delay_rate: Floats
+    gain: Floats
+    departure: Floats
+    arrival: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathGroup:
+    """Paths between one source and one receiver.
+
+    Attributes
+    ----------
+    source, receiver : int
+        Indices in the scene.
+    matrix, offset : ndarray (P, 3, 3), (P, 3)
+        Isometry of every image.
+    reflection : ndarray (P,)
+        Product of the reflection factors of its walls.
+    """
+
+    source: int
+    receiver: int
+    matrix: Floats
+    offset: Floats
+    reflection: Floats
+
+
+def arrivals(
+    scene: Scene, group: PathGroup, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
+) -> Arrivals:
+    """Return delay, gain and directions of a group of paths.
+
+    Parameters
+    ----------
+    scene : Scene
+        Holds trajectories, air and directivities.
+    group : PathGroup
+        P paths.
+    times : ndarray (T,)
+        Times of reception, s.
+    motion : {"retarded", "quasi-static"}
+        Whether the image is where it was at emission, or where it is at reception.
+    amplitude : {"wave-equation", "static", "convective"}
+        Exponent 1, 0 or 2 of ``1 / (1 - M)``; quasi-static motion has none.
+
+    Notes
+    -----
+    The delay solves ``delay = |x_r(t) - A x_s(t - delay) - b| / c`` by Newton's method from the quasi-static value.
+    A point source of the linear wave equation is received as ``s(t - delay) / (d (1 - M))``, M the Mach number of
+    the image towards the receiver at emission (Morse and Ingard, Theoretical Acoustics, 1968, section 11.2).
+    """
+    source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
+    c = scene.air.sound_speed
+    times = np.asarray(times, dtype=np.float64)
+    at = receiver.trajectory.position(times)
+    # Seen from the image's room the receiver stands at A^T (x_r - b): one mirrored receiver per path.
+    mirrored = np.einsum("pji,ptj->pti", group.matrix, at[None] - group.offset[:, None, :])
+    if motion == "quasi-static":
+        emitted = np.broadcast_to(times, mirrored.shape[:2])
+        delay = np.linalg.norm(mirrored - source.trajectory.position(times), axis=-1) / c
+    else:
+        delay = _solve_delay(source.trajectory, mirrored, times, c)
+        emitted = times - delay
+    apart = mirrored - _at(source.trajectory.position, emitted)
+    distance = np.linalg.norm(apart, axis=-1)
+    departure = apart / distance[..., None]
+    mach = np.sum(departure * _at(source.trajectory.velocity, emitted), axis=-1) / c
+    moving = np.einsum("pji,tj->pti", group.matrix, receiver.trajectory.velocity(times))
+    receding = np.sum(departure * moving, axis=-1) / c
+    retarded = motion == "retarded"
+    arrival = -np.einsum("pij,ptj->pti", group.matrix, departure)
+    gain = _gain(scene, group, distance, departure, arrival, emitted, times)
+    if retarded:
+        gain = gain * (1.0 - mach) ** -MACH_EXPONENT[amplitude]
+    rate = (receding - mach) / (1.0 - mach) if retarded else receding - mach
+    return Arrivals(delay, rate, gain, departure, arrival)
+
+
+def _gain(
+    scene: Scene,
+    group: PathGroup,
+    distance: Floats,
+    departure: Floats,
+    arrival: Floats,
+    emitted: Floats,
+    times: Floats,
+) -> Floats:
+    """Return spreading, air, walls and beams at the signal's centre frequency, (P, T)."""
+    source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
+    frequency, c = source.signal.centre_frequency, scene.air.sound_speed
+    decibel = scene.air.absorption(frequency) * (distance - 1.0)
+    gain = group.reflection[:, None] * 10 ** (-decibel / 20) / distance
+    if not isinstance(source.directivity, Omni):
+        axis = rotate(_at(source.orientation, emitted), _AXIS)
+        cosine = np.sum(axis * departure, axis=-1)
+        gain = gain * source.directivity.gain(np.clip(cosine, -1.0, 1.0), frequency, c)
+    if not isinstance(receiver.directivity, Omni):
+        axis = rotate(receiver.orientation(times), _AXIS)
+        cosine = np.sum(axis[None] * arrival, axis=-1)
+        gain = gain * receiver.directivity.gain(np.clip(cosine, -1.0, 1.0), frequency, c)
+    return np.asarray(gain)
+
+
+def _solve_delay(trajectory: object, mirrored: Floats, times: Floats, c: float) -> Floats:
+    """Solve ``delay = |x - x_s(t - delay)| / c`` for every mirrored receiver position x (P, T, 3)."""
+    position, velocity = trajectory.position, trajectory.velocity  # type: ignore[attr-defined]
+    delay = np.linalg.norm(mirrored - position(times), axis=-1) / c
+    active: NDArray[np.bool_] = np.ones(delay.shape, dtype=bool)
+    if np.isinf(trajectory.end):  # type: ignore[attr-defined]
+        return np.asarray(delay)  # a fixed source was where it is
+    for _ in range(_NEWTON_LIMIT):
+        p, t = np.nonzero(active)
+        if not len(p):
+            break
+        emitted = times[t] - delay[p, t]
+        apart = mirrored[p, t] - position(emitted)
+        distance = np.linalg.norm(apart, axis=-1)
+        mach = np.sum(apart * velocity(emitted), axis=-1) / (np.maximum(distance, 1e-300) * c)
+        step = (distance / c - delay[p, t]) / (1.0 - mach)
+        delay[p, t] += step
+        active[p, t] = np.abs(step) > _CONVERGED + 4e-16 * np.abs(times[t])
+    return np.asarray(delay)
+
+
+def _at(function: object, times: Floats) -> Floats:
+    """Evaluate a trajectory's function at times of any shape."""
+    values: Floats = function(times.ravel())  # type: ignore[operator]
+    return values.reshape(*times.shape, values.shape[-1])

@@ -1,0 +1,108 @@
+"""The paths of a scene: one row per image and receiver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats, as_choice, as_floats
+from clsim.errors import InputError
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
+from clsim.paths.path_table import PathTable
+from clsim.scene.room import WALLS
+from clsim.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathSet:
+    """Every path from a source to a receiver, as columns of equal length.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene in which they are.
+    source, receiver, order : ndarray (paths,) int
+        Indices in the scene, and number of reflections.
+    walls : ndarray (paths, max_order) int8
+        Walls from the source's side, filled up with -1.
+    image_matrix, image_offset : ndarray (paths, 3, 3), (paths, 3)
+        The image of the source is at ``image_matrix @ x + image_offset``.
+    start, end : ndarray (paths,)
+        Interval of reception in which the path is heard, s.
+    """
+
+    scene: Scene
+    source: NDArray[np.int32]
+    receiver: NDArray[np.int32]
+    order: NDArray[np.int32]
+    walls: NDArray[np.int8]
+    image_matrix: Floats
+    image_offset: Floats
+    start: Floats
+    end: Floats
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def groups(self) -> Iterator[tuple[NDArray[np.int64], PathGroup]]:
+        """Yield the rows of every (source, receiver) that has paths, and what they are."""
+        for s in range(len(self.scene.sources)):
+            reflection = self._reflections(s)
+            for r in range(len(self.scene.receivers)):
+                rows = np.flatnonzero((self.source == s) & (self.receiver == r))
+                if len(rows):
+                    yield (
+                        rows,
+                        PathGroup(s, r, self.image_matrix[rows], self.image_offset[rows], reflection[rows]),
+                    )
+
+    def _reflections(self, source: int) -> Floats:
+        """Return the product of reflection factors of every path at the source's centre frequency."""
+        frequency = self.scene.sources[source].signal.centre_frequency
+        factors = np.append(self.scene.room.reflections(frequency), 1.0)  # -1 stands for no wall
+        return np.asarray(np.prod(factors[self.walls], axis=1))
+
+    def table(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> PathTable:
+        """Return what every path does at the given times.
+
+        Parameters
+        ----------
+        times : array_like (T,)
+            Times of reception, s.
+        motion : {"retarded", "quasi-static"}
+            As in `render`.
+        amplitude : {"wave-equation", "static", "convective"}
+            As in `render`.
+
+        Raises
+        ------
+        InputError
+            If a time is not finite, or motion or amplitude are no known words.
+        """
+        times = as_floats("times", times, (None,))
+        as_choice("motion", motion, MOTIONS)
+        as_choice("amplitude", amplitude, AMPLITUDES)
+        shape = (len(self), len(times))
+        delay, doppler, gain = (np.full(shape, np.nan) for _ in range(3))
+        departure, arrival = (np.full((*shape, 3), np.nan) for _ in range(2))
+        for rows, group in self.groups():
+            found = arrivals(self.scene, group, times, motion, amplitude)
+            delay[rows], doppler[rows], gain[rows] = found.delay, 1.0 - found.delay_rate, found.gain
+            departure[rows], arrival[rows] = found.departure, found.arrival
+        silent = (times[None, :] < self.start[:, None]) | (times[None, :] >= self.end[:, None])
+        for column in (delay, doppler, gain, departure, arrival):
+            column[silent] = np.nan
+        return PathTable(
+            times, self.source, self.receiver, self.order, self.walls, self.order == 0,
+            delay, doppler, gain, departure, arrival,
+            tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers), WALLS,
+        )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        count = len(self.source)
+        for name in ("receiver", "order", "walls", "image_matrix", "image_offset", "start", "end"):
+            if len(getattr(self, name)) != count:
+                raise InputError(name, f"must have one row per path, {count}, but has {len(getattr(self, name))}")

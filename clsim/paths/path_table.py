@@ -1,0 +1,52 @@
+"""The ground truth beside the sound: what every path does over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathTable:
+    """Delay, Doppler factor, gain and directions of P paths at T times.
+
+    Attributes
+    ----------
+    times : ndarray (T,)
+        Times of reception, s.
+    source, receiver, order : ndarray (P,) int
+        Indices in the scene, and number of reflections.
+    walls : ndarray (P, max_order) int8
+        Walls from the source's side, filled up with -1.
+    direct : ndarray (P,) bool
+        Whether it is the direct path.
+    delay : ndarray (P, T)
+        From emission to reception, s; NaN while the path is not heard.
+    doppler : ndarray (P, T)
+        Received over emitted frequency.
+    gain : ndarray (P, T)
+        Received over emitted pressure at the signal's centre frequency, signed.
+    departure, arrival : ndarray (P, T, 3)
+        Unit vectors: from the source along the path, and from the receiver back along it.
+    source_names, receiver_names, wall_names : tuple of str
+        What the indices mean.
+    """
+
+    times: Floats
+    source: NDArray[np.int32]
+    receiver: NDArray[np.int32]
+    order: NDArray[np.int32]
+    walls: NDArray[np.int8]
+    direct: NDArray[np.bool_]
+    delay: Floats
+    doppler: Floats
+    gain: Floats
+    departure: Floats
+    arrival: Floats
+    source_names: tuple[str, ...]
+    receiver_names: tuple[str, ...]
+    wall_names: tuple[str, ...]

@@ -1,0 +1,89 @@
+"""Image sources of a shoebox, in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Images:
+    """Images of one source: isometries of its trajectory, the same wherever it is.
+
+    Attributes
+    ----------
+    order : ndarray (images,) int
+        Number of reflections.
+    walls : ndarray (images, max_order) int8
+        Walls from the source's side, filled up with -1.
+    matrix : ndarray (images, 3, 3)
+        Orthogonal matrix A of ``x -> A x + b``.
+    offset : ndarray (images, 3)
+        Offset b, m.
+    """
+
+    order: NDArray[np.int32]
+    walls: NDArray[np.int8]
+    matrix: Floats
+    offset: Floats
+
+
+def shoebox_image_count(max_order: int) -> int:
+    """Return how many images a shoebox has up to an order: ``1 + 2 N (2 N^2 + 3 N + 4) / 3``.
+
+    Examples
+    --------
+    >>> [shoebox_image_count(n) for n in (0, 1, 2, 10)]
+    [1, 7, 25, 1561]
+    """
+    n = max_order
+    return 1 + 2 * n * (2 * n * n + 3 * n + 4) // 3
+
+
+def shoebox_images(size: Floats, max_order: int) -> Images:
+    """Return every image of a shoebox up to an order, sorted by order.
+
+    Parameters
+    ----------
+    size : ndarray (3,)
+        Edge lengths, m; one corner lies at the origin.
+    max_order : int
+        Largest number of reflections.
+
+    Notes
+    -----
+    Along one axis, cell m of the mirrored rooms holds the image ``m L + x`` for even m and ``(m + 1) L - x``
+    for odd m, after ``|m|`` reflections: on the maximum wall last for m > 0, on the minimum wall last for m < 0
+    (Allen and Berkley, J. Acoust. Soc. Am. 65, 1979). Reflections are listed axis by axis, x first: in which order
+    a path meets walls of different axes depends on where its ends are.
+    """
+    cells = np.arange(-max_order, max_order + 1)
+    grid = np.stack(np.meshgrid(cells, cells, cells, indexing="ij"), axis=-1).reshape(-1, 3)
+    order = np.abs(grid).sum(axis=1)
+    grid, order = grid[order <= max_order], order[order <= max_order]
+    rank = np.lexsort((grid[:, 2], grid[:, 1], grid[:, 0], order))
+    grid, order = grid[rank], order[rank]
+    odd = grid % 2 != 0
+    matrix = np.zeros((len(grid), 3, 3))
+    matrix[:, range(3), range(3)] = np.where(odd, -1.0, 1.0)
+    offset = np.where(odd, grid + 1, grid) * np.asarray(size, dtype=np.float64)
+    return Images(order.astype(np.int32), _walls(grid, order, max_order), matrix, offset)
+
+
+def _walls(grid: NDArray[np.int64], order: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
+    """List the walls of every image: along an axis they alternate and end on the side of the cell."""
+    walls = np.full((len(grid), max_order), -1, dtype=np.int8)
+    before = np.zeros(len(grid), dtype=np.int64)
+    for axis in range(3):
+        count = np.abs(grid[:, axis])
+        last = 2 * axis + (grid[:, axis] > 0)
+        for step in range(max_order):
+            row = np.flatnonzero(step < count)
+            # The last reflection is on `last`; each one before it is on the opposite wall of the next.
+            walls[row, before[row] + step] = last[row] ^ ((count[row] - 1 - step) % 2)
+        before += count
+    return walls

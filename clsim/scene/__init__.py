@@ -1,0 +1,1 @@
+"""What the user describes: frozen values, checked when they are made."""

@@ -1,0 +1,44 @@
+// A group is GROUP = WORKERS * VECTORS * LANES neighbouring samples that share the whole part of a path's delay.
+// A batch is BATCH paths whose polynomials are expanded at a group's centre before any of them is summed.
+
+#if WORKERS == 1
+#define SHARED __private
+#define SYNCHRONISE
+#else
+#define SHARED __local
+#define SYNCHRONISE barrier(CLK_LOCAL_MEM_FENCE)
+#endif
+
+#define GROUP (WORKERS * VECTORS * LANES)
+#define COEFFICIENTS (4 + 4 * FUNCTIONS)  // cubics of the delay and of FUNCTIONS gains
+
+typedef struct {
+    int whole[BATCH];             // whole delay, samples
+    float fraction[BATCH];        // rest of the delay at the group's centre, samples
+    float rate[BATCH];            // its change per sample
+    float curve[BATCH];           // its change per sample squared
+    float gain[FUNCTIONS][BATCH];
+    float slope[FUNCTIONS][BATCH];  // of the gain per sample
+} batch;
+
+// Expand a batch about the group's centre t in [-1, 1] of its block; `half` is half the block in samples.
+static void expand(__global const int* delay, __global const float* node, int slots, float t, float per_sample,
+                   int worker, SHARED batch* out)
+{
+    for (int p = worker * LANES; p < BATCH; p += WORKERS * LANES) {
+        __global const float* c = node + p;
+        const vec c1 = LOAD(c + slots), c2 = LOAD(c + 2 * slots), c3 = LOAD(c + 3 * slots);
+        const vec at = LOAD(c) + t * (c1 + t * (c2 + t * c3));
+        const vec whole = rounded(at);
+        *(SHARED ivec*)(out->whole + p) = *(__global const ivec*)(delay + p) + nearest(at);
+        *(SHARED vec*)(out->fraction + p) = at - whole;
+        *(SHARED vec*)(out->rate + p) = per_sample * (c1 + t * (2.0f * c2 + t * (3.0f * c3)));
+        *(SHARED vec*)(out->curve + p) = per_sample * per_sample * (c2 + t * (3.0f * c3));
+        for (int k = 0; k < FUNCTIONS; k++) {
+            __global const float* g = c + (4 + 4 * k) * slots;
+            const vec g1 = LOAD(g + slots), g2 = LOAD(g + 2 * slots), g3 = LOAD(g + 3 * slots);
+            *(SHARED vec*)(out->gain[k] + p) = LOAD(g) + t * (g1 + t * (g2 + t * g3));
+            *(SHARED vec*)(out->slope[k] + p) = per_sample * (g1 + t * (2.0f * g2 + t * (3.0f * g3)));
+        }
+    }
+}

@@ -1,0 +1,55 @@
+// Sum of all paths of one receiver over SPAN groups of samples. Work-item (or work-group of WORKERS): dimension 0
+// counts spans, dimension 1 receivers. Paths come sorted by delay and are walked in tiles, so that the branch
+// signals in play stay in cache.
+
+__kernel __attribute__((reqd_work_group_size(WORKERS, 1, 1)))
+void render(__global const float* branches,     // [FUNCTIONS][BRANCHES][stride]
+            int stride,
+            int lead,                           // sample of `branches` emitted at the run's first sample
+            __global const int* delay,          // [block][slots], whole samples
+            __global const float* nodes,        // [block][COEFFICIENTS][slots], cubics on [-1, 1]
+            __global const int* first_slot,     // [receivers + 1], multiples of BATCH
+            int slots,
+            int block_groups,                   // groups in a block
+            int groups,                         // groups in the run
+            __global float* pressure,           // [receivers][pressure_stride], added to
+            int pressure_stride)
+{
+    const int worker = get_local_id(0);
+    const int first_group = get_group_id(0) * SPAN;
+    const int last_group = min(first_group + SPAN, groups);
+    const int receiver = get_global_id(1);
+    const float per_sample = 2.0f / (float)(block_groups * GROUP);
+    vec sum[SPAN][VECTORS];
+    SHARED batch paths;
+    for (int g = 0; g < SPAN; g++) {
+        for (int j = 0; j < VECTORS; j++) sum[g][j] = 0.0f;
+    }
+    for (int tile = first_slot[receiver]; tile < first_slot[receiver + 1]; tile += TILE) {
+        const int tile_end = min(tile + TILE, first_slot[receiver + 1]);
+        for (int g = first_group; g < last_group; g++) {
+            const int block = g / block_groups;
+            const float t = (float)(2 * (g - block * block_groups) + 1 - block_groups) / (float)block_groups;
+            vec group_sum[VECTORS];
+            for (int j = 0; j < VECTORS; j++) group_sum[j] = 0.0f;
+            for (int slot = tile; slot < tile_end; slot += BATCH) {
+                expand(delay + block * slots + slot, nodes + block * COEFFICIENTS * slots + slot, slots, t,
+                       per_sample, worker, &paths);
+                SYNCHRONISE;
+                for (int k = 0; k < FUNCTIONS; k++) {
+                    add_batch(branches + k * BRANCHES * stride + lead + g * GROUP, stride, &paths, k, worker,
+                              group_sum);
+                }
+                SYNCHRONISE;
+            }
+            for (int j = 0; j < VECTORS; j++) sum[g - first_group][j] += group_sum[j];
+        }
+    }
+    for (int g = first_group; g < last_group; g++) {
+        __global float* out = pressure + receiver * pressure_stride + g * GROUP;
+        for (int j = 0; j < VECTORS; j++) {
+            __global loose_vec* at = (__global loose_vec*)(out + (worker * VECTORS + j) * LANES);
+            *at = *at + sum[g - first_group][j];
+        }
+    }
+}

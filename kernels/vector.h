@@ -1,0 +1,23 @@
+// Vectors of LANES floats: explicit on CPUs, one lane per work-item on GPUs (LANES == 1).
+// Only operators and casts: some runtimes call, rather than inline, built-in functions on vectors.
+
+#if LANES == 8
+typedef float8 vec;
+typedef float8 __attribute__((aligned(4))) loose_vec;  // may start at any float
+typedef int8 ivec;
+#define AS_IVEC(x) as_int8(x)
+#define RAMP ((vec)(0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f))
+#elif LANES == 1
+typedef float vec;
+typedef float loose_vec;
+typedef int ivec;
+#define AS_IVEC(x) as_int(x)
+#define RAMP 0.0f
+#endif
+
+#define LOAD(pointer) (*(__global const loose_vec*)(pointer))
+
+// Nearest whole number by adding 1.5 * 2^23, right for |x| < 2^22; needs strict (not fast-math) arithmetic.
+#define ROUNDING 12582912.0f
+static ivec nearest(vec x) { return AS_IVEC(x + ROUNDING) - 0x4B400000; }
+static vec rounded(vec x) { return (x + ROUNDING) - ROUNDING; }
