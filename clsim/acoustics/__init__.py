@@ -1,0 +1,1 @@
+"""Published formulae: arrays in, arrays out, one citation each."""

@@ -1,0 +1,144 @@
+"""Unit quaternions x y z w, right-handed; at identity a transducer points along +x."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from clsim.arrays import Floats
+
+
+def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
+    """Turn vectors by unit quaternions.
+
+    Parameters
+    ----------
+    quaternion : array_like (..., 4)
+        Unit quaternions x y z w.
+    vectors : array_like (..., 3)
+        Vectors, any unit; leading axes broadcast against those of `quaternion`.
+
+    Returns
+    -------
+    ndarray (..., 3)
+        Turned vectors, the unit of `vectors`.
+
+    Notes
+    -----
+    ``v + 2 w (u × v) + 2 u × (u × v)`` for the quaternion ``(u, w)``: J. Diebel, "Representing Attitude",
+    Stanford University, 2006, section 6.
+
+    Examples
+    --------
+    >>> half = 0.5**0.5  # a quarter turn about +z takes +x to +y
+    >>> rotate([0.0, 0.0, half, half], [1.0, 0.0, 0.0]).round(12).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    q = np.asarray(quaternion, dtype=np.float64)
+    v = np.asarray(vectors, dtype=np.float64)
+    u, w = q[..., :3], q[..., 3:]
+    twice = 2.0 * np.cross(u, v)
+    turned: Floats = v + w * twice + np.cross(u, twice)
+    return turned
+
+
+def quaternion_from_direction(direction: ArrayLike) -> Floats:
+    """Return the rotation that turns +x into a direction and keeps +z as far up as it goes.
+
+    Parameters
+    ----------
+    direction : array_like (..., 3)
+        Directions of any length but zero.
+
+    Returns
+    -------
+    ndarray (..., 4)
+        Unit quaternions x y z w.
+
+    Raises
+    ------
+    InputError
+        If a direction is zero or not finite.
+
+    Notes
+    -----
+    A turn by the elevation about y, then one by the azimuth about z: no roll. Straight up and down, where any
+    azimuth would do, it is 0.
+
+    Examples
+    --------
+    >>> quaternion_from_direction((0.0, 0.0, 2.0)).round(6).tolist()  # straight up: a quarter turn about -y
+    [0.0, -0.707107, 0.0, 0.707107]
+    """
+    d = np.asarray(direction, dtype=np.float64)
+    level = np.hypot(d[..., 0], d[..., 1])
+    length = np.hypot(level, d[..., 2])
+    if not np.all((length > 0.0) & np.isfinite(length)):
+        raise InputError("direction", "must be finite and longer than 0")
+    # Adding 0.0 turns -0.0 into 0.0, whose azimuth is 0 rather than pi.
+    azimuth = 0.5 * np.arctan2(d[..., 1] + 0.0, d[..., 0] + 0.0)
+    elevation = 0.5 * np.arctan2(d[..., 2], level)
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    return np.stack([sa * se, -ca * se, sa * ce, ca * ce], axis=-1)
+
+
+def normalised(quaternion: ArrayLike) -> Floats:
+    """Return quaternions scaled to unit norm.
+
+    Parameters
+    ----------
+    quaternion : array_like (..., 4)
+        Quaternions x y z w.
+
+    Returns
+    -------
+    ndarray (..., 4)
+        Unit quaternions x y z w.
+
+    Raises
+    ------
+    InputError
+        If one is zero or not finite.
+
+    Examples
+    --------
+    >>> normalised([0.0, 0.0, 3.0, 4.0]).round(12).tolist()
+    [0.0, 0.0, 0.6, 0.8]
+    """
+    q = np.asarray(quaternion, dtype=np.float64)
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    if not np.all((norm > 0.0) & np.isfinite(norm)):
+        raise InputError("quaternion", "must be finite and not 0, 0, 0, 0")
+    unit: Floats = q / norm
+    return unit
+
+
+def same_hemisphere(quaternions: ArrayLike) -> Floats:
+    """Return the same rotations with signs chosen so that neighbours lie close to each other.
+
+    Parameters
+    ----------
+    quaternions : array_like (n, 4)
+        Quaternions x y z w in order of time.
+
+    Returns
+    -------
+    ndarray (n, 4)
+        The first as given, each other one or its negative: no two neighbours have a negative dot product.
+
+    Examples
+    --------
+    >>> same_hemisphere([[0, 0, 0, 1], [0, 0, 0.6, -0.8], [0, 0, -0.8, 0.6]])[1:, 2:].tolist()
+    [[-0.6, 0.8], [-0.8, 0.6]]
+    """
+    q = np.asarray(quaternions, dtype=np.float64)
+    flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0.0, -1.0, 1.0)
+    signs = np.concatenate([np.ones(min(1, len(q))), np.cumprod(flips)])
+    signed: Floats = q * signs[:, None]
+    return signed

@@ -1,0 +1,180 @@
+"""The air in the room."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.acoustics.air import (
+    absorption_iso9613,
+    speed_of_sound_cramer,
+    speed_of_sound_iso9613,
+    vapour_fraction_giacomo,
+    vapour_percent_iso9613,
+)
+from clsim.arrays import Floats, as_choice, as_number
+from clsim.errors import ClsimWarning, InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+_COLDEST, _HOTTEST = -73.0, 100.0  # °C: 200 K, where ISO 9613-1 stops claiming anything, and boiling water
+_THINNEST, _DENSEST = 1e4, 1e6  # Pa
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """Still air of one temperature, humidity and pressure.
+
+    Parameters
+    ----------
+    temperature_celsius : float
+        Temperature, -73 to 100 °C.
+    relative_humidity : float
+        From 0 to 1 (not per cent).
+    pressure : float
+        Static pressure, 10 kPa to 1 MPa, Pa.
+    speed_of_sound : float or "iso9613" or None
+        A speed, m/s; ISO 9613-1's formula by name; or None for Cramer's formula (1993, 314 ppm CO2).
+
+    Raises
+    ------
+    InputError
+        If a value is out of bounds, or there would be more water vapour than air.
+
+    Warns
+    -----
+    ClsimWarning
+        If the speed lies outside the range of Cramer's formula (0 to 30 °C, 75 to 102 kPa), or the absorption
+        where ISO 9613-1 is less sure than within 20 %, which it is from -20 to 50 °C, below 200 kPa and from 0.005 % of
+        vapour.
+
+    Examples
+    --------
+    >>> air = Air(temperature_celsius=20.0, relative_humidity=0.5)
+    >>> round(air.sound_speed, 3), round(float(air.absorption(40e3)), 3)
+    (343.994, 1.318)
+    """
+
+    temperature_celsius: float = 20.0
+    relative_humidity: float = 0.5
+    pressure: float = 101_325.0
+    speed_of_sound: float | str | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (
+            (
+                "temperature_celsius",
+                as_number(
+                    "temperature_celsius",
+                    self.temperature_celsius,
+                    at_least=_COLDEST,
+                    at_most=_HOTTEST,
+                    unit="°C",
+                ),
+            ),
+            ("relative_humidity", _checked_humidity(self.relative_humidity)),
+            (
+                "pressure",
+                as_number("pressure", self.pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa"),
+            ),
+            ("speed_of_sound", _checked_speed(self.speed_of_sound)),
+        ):
+            object.__setattr__(self, name, value)
+        vapour = vapour_fraction_giacomo(self.temperature_celsius, self.relative_humidity, self.pressure)
+        if vapour >= 1.0:
+            raise InputError(
+                "relative_humidity",
+                f"must leave room for air, but at {self.temperature_celsius:g} °C and {self.pressure:g} Pa "
+                f"{self.relative_humidity:g} is nothing but water vapour",
+            )
+        for message in (_doubt_in_speed(self, vapour), _doubt_in_absorption(self)):
+            if message:
+                warnings.warn(message, ClsimWarning, stacklevel=3)
+
+    @property
+    def sound_speed(self) -> float:
+        """Speed of sound, m/s: the given one, or what the formula gives."""
+        if self.speed_of_sound is None:
+            return speed_of_sound_cramer(self.temperature_celsius, self.relative_humidity, self.pressure)
+        if isinstance(self.speed_of_sound, str):
+            return speed_of_sound_iso9613(self.temperature_celsius)
+        return self.speed_of_sound
+
+    def absorption(self, frequency: ArrayLike) -> Floats:
+        """Return the absorption of pure tones by ISO 9613-1, dB/m.
+
+        Parameters
+        ----------
+        frequency : array_like
+            Frequencies of any shape, at least 0, Hz.
+
+        Returns
+        -------
+        ndarray
+            Absorption of the shape of `frequency`, dB/m.
+
+        Raises
+        ------
+        InputError
+            If a frequency is negative or not finite.
+
+        Warns
+        -----
+        ClsimWarning
+            Above 10 Hz/Pa (1.01 MHz at one atmosphere), where ISO 9613-1 states no accuracy.
+        """
+        f = np.asarray(frequency, dtype=np.float64)
+        if not np.all((f >= 0.0) & np.isfinite(f)):
+            raise InputError("frequency", "must be finite and at least 0 Hz")
+        if np.any(f > 10.0 * self.pressure):
+            warnings.warn(
+                f"the absorption of air is asked for at {np.max(f):g} Hz, but ISO 9613-1 states its accuracy "
+                f"up to 10 Hz/Pa only, here {10.0 * self.pressure:g} Hz",
+                ClsimWarning,
+                stacklevel=2,
+            )
+        return absorption_iso9613(f, self.temperature_celsius, self.relative_humidity, self.pressure)
+
+
+def _checked_humidity(value: float) -> float:
+    humidity = as_number("relative_humidity", value, at_least=0.0)
+    if humidity > 1.0:
+        hint = f"; {humidity:g} per cent is {humidity / 100:g}" if humidity <= 100.0 else ""
+        raise InputError("relative_humidity", f"must be from 0 to 1, but is {humidity:g}{hint}")
+    return humidity
+
+
+def _checked_speed(value: float | str | None) -> float | str | None:
+    if value is None:
+        return None
+    if isinstance(value, str):
+        return as_choice("speed_of_sound", value, ("iso9613",))
+    return as_number("speed_of_sound", value, above=0.0, unit="m/s")
+
+
+def _doubt_in_speed(air: Air, vapour: float) -> str:
+    """Return a sentence if the speed comes from Cramer's formula outside its range."""
+    inside = 0.0 <= air.temperature_celsius <= 30.0 and 75e3 <= air.pressure <= 102e3 and vapour <= 0.06
+    if air.speed_of_sound is not None or inside:
+        return ""
+    return (
+        f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of vapour, "
+        f"but the air has {air.temperature_celsius:g} °C, {air.pressure / 1e3:g} kPa and {100 * vapour:.3g} %; "
+        f'give speed_of_sound as a number or as "iso9613"'
+    )
+
+
+def _doubt_in_absorption(air: Air) -> str:
+    """Return a sentence if ISO 9613-1 is less sure of the absorption than within 20 %."""
+    vapour = vapour_percent_iso9613(air.temperature_celsius, air.relative_humidity, air.pressure)
+    if -20.0 <= air.temperature_celsius <= 50.0 and air.pressure < 200e3 and vapour >= 0.005:
+        return ""
+    return (
+        f"ISO 9613-1 gives the absorption of air within 20 % from -20 to 50 °C, below 200 kPa and from "
+        f"0.005 % of vapour, but the air has {air.temperature_celsius:g} °C, {air.pressure / 1e3:g} kPa "
+        f"and {vapour:.3g} %"
+    )

@@ -1,0 +1,166 @@
+"""Curves in space: positions and velocities as functions of time, without a beginning or an end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from clsim.arrays import Floats, read_only
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
+CONTINUATION = 0.05  # s, by which a trajectory goes on before its start and after its end
+
+
+class Curve(Protocol):
+    """A position for every time; `time` has any shape, results have the same shape and 3 more columns."""
+
+    def position(self, time: Floats) -> Floats:
+        """Return positions, m."""
+        ...
+
+    def velocity(self, time: Floats) -> Floats:
+        """Return velocities, m/s."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Still:
+    """A point at rest at `point` (3,) m."""
+
+    point: Floats
+
+    def position(self, time: Floats) -> Floats:
+        """Return positions, m."""
+        return np.tile(self.point, (*time.shape, 1))
+
+    def velocity(self, time: Floats) -> Floats:
+        """Return velocities, m/s."""
+        return np.zeros((*time.shape, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Straight:
+    """A point that leaves `origin` (3,) m at time 0 with the constant `speed` (3,) m/s."""
+
+    origin: Floats
+    speed: Floats
+
+    def position(self, time: Floats) -> Floats:
+        """Return positions, m."""
+        return self.origin + time[..., None] * self.speed
+
+    def velocity(self, time: Floats) -> Floats:
+        """Return velocities, m/s."""
+        return np.tile(self.speed, (*time.shape, 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circular:
+    """A point on a circle at constant speed.
+
+    ``x(t) = center + radius (e1 cos φ + e2 sin φ)`` with ``φ = phase + rate t``.
+
+    Parameters
+    ----------
+    center, e1, e2 : ndarray (3,)
+        Center, m, and two orthogonal unit vectors in the circle's plane.
+    radius, rate, phase : float
+        Radius, m, angular velocity, rad/s, and angle at time 0, rad.
+    """
+
+    center: Floats
+    e1: Floats
+    e2: Floats
+    radius: float
+    rate: float
+    phase: float
+
+    def position(self, time: Floats) -> Floats:
+        """Return positions, m."""
+        angle = (self.phase + self.rate * time)[..., None]
+        return self.center + self.radius * (np.cos(angle) * self.e1 + np.sin(angle) * self.e2)
+
+    def velocity(self, time: Floats) -> Floats:
+        """Return velocities, m/s."""
+        angle = (self.phase + self.rate * time)[..., None]
+        return self.radius * self.rate * (np.cos(angle) * self.e2 - np.sin(angle) * self.e1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piecewise:
+    """A piecewise polynomial; at a kink the velocity is the one after it.
+
+    Parameters
+    ----------
+    polynomial, derivative : scipy.interpolate.PPoly
+        Positions, m, and velocities, m/s, (3,) for each time, on the same range of times.
+    """
+
+    polynomial: PPoly
+    derivative: PPoly
+
+    def position(self, time: Floats) -> Floats:
+        """Return positions, m."""
+        return np.asarray(self.polynomial(time), dtype=np.float64)
+
+    def velocity(self, time: Floats) -> Floats:
+        """Return velocities, m/s."""
+        return np.asarray(self.derivative(time), dtype=np.float64)
+
+
+def spline_through(times: Floats, positions: Floats, ends: str) -> Piecewise:
+    """Return the C2 cubic spline through points, continued at its ends by `CONTINUATION`.
+
+    Parameters
+    ----------
+    times : ndarray (n,)
+        Strictly increasing, s, n at least 2.
+    positions : ndarray (n, 3)
+        Points, m.
+    ends : {"not-a-knot", "natural"}
+        Condition at both ends. With "not-a-knot" the error of a smooth motion stays of fourth order up to
+        the ends; "natural" (second derivative zero) is what a smoothing spline has.
+
+    Returns
+    -------
+    Piecewise
+        Continued by ``x0 + v0 u + a0 u²/2`` with the position, velocity and acceleration of the end.
+    """
+    from scipy.interpolate import CubicSpline
+
+    spline = CubicSpline(times, positions, bc_type=ends)
+    return _continued(np.asarray(spline.c, dtype=np.float64), np.asarray(times))
+
+
+def legs_through(times: Floats, positions: Floats) -> Piecewise:
+    """Return straight legs between points (n, 3) m at `times` (n,) s, continued by `CONTINUATION`."""
+    speed = np.diff(positions, axis=0) / np.diff(times)[:, None]
+    none = np.zeros_like(speed)
+    return _continued(np.stack([none, none, speed, positions[:-1]]), np.asarray(times))
+
+
+def kinks(times: Floats, positions: Floats) -> Floats:
+    """Return those of `times` (n,) at which straight legs between `positions` (n, 3) change velocity."""
+    speed = np.diff(positions, axis=0) / np.diff(times)[:, None]
+    step = np.linalg.norm(np.diff(speed, axis=0), axis=1)
+    scale = np.linalg.norm(speed, axis=1)
+    return times[1:-1][step > 1e-9 * np.maximum(scale[1:], scale[:-1])]
+
+
+def _continued(coefficients: Floats, knots: Floats) -> Piecewise:
+    """Add a parabola before and after cubic pieces (4, n, 3), highest power first, between knots (n + 1,)."""
+    from scipy.interpolate import PPoly
+
+    inner = PPoly(coefficients, knots)
+    outer = []
+    for at, shift in ((knots[0], -CONTINUATION), (knots[-1], 0.0)):  # shift of the parabola's own zero
+        x, v, a = (np.asarray(inner(at, nu=order), dtype=np.float64) for order in range(3))
+        outer.append(np.stack([np.zeros(3), a / 2, v + a * shift, x + v * shift + a / 2 * shift**2]))
+    wide = np.concatenate([outer[0][:, None], coefficients, outer[1][:, None]], axis=1)
+    ends = np.concatenate([[knots[0] - CONTINUATION], knots, [knots[-1] + CONTINUATION]])
+    polynomial = PPoly(read_only(wide), read_only(ends))
+    return Piecewise(polynomial, polynomial.derivative())

@@ -1,0 +1,151 @@
+"""How loud a source or receiver is in each direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from clsim.acoustics.directivity import cardioid_gain, piston_gain
+from clsim.arrays import Floats, as_choice, as_number
+
+# Murata states 80° between the -6 dB points at 40 kHz for both: the beam of a baffled piston of this radius.
+_NAMED_RADIUS = {"MA40S4S": 0.0047, "MA40S4R": 0.0047}  # m
+
+DIRECTIVITY_NAMES = tuple(_NAMED_RADIUS)
+
+
+@runtime_checkable
+class Directivity(Protocol):
+    """Anything with a gain by direction."""
+
+    def gain(self, cosine: Floats, frequency: float, speed_of_sound: float) -> Floats:
+        """Return the gain of sound pressure by direction, 1 on the axis.
+
+        Parameters
+        ----------
+        cosine : ndarray (...)
+            Cosine of the angle between the axis (+x, turned by the orientation) and the direction: of
+            departure for a source, towards the incoming image for a receiver.
+        frequency : float
+            Frequency, Hz.
+        speed_of_sound : float
+            Speed of sound, m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Gain, 1.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Omni:
+    """The same in every direction.
+
+    Examples
+    --------
+    >>> Omni().gain(np.array([1.0, -1.0]), 40e3, 343.0).tolist()
+    [1.0, 1.0]
+    """
+
+    kind: ClassVar[str] = "omni"
+
+    def gain(self, cosine: Floats, frequency: float, speed_of_sound: float) -> Floats:
+        """Return 1 for every direction; see `Directivity.gain`."""
+        return np.ones_like(cosine, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Cardioid:
+    """A first-order pattern, ``weight + (1 - weight) cos θ``.
+
+    Parameters
+    ----------
+    weight : float
+        Share of the omnidirectional part, 0 to 1: 0.5 cardioid, 0.25 hypercardioid, 0 figure of eight.
+
+    Raises
+    ------
+    InputError
+        If the weight is out of bounds.
+
+    Examples
+    --------
+    >>> Cardioid(0.5).gain(np.array([1.0, 0.0, -1.0]), 1e3, 343.0).tolist()
+    [1.0, 0.5, 0.0]
+    """
+
+    kind: ClassVar[str] = "cardioid"
+    weight: float = 0.5
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weight", as_number("weight", self.weight, at_least=0.0, at_most=1.0))
+
+    def gain(self, cosine: Floats, frequency: float, speed_of_sound: float) -> Floats:
+        """Return the gain, the same at every frequency; see `Directivity.gain`."""
+        return cardioid_gain(cosine, self.weight)
+
+
+@dataclass(frozen=True, slots=True)
+class Piston:
+    """A round piston in a baffle, ``2 J1(ka sin θ) / (ka sin θ)``.
+
+    Behind the baffle the gain at 90° is kept: the formula says nothing there, and the gain has no step.
+
+    Parameters
+    ----------
+    radius : float
+        Radius of the piston, m.
+
+    Raises
+    ------
+    InputError
+        If the radius is not positive.
+
+    Examples
+    --------
+    >>> beam = Piston(0.0047).gain(np.cos(np.radians([0.0, 40.0])), 40e3, 344.0)
+    >>> (20 * np.log10(beam)).round(1).tolist()
+    [0.0, -6.0]
+    """
+
+    kind: ClassVar[str] = "piston"
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", as_number("radius", self.radius, above=0.0, unit="m"))
+
+    def gain(self, cosine: Floats, frequency: float, speed_of_sound: float) -> Floats:
+        """Return the gain; see `Directivity.gain`."""
+        return piston_gain(cosine, frequency, self.radius, speed_of_sound)
+
+
+def named_directivity(name: str) -> Directivity:
+    """Return the directivity of a transducer by its name.
+
+    Parameters
+    ----------
+    name : {"MA40S4S", "MA40S4R"}
+        Murata's open 40 kHz transmitter and receiver. Each is the baffled piston of 4.7 mm radius, which has
+        the 80° between -6 dB points that the maker states at 40 kHz. It is an equivalent piston, not a
+        measurement: side lobes, rear and other frequencies are the formula's.
+
+    Returns
+    -------
+    Directivity
+        A `Piston`.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown.
+
+    Examples
+    --------
+    >>> named_directivity("MA40S4S")
+    Piston(radius=0.0047)
+    """
+    return Piston(_NAMED_RADIUS[as_choice("name", name, DIRECTIVITY_NAMES)])
