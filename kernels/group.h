@@ -30,15 +30,15 @@ static void expand(__global const int* delay, __global const float* node, int sl
         const vec c1 = LOAD(c + slots), c2 = LOAD(c + 2 * slots), c3 = LOAD(c + 3 * slots);
         const vec at = LOAD(c) + t * (c1 + t * (c2 + t * c3));
         const vec whole = rounded(at);
-        *(SHARED ivec*)(out->whole + p) = *(__global const ivec*)(delay + p) + nearest(at);
-        *(SHARED vec*)(out->fraction + p) = at - whole;
-        *(SHARED vec*)(out->rate + p) = per_sample * (c1 + t * (2.0f * c2 + t * (3.0f * c3)));
-        *(SHARED vec*)(out->curve + p) = per_sample * per_sample * (c2 + t * (3.0f * c3));
+        *(SHARED loose_ivec*)(out->whole + p) = *(__global const loose_ivec*)(delay + p) + nearest(at);
+        *(SHARED loose_vec*)(out->fraction + p) = at - whole;
+        *(SHARED loose_vec*)(out->rate + p) = per_sample * (c1 + t * (2.0f * c2 + t * (3.0f * c3)));
+        *(SHARED loose_vec*)(out->curve + p) = per_sample * per_sample * (c2 + t * (3.0f * c3));
         for (int k = 0; k < FUNCTIONS; k++) {
             __global const float* g = c + (4 + 4 * k) * slots;
             const vec g1 = LOAD(g + slots), g2 = LOAD(g + 2 * slots), g3 = LOAD(g + 3 * slots);
-            *(SHARED vec*)(out->gain[k] + p) = LOAD(g) + t * (g1 + t * (g2 + t * g3));
-            *(SHARED vec*)(out->slope[k] + p) = per_sample * (g1 + t * (2.0f * g2 + t * (3.0f * g3)));
+            *(SHARED loose_vec*)(out->gain[k] + p) = LOAD(g) + t * (g1 + t * (g2 + t * g3));
+            *(SHARED loose_vec*)(out->slope[k] + p) = per_sample * (g1 + t * (2.0f * g2 + t * (3.0f * g3)));
         }
     }
 }

@@ -51,7 +51,7 @@ def saturation_pressure_giacomo(temperature_celsius: float) -> float:
     Examples
     --------
     >>> round(saturation_pressure_giacomo(20.0))
-    2338
+    2339
     """
     T = temperature_celsius + KELVIN
     return math.exp(1.2811805e-5 * T**2 - 1.9509874e-2 * T + 34.04926034 - 6.3536311e3 / T)
@@ -191,7 +191,7 @@ def vapour_percent_iso9613(temperature_celsius: float, relative_humidity: float,
     >>> round(vapour_percent_iso9613(20.0, 0.5, 101_325.0), 3)
     1.153
     """
-    exponent = -6.8346 * (TRIPLE_POINT / (temperature_celsius + KELVIN)) ** 1.261 + 4.6151
+    exponent: float = -6.8346 * (TRIPLE_POINT / (temperature_celsius + KELVIN)) ** 1.261 + 4.6151
     return 100.0 * relative_humidity * 10.0**exponent * REFERENCE_PRESSURE / pressure
 
 

@@ -37,8 +37,8 @@ def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
     Examples
     --------
     >>> half = 0.5**0.5  # a quarter turn about +z takes +x to +y
-    >>> rotate([0.0, 0.0, half, half], [1.0, 0.0, 0.0]).round(12).tolist()
-    [0.0, 1.0, 0.0]
+    >>> rotate([0.0, 0.0, half, half], [1.0, 0.0, 0.0]).round(6) + 0.0
+    array([0., 1., 0.])
     """
     q = np.asarray(quaternion, dtype=np.float64)
     v = np.asarray(vectors, dtype=np.float64)

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from os import PathLike
 
 _SCAN_BLOCK = 65536  # instants looked at at a time
+_FARTHEST = 1e6  # m, bound of coordinates
+_SHORTEST, _LONGEST = 1e-9, 1e9  # s, bounds of times and of their steps
+_MOST_SAMPLES = 2e7  # of a function
 
 
 def _no_breaks() -> Floats:
@@ -213,7 +216,7 @@ class Trajectory:
         turning = None
         if orientation is not None:
             turning = turning_between(np.zeros(1), as_quaternions("orientation", orientation, (4,))[None])
-        return Trajectory(Still(as_floats("position", position, (3,))), -math.inf, math.inf, turning)
+        return Trajectory(Still(_places("position", position, (3,))), -math.inf, math.inf, turning)
 
     @staticmethod
     def line(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:
@@ -241,8 +244,8 @@ class Trajectory:
         >>> Trajectory.line((0, 0, 0), (1, 2, 3), duration=2.0).position(1.0)
         array([0.5, 1. , 1.5])
         """
-        first, last = as_floats("start", start, (3,)), as_floats("end", end, (3,))
-        duration = as_number("duration", duration, above=0.0, unit="s")
+        first, last = _places("start", start, (3,)), _places("end", end, (3,))
+        duration = _span("duration", duration)
         return Trajectory(Straight(first, read_only((last - first) / duration)), 0.0, duration)
 
     @staticmethod
@@ -289,19 +292,16 @@ class Trajectory:
         array([[5. , 3. , 1.5],
                [4. , 4. , 1.5]])
         """
-        direction = as_floats("axis", axis, (3,))
-        if not np.any(direction):
-            raise InputError("axis", "must be a direction, but is 0, 0, 0")
-        e1, e2 = _plane(direction / np.linalg.norm(direction / np.abs(direction).max()) / np.abs(direction).max())
+        e1, e2 = _plane(as_floats("axis", axis, (3,)))
         curve = Circular(
-            as_floats("center", center, (3,)),
+            _places("center", center, (3,)),
             read_only(e1),
             read_only(e2),
-            as_number("radius", radius, above=0.0, unit="m"),
-            2.0 * math.pi / as_number("period", period, above=0.0, unit="s"),
-            as_number("phase", phase, unit="rad"),
+            as_number("radius", radius, above=0.0, at_most=_FARTHEST, unit="m"),
+            2.0 * math.pi / _span("period", period),
+            as_number("phase", phase, at_least=-_LONGEST, at_most=_LONGEST, unit="rad"),
         )
-        return Trajectory(curve, 0.0, as_number("duration", duration, above=0.0, unit="s"))
+        return Trajectory(curve, 0.0, _span("duration", duration))
 
     @staticmethod
     def waypoints(
@@ -339,7 +339,7 @@ class Trajectory:
                [1. , 1. , 0. ]]), array([1.]))
         """
         t = _increasing_times(times)
-        x = as_floats("positions", positions, (len(t), 3))
+        x = _places("positions", positions, (len(t), 3))
         if not isinstance(smooth, bool | np.bool_):
             raise InputError("smooth", f"must be true or false, but is {smooth!r:.80}")
         turning = None
@@ -386,22 +386,43 @@ class Trajectory:
         """
         if not callable(function):
             raise InputError("function", f"must be callable, but is {function!r:.80}")
-        duration = as_number("duration", duration, above=0.0, unit="s")
-        steps = max(3, math.ceil(duration * as_number("rate", rate, above=0.0, unit="Hz") * (1 - 1e-12)))
-        times = np.linspace(0.0, duration, steps + 1)
-        positions = as_floats("function", function(times.copy()), (len(times), 3))
+        duration = _span("duration", duration)
+        rate = as_number("rate", rate, above=0.0, at_most=_MOST_SAMPLES / duration, unit="Hz")
+        times = np.linspace(0.0, duration, max(3, math.ceil(duration * rate * (1 - 1e-12))) + 1)
+        positions = _places("function", function(times.copy()), (len(times), 3))
         return Trajectory(spline_through(times, positions, "not-a-knot"), 0.0, duration)
 
 
 def _plane(axis: Floats) -> tuple[Floats, Floats]:
-    """Return e1 and e2 such that e1, e2 and the unit vector `axis` are a right-handed frame."""
-    for reference in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
-        e1 = np.array(reference) - axis * np.dot(axis, reference)
-        length = float(np.linalg.norm(e1))
-        if length > 1e-6:
-            break
-    e1 = e1 / length
+    """Return e1 and e2 such that e1, e2 and the direction `axis` (3,) are a right-handed frame."""
+    largest = np.abs(axis).max()
+    if largest == 0.0:
+        raise InputError("axis", "must be a direction, but is 0, 0, 0")
+    axis = axis / largest
+    axis = axis / np.linalg.norm(axis)
+    along_x = np.hypot(axis[1], axis[2]) < 1e-6
+    reference = np.array([0.0, 1.0, 0.0] if along_x else [1.0, 0.0, 0.0])
+    e1 = reference - axis * np.dot(axis, reference)
+    e1 /= np.linalg.norm(e1)
     return e1, np.cross(axis, e1)
+
+
+def _span(field_name: str, value: Any) -> float:
+    """Return a length of time, s, refused where it is not above 0 or absurd."""
+    as_number(field_name, value, above=0.0, unit="s")
+    return as_number(field_name, value, at_least=_SHORTEST, at_most=_LONGEST, unit="s")
+
+
+def _places(field_name: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
+    """Return positions, m, refused where a coordinate is absurd."""
+    places = as_floats(field_name, value, shape)
+    far = np.argwhere(np.abs(places) > _FARTHEST)
+    if len(far):
+        index = "".join(f"[{i}]" for i in far[0])
+        raise InputError(
+            field_name + index, f"must be within {_FARTHEST:g} m, but is {places[tuple(far[0])]:g} m"
+        )
+    return places
 
 
 def _increasing_times(times: Any) -> Floats:
@@ -409,7 +430,10 @@ def _increasing_times(times: Any) -> Floats:
     t = as_floats("times", times, (None,))
     if len(t) < 2:
         raise InputError("times", f"must hold at least two, but holds {len(t)}")
-    late = np.flatnonzero(np.diff(t) <= 0.0)
+    if np.abs(t).max() > _LONGEST * 2.0:  # the Unix epoch's seconds pass
+        i = int(np.argmax(np.abs(t)))
+        raise InputError(f"times[{i}]", f"must be within {_LONGEST * 2.0:g} s, but is {t[i]:g} s")
+    late = np.flatnonzero(np.diff(t) < _SHORTEST)
     if len(late):
         i = int(late[0])
         raise InputError(

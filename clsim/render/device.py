@@ -1,0 +1,140 @@
+"""OpenCL devices: which there are, which is taken, and how programs are built on it."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+from clsim.errors import DeviceError
+from clsim.render.kernel_source import kernel_source
+
+INSTALL = (
+    "install a driver: `pip install pocl-binary-distribution` (Linux x86-64), "
+    "`apt install pocl-opencl-icd` (Debian, Ubuntu), or the OpenCL driver of your graphics card"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceInfo:
+    """One OpenCL device.
+
+    Attributes
+    ----------
+    id : str
+        ``"platform:device"``, two indices, as the ``device`` argument takes it.
+    name, platform, version, kind : str
+        What the driver says; kind is CPU, GPU or other.
+    memory_bytes, compute_units : int
+        Its size.
+    fp64 : bool
+        Whether it computes in float64; where not, the host computes the tracks.
+    """
+
+    id: str
+    name: str
+    platform: str
+    version: str
+    kind: str
+    memory_bytes: int
+    compute_units: int
+    fp64: bool
+
+
+def list_devices() -> list[DeviceInfo]:
+    """Return all OpenCL devices of this machine; none is an empty list."""
+    return [info for info, _ in _devices()]
+
+
+def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
+    """Return the device that the user asked for, or the best: GPUs first, then by compute units.
+
+    Parameters
+    ----------
+    wanted : str or None
+        An id such as ``"0:1"``, or part of a name.
+
+    Raises
+    ------
+    DeviceError
+        If there is no device, or none that fits; the message says what to do.
+    """
+    found = _devices()
+    if not found:
+        raise DeviceError(f'no OpenCL device: {INSTALL}; or use engine="reference", which needs none but is slow')
+    if wanted is None:
+        return max(found, key=lambda f: (f[0].kind == "GPU", f[0].fp64, f[0].compute_units))
+    for info, device in found:
+        if wanted == info.id or (":" not in wanted and wanted.lower() in f"{info.name} {info.platform}".lower()):
+            return info, device
+    listed = "; ".join(f"{info.id} {info.name}" for info, _ in found)
+    raise DeviceError(f"no OpenCL device is or is called {wanted!r}; there are: {listed}")
+
+
+def _devices() -> list[tuple[DeviceInfo, Any]]:
+    import pyopencl as cl
+
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:  # the loader reports no platform as an error
+        return []
+    found = []
+    for p, platform in enumerate(platforms):
+        try:
+            devices = platform.get_devices()
+        except cl.Error:  # a platform without a device
+            continue
+        for d, device in enumerate(devices):
+            kind = {cl.device_type.CPU: "CPU", cl.device_type.GPU: "GPU"}.get(device.type & ~1, "other")
+            info = DeviceInfo(
+                f"{p}:{d}", device.name.strip(), platform.name.strip(), device.version.strip(), kind,
+                int(device.global_mem_size), int(device.max_compute_units),
+                "cl_khr_fp64" in device.extensions,
+            )  # fmt: skip
+            found.append((info, device))
+    return found
+
+
+class Compiler:
+    """Builds the kernels of one context, each once."""
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+        self._kernels: dict[tuple[str, tuple[str, ...]], Any] = {}
+
+    def kernel(self, program: str, constants: dict[str, int]) -> Any:
+        """Return the kernel of a program with compile-time constants.
+
+        Raises
+        ------
+        DeviceError
+            If the device's compiler refuses the program.
+        """
+        options = tuple(f"-D{name}={value}" for name, value in sorted(constants.items()))
+        if (program, options) not in self._kernels:
+            self._kernels[program, options] = self._build(program, list(options))
+        return self._kernels[program, options]
+
+    def _build(self, program: str, options: list[str]) -> Any:
+        import pyopencl as cl
+
+        text = kernel_source(program)
+        logging.getLogger("pyopencl").setLevel(logging.ERROR)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # compilers have something to say about every program
+            try:
+                try:
+                    return getattr(cl.Program(self._context, text).build(options=options), program)
+                except (cl.Error, AttributeError):
+                    # A process that died while building can leave a broken entry in the cache: build without it.
+                    return getattr(
+                        cl.Program(self._context, text).build(options=options, cache_dir=False),  # type: ignore[arg-type]
+                        program,
+                    )
+            except (cl.Error, AttributeError) as error:
+                device = self._context.devices[0].name.strip()
+                raise DeviceError(
+                    f"{device} could not build {program}.cl: {str(error)[:2000]}; update its driver, choose another "
+                    'device (see `clsim devices`), or use engine="reference"'
+                ) from error

@@ -1,0 +1,171 @@
+"""Fractional-delay filters that a user can choose, and the banks made from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from clsim.acoustics.interpolation import bank_error, design_bandlimited, lagrange_bank, lagrange_taps
+from clsim.arrays import Floats, as_count, as_number
+from clsim.errors import InputError
+
+GROUP = 32  # neighbouring samples that share the whole part of a path's delay
+SMALL_GROUP = 8  # for fast motion, and for filters that are only good near the middle of their range
+_LARGEST_MU = 1.6  # beyond which smaller groups are cheaper than more branches
+_LARGEST_ORDER = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bank:
+    """Branch filters whose sum weighted by powers of ``mu`` is a delay of ``shift + mu`` samples.
+
+    Attributes
+    ----------
+    taps : ndarray (branches, length)
+        Coefficient of ``mu**q`` of each tap.
+    centre : int
+        Index of the tap without delay.
+    shift : float
+        Delay at ``mu = 0``: 0 or 0.5 samples.
+    mu_max : float
+        Largest ``|mu|`` that occurs.
+    group : int
+        Neighbouring samples that share a whole delay.
+    error_db : float
+        Largest deviation from a pure delay over all delays and the signal's band, dB.
+    """
+
+    taps: Floats
+    centre: int
+    shift: float
+    mu_max: float
+    group: int
+    error_db: float
+
+    @property
+    def reach(self) -> int:
+        """Samples by which the filter looks to either side at most, for any ``mu``."""
+        return max(self.centre, self.taps.shape[1] - 1 - self.centre) + math.ceil(self.mu_max) + 1
+
+
+class Interpolator(Protocol):
+    """A fractional-delay filter."""
+
+    def bank(self, edge: float, max_rate: float) -> Bank:
+        """Return the bank for a signal up to `edge` rad per sample and delays changing by up to `max_rate`."""
+        ...
+
+    def taps(self, bank: Bank, mu: Floats) -> Floats:
+        """Return the filter's own taps (n, length) for each ``mu`` (n,), as the reference engine uses them."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Lagrange:
+    """Lagrange interpolation: exact at 0 Hz, and worse the higher the frequency.
+
+    Parameters
+    ----------
+    order : int
+        From 1 to 30; it has one tap more.
+
+    Notes
+    -----
+    Even orders jump where the whole part of the delay changes (-63 dB at 0.42 of Nyquist for order 12).
+    """
+
+    order: int = 12
+
+    def __post_init__(self) -> None:
+        as_count("order", self.order, at_least=1, at_most=_LARGEST_ORDER)
+
+    def bank(self, edge: float, max_rate: float) -> Bank:
+        """Return the bank: the closed form as polynomials of ``mu``."""
+        return _lagrange(lagrange_bank(self.order), self.order // 2, self.order, edge, max_rate)
+
+    def taps(self, bank: Bank, mu: Floats) -> Floats:
+        """Return the closed-form taps."""
+        return lagrange_taps(self.order, mu + self.order / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class TruncatedLagrange:
+    """A Lagrange interpolator without its outer taps, which has a wider band (Välimäki and Haghparast 2007).
+
+    Parameters
+    ----------
+    order : int
+        Order of the prototype, up to 30.
+    length : int
+        Taps that are kept; ``order + 1 - length`` must be even.
+    """
+
+    order: int
+    length: int
+
+    def __post_init__(self) -> None:
+        as_count("order", self.order, at_least=1, at_most=_LARGEST_ORDER)
+        as_count("length", self.length, at_least=2, at_most=self.order + 1)
+        if (self.order + 1 - self.length) % 2:
+            raise InputError(
+                "length", f"must differ from order + 1 = {self.order + 1} by an even number, but is {self.length}"
+            )
+
+    def bank(self, edge: float, max_rate: float) -> Bank:
+        """Return the bank: the middle taps as polynomials of ``mu``."""
+        centre = self.order // 2 - self._dropped
+        return _lagrange(lagrange_bank(self.order, self.length), centre, self.order, edge, max_rate)
+
+    def taps(self, bank: Bank, mu: Floats) -> Floats:
+        """Return the closed-form taps."""
+        whole = lagrange_taps(self.order, mu + self.order / 2)
+        return whole[:, self._dropped : self._dropped + self.length]
+
+    @property
+    def _dropped(self) -> int:
+        return (self.order + 1 - self.length) // 2
+
+
+@dataclass(frozen=True, slots=True)
+class Bandlimited:
+    """The shortest filters that keep a stated error over the signal's band.
+
+    Parameters
+    ----------
+    error_db : float
+        Bound on the deviation from a pure delay, from -120 to -40 dB.
+    """
+
+    error_db: float = -90.0
+
+    def __post_init__(self) -> None:
+        as_number("error_db", self.error_db, at_least=-120.0, at_most=-40.0, unit="dB")
+
+    def bank(self, edge: float, max_rate: float) -> Bank:
+        """Return the bank: least-squares filters for a Chebyshev series in ``mu``."""
+        group, mu_max = _group(GROUP, max_rate)
+        if mu_max > _LARGEST_MU:
+            group, mu_max = _group(SMALL_GROUP, max_rate)
+        # Rounded up, so that designs are found again.
+        edge, mu_max = min(math.ceil(edge * 64) / 64, 0.97 * math.pi), math.ceil(mu_max * 32) / 32
+        taps, reached = design_bandlimited(self.error_db, edge, mu_max)
+        return Bank(taps, taps.shape[1] // 2, 0.0, mu_max, group, reached)
+
+    def taps(self, bank: Bank, mu: Floats) -> Floats:
+        """Return the bank evaluated in float64."""
+        return np.asarray(np.vander(mu, len(bank.taps), increasing=True) @ bank.taps)
+
+
+def _group(samples: int, max_rate: float) -> tuple[int, float]:
+    """Return a group's length, and the largest ``|mu|`` in it: rounding, and motion within half a group."""
+    return samples, 0.52 + 0.5 * (samples - 1) * max_rate
+
+
+def _lagrange(taps: Floats, centre: int, order: int, edge: float, max_rate: float) -> Bank:
+    group, mu_max = _group(SMALL_GROUP, max_rate)
+    shift = 0.5 if order % 2 else 0.0
+    error = bank_error(taps, centre, shift, edge, mu_max)
+    return Bank(taps, centre, shift, mu_max, group, 20 * math.log10(max(error, 1e-15)))

@@ -1,0 +1,83 @@
+"""Trajectories as cubics between evenly spaced knots: what a device can evaluate at any emission time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from clsim.acoustics.geometry import rotate
+from clsim.arrays import Floats
+from clsim.scene.scene import Source
+
+KNOT_COLUMNS = 24  # cubics of the position and of the axis: [power][3] each
+_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
+_AXIS = np.array([1.0, 0.0, 0.0])
+_SLICE = 20_000  # knots looked at at a time
+
+
+def knot_rate(source: Source, end: float, tolerance: float) -> float:
+    """Return knots per second such that positions between them are right within a tolerance.
+
+    Parameters
+    ----------
+    source : Source
+        Whose trajectory from 0 to its end matters.
+    end : float
+        Last emission time that matters, s.
+    tolerance : float
+        Largest error of a position, m.
+    """
+    if math.isinf(source.trajectory.end):
+        return 1.0
+    return next((rate for rate in _RATES if _largest_error(source, end, rate) <= tolerance), _RATES[-1])
+
+
+def motion_knots(source: Source, start: float, end: float, rate: float) -> tuple[Floats, float]:
+    """Return cubics of position and axis from `start` to `end`, and the time of the first knot.
+
+    Parameters
+    ----------
+    source : Source
+        The source.
+    start, end : float
+        Range of emission times, s.
+    rate : float
+        Knots per second; knots stand at its whole multiples whatever the range.
+
+    Returns
+    -------
+    knots : ndarray (knots, 24)
+        For position and axis: coefficients [power][xyz] in units of the knot's length.
+    first : float
+        Time of the first knot, s.
+    """
+    first = math.floor(start * rate)
+    times = np.arange(first - 1, math.ceil(end * rate) + 3, dtype=np.float64) / rate
+    position, velocity = source.trajectory.position(times), source.trajectory.velocity(times) / rate
+    axis = rotate(source.orientation(times), _AXIS)
+    turning = np.gradient(axis, axis=0)
+    inner = slice(1, -1)
+    columns = [*_hermite(position[inner], velocity[inner]), *_hermite(axis[inner], turning[inner])]
+    return np.ascontiguousarray(np.concatenate(columns, axis=1)), first / rate
+
+
+def _hermite(values: Floats, slopes: Floats) -> list[Floats]:
+    """Return the coefficients of the cubics between neighbouring values, lowest power first."""
+    v0, v1, s0, s1 = values[:-1], values[1:], slopes[:-1], slopes[1:]
+    return [v0, s0, 3 * (v1 - v0) - 2 * s0 - s1, s0 + s1 - 2 * (v1 - v0)]
+
+
+def _largest_error(source: Source, end: float, rate: float) -> float:
+    """Return the largest error of the cubics in the middle between knots, m."""
+    largest = 0.0
+    trajectory = source.trajectory
+    for first in range(0, math.ceil(end * rate) + 1, _SLICE):
+        times = np.arange(first, min(first + _SLICE, math.ceil(end * rate)) + 1, dtype=np.float64) / rate
+        if len(times) < 2:
+            break
+        cubic = _hermite(trajectory.position(times), trajectory.velocity(times) / rate)
+        middle = sum(c * 0.5**power for power, c in enumerate(cubic))
+        error = np.linalg.norm(middle - trajectory.position(times[:-1] + 0.5 / rate), axis=1)
+        largest = max(largest, float(error.max()))
+    return largest

@@ -1,0 +1,277 @@
+"""What will be computed, settled before anything is: both engines carry out the same plan."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clsim.arrays import Floats, as_choice, as_count, as_number
+from clsim.errors import ClsimWarning, InputError
+from clsim.paths.path_set import PathSet
+from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.tracks import SceneTracks, Tracks, track
+from clsim.scene.scene import Scene
+from clsim.scene.signal import Signal
+
+ENGINES = ("opencl", "reference")
+SEGMENT = 9216  # samples; chunks are whole segments, and the block length is chosen for each segment
+BLOCKS = (384, 192, 96)  # samples in a block, divisors of a segment, tried in this order
+NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
+_PRESSURE_BUDGET = 64 * 2**20  # bytes of output held at a time
+_WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
+_LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
+_WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Emission:
+    """One source's signal and the filters for it.
+
+    Attributes
+    ----------
+    signal : Signal
+        At the sampling rate of the recording.
+    start : float
+        Time at which it begins, s.
+    bank : Bank
+        Branch filters.
+    band : float
+        Highest frequency that the bank holds, Hz.
+    removed_db : float
+        Share of the signal's energy above the band, dB; -inf for none.
+    """
+
+    signal: Signal
+    start: float
+    bank: Bank
+    band: float
+    removed_db: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Everything that an engine needs, with nothing left to decide."""
+
+    tracks: Tracks
+    emissions: tuple[Emission, ...]
+    interpolator: Interpolator
+    sampling_rate: float
+    samples: int
+    chunk: int
+    engine: str
+    device: str | None
+
+    @property
+    def duration(self) -> float:
+        """Length of the recording, s."""
+        return self.samples / self.sampling_rate
+
+    @property
+    def path_count(self) -> int:
+        """Number of paths over all pairs of source and receiver."""
+        return sum(len(group) for group in self.tracks.groups)
+
+    @property
+    def interpolator_error_db(self) -> float:
+        """Largest error of the delay filters over every source's band, dB."""
+        return max(e.bank.error_db for e in self.emissions)
+
+    @property
+    def max_rate(self) -> float:
+        """Fastest change of any delay, s/s."""
+        return max(self.tracks.max_rate(s) for s in range(len(self.emissions)))
+
+    @property
+    def memory_bytes(self) -> int:
+        """Memory that the rendering takes at a time, estimated, bytes."""
+        span = max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
+        rows = max(len(e.bank.taps) for e in self.emissions)
+        per_segment = 36 * (SEGMENT // BLOCKS[-1]) * max(len(group) for group in self.tracks.groups)
+        nodes = max(NODE_BUDGET, per_segment)
+        paths = self.path_count * 150
+        return int(4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths)
+
+    @property
+    def receiver_count(self) -> int:
+        """Number of receivers."""
+        return len(self.tracks.receiver_names)
+
+    def longest_delay(self, source: int) -> float:
+        """Return a bound on the delays of a source over the whole run, s."""
+        bounds = [
+            self.tracks.delay_range(i, 0.0, self.duration)[1].max()
+            for i, group in enumerate(self.tracks.groups)
+            if group.source == source
+        ]
+        return float(max(bounds, default=0.0))
+
+    def describe(self) -> list[str]:
+        """Return what will be computed, a line each."""
+        lines = [
+            f"{self.path_count} paths from {len(self.emissions)} sources to {self.receiver_count} receivers",
+            f"{self.samples} samples at {self.sampling_rate:g} Hz, {self.duration:g} s, in chunks of {self.chunk}",
+            f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
+            f"delays change by at most {self.max_rate:.3g} s/s",
+        ]
+        for i, e in enumerate(self.emissions):
+            removed = "none" if np.isneginf(e.removed_db) else f"{e.removed_db:.0f} dB"
+            lines.append(
+                f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
+                f"{e.bank.error_db:.1f} dB; share of the signal above: {removed}"
+            )
+        return lines
+
+
+def plan_render(
+    scene: Scene,
+    paths: PathSet,
+    sampling_rate: float,
+    *,
+    interpolator: Interpolator | None = None,
+    motion: str = "retarded",
+    amplitude: str = "wave-equation",
+    engine: str = "opencl",
+    device: str | None = None,
+    duration: float | None = None,
+    chunk: int | None = None,
+) -> Plan:
+    """Return the plan of a rendering without carrying it out; arguments as in `render`."""
+    if not isinstance(scene, Scene):
+        raise InputError("scene", f"must be a Scene, but is {scene!r:.80}")
+    if isinstance(paths, PathSet) and paths.scene is not scene:
+        raise InputError("paths", "must be those of the scene that is rendered, but belong to another one")
+    return plan_tracks(
+        [source.signal for source in scene.sources],
+        track(paths, motion=motion, amplitude=amplitude),
+        sampling_rate,
+        starts=[source.start for source in scene.sources],
+        interpolator=interpolator,
+        engine=engine,
+        device=device,
+        duration=duration,
+        chunk=chunk,
+    )
+
+
+def plan_tracks(
+    signals: Sequence[Signal],
+    tracks: Tracks,
+    sampling_rate: float,
+    *,
+    starts: Sequence[float] | None = None,
+    interpolator: Interpolator | None = None,
+    engine: str = "opencl",
+    device: str | None = None,
+    duration: float | None = None,
+    chunk: int | None = None,
+) -> Plan:
+    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`."""
+    rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+    as_choice("engine", engine, ENGINES)
+    interpolator = Bandlimited() if interpolator is None else interpolator
+    if not isinstance(interpolator, Bandlimited | Lagrange | TruncatedLagrange):
+        raise InputError("interpolator", f"must be an interpolator, but is {interpolator!r:.80}")
+    if not isinstance(tracks, Tracks):
+        raise InputError("tracks", f"must be Tracks, but is {tracks!r:.80}")
+    for i, signal in enumerate(signals):
+        if not isinstance(signal, Signal):
+            raise InputError(f"signals[{i}]", f"must be a Signal, but is {signal!r:.80}")
+    if len(signals) != tracks.source_count:
+        raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
+    starts = [0.0] * len(signals) if starts is None else starts
+    samples = _samples(signals, starts, tracks, rate, duration)
+    emissions = tuple(
+        _emission(i, signal, start, interpolator, tracks, rate)
+        for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
+    )
+    draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device)
+    return Plan(
+        tracks, emissions, interpolator, rate, samples, _chunk(draft, chunk), engine, device
+    )
+
+
+def _samples(
+    signals: Sequence[Signal], starts: Sequence[float], tracks: Tracks, rate: float, duration: float | None
+) -> int:
+    """Return the length: as asked, or until all that was emitted has been heard."""
+    last = tracks.last_time()
+    if duration is None:
+        end = max(start + signal.duration for start, signal in zip(starts, signals, strict=True))
+        known = end if math.isinf(last) else min(end, last)
+        tail = max(float(tracks.delay_range(i, known, known)[1].max()) for i in range(len(tracks.groups)))
+        duration = min(last, end + tail)
+    else:
+        duration = as_number("duration", duration, above=0.0, unit="s")
+        if duration > last * (1 + 1e-12) + 0.5 / rate:
+            raise InputError(
+                "duration", f"must end while every receiver's trajectory lasts, {last:g} s, but is {duration:g} s"
+            )
+    return max(1, math.ceil(duration * rate - 1e-6))
+
+
+def _emission(
+    index: int, signal: Signal, start: float, interpolator: Interpolator, tracks: Tracks, rate: float
+) -> Emission:
+    """Bring a signal to the sampling rate and design the filters for its band and speed."""
+    field, max_rate = f"signals[{index}]", tracks.max_rate(index)
+    signal = signal.at_rate(rate)
+    widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
+    floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
+    band, removed_db = _occupied_band(signal, widest, floor_db - 6.0)
+    bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate)
+    if removed_db > _LOUD_SHARE_DB:
+        _warn(
+            f"{field}: {removed_db:.0f} dB of its energy lies above {band:.0f} Hz, the band that the delay filters hold "
+            "at this sampling rate and speed, and is removed or distorted; fade or window the signal, or sample faster"
+        )
+    if bank.error_db > _WEAK_ERROR_DB:
+        _warn(
+            f"{field}: the delay filters are wrong by up to {bank.error_db:.0f} dB for content at {band:.0f} Hz; "
+            'sample faster or use the "bandlimited" interpolator'
+        )
+    return Emission(signal, start, bank, band, removed_db)
+
+
+def _occupied_band(signal: Signal, widest: float, share_db: float) -> tuple[float, float]:
+    """Return the highest frequency that matters, and the share of energy above it in dB."""
+    frequencies, energy = signal.energy_spectrum()
+    total = float(energy.sum())
+    if total <= 0.0:
+        return 0.5 * widest, -math.inf
+    above = np.append(np.cumsum(energy[::-1])[::-1][1:], 0.0) / total  # energy above each bin
+    edge = frequencies[np.flatnonzero(above <= 10 ** (share_db / 10))[0]]
+    if edge <= widest:
+        return max(float(edge), 0.05 * widest), -math.inf
+    share = float(above[np.searchsorted(frequencies, widest, side="right") - 1])
+    return widest, 10 * math.log10(share) if share > 0.0 else -math.inf
+
+
+def _chunk(plan: Plan, chunk: int | None) -> int:
+    """Return the chunk's length in whole segments: as asked, or long against the delays and small in memory."""
+    whole = math.ceil(plan.samples / SEGMENT)
+    if chunk is not None:
+        return SEGMENT * min(whole, math.ceil(as_count("chunk", chunk, at_least=1) / SEGMENT))
+    span = max(plan.longest_delay(s) for s in range(len(plan.emissions))) * plan.sampling_rate
+    wanted = math.ceil(4.0 * span / SEGMENT)
+    affordable = _PRESSURE_BUDGET // (4 * SEGMENT * plan.receiver_count)
+    return SEGMENT * max(1, min(whole, max(8, min(wanted, 48)), affordable))
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, ClsimWarning, stacklevel=5)
+
+
+def moving_scene(tracks: Tracks) -> SceneTracks | None:
+    """Return the tracks if a device can compute them itself: those of a scene whose paths are always heard."""
+    if isinstance(tracks, SceneTracks) and all(group.always_heard for group in tracks.groups):
+        return tracks
+    return None
+
+
+def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:
+    """Return the times of a run's nodes: starts of its blocks, one before, and two after, s."""
+    return (start + block * np.arange(-1, blocks + 2, dtype=np.float64)) / sampling_rate

@@ -1,0 +1,64 @@
+"""The reference engine: NumPy, float64, exact delays at every sample, taps by their own formula. The definition of right."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats
+from clsim.render.plan import Emission, Plan
+
+_SLICE = 4096  # samples of a path at a time
+
+
+class ReferenceEngine:
+    """Carries out a plan slowly and exactly."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+
+    def render(self, start: int, stop: int) -> Floats:
+        """Return the pressure (receivers, stop - start) in Pa."""
+        plan = self._plan
+        pressure = np.zeros((plan.receiver_count, stop - start))
+        for i, group in enumerate(plan.tracks.groups):
+            for first in range(start, stop, _SLICE):
+                last = min(first + _SLICE, stop)
+                pressure[group.receiver, first - start : last - start] += render_paths(plan, i, None, first, last)
+        return pressure
+
+
+def render_paths(
+    plan: Plan, group: int, rows: NDArray[np.int64] | None, first: int, last: int
+) -> Floats:
+    """Return the sum of a group's paths, or of some rows of it, over samples `first` to `last`, shape (n,)."""
+    tracks, member = plan.tracks, plan.tracks.groups[group]
+    emission = plan.emissions[member.source]
+    times = np.arange(first, last) / plan.sampling_rate
+    delay, _, gain = tracks.evaluate(group, times, rows)
+    start, end = (member.start, member.end) if rows is None else (member.start[rows], member.end[rows])
+    gain = np.where((times >= start[:, None]) & (times < end[:, None]), gain, 0.0)
+    late = delay * plan.sampling_rate + emission.start * plan.sampling_rate - emission.bank.shift
+    whole = np.rint(late)
+    if not np.any(gain):
+        return np.zeros(last - first)
+    return _sum_paths(plan, emission, np.arange(first, last) - whole.astype(np.int64), late - whole, gain)
+
+
+def _sum_paths(
+    plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: Floats, gain: Floats
+) -> Floats:
+    """Apply the taps of every path and sample to the signal around the emitted sample, and sum over paths."""
+    length, centre = emission.bank.taps.shape[1], emission.bank.centre
+    total = np.zeros(emitted.shape[1])
+    for p in range(len(emitted)):
+        first = int(emitted[p].min()) + centre - length + 1
+        signal = emission.signal.read(first, int(emitted[p].max()) + centre + 1)
+        if not np.any(signal):
+            continue
+        # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
+        windows = sliding_window_view(signal, length)[emitted[p] + centre - length + 1 - first][:, ::-1]
+        taps = plan.interpolator.taps(emission.bank, mu[p])
+        total += gain[p] * np.einsum("nk,nk->n", taps, windows)
+    return total

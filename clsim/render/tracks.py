@@ -1,0 +1,316 @@
+"""Tracks: delay and gain of every path over time, whoever computed them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.errors import InputError
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
+from clsim.paths.path_set import PathSet
+from clsim.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackGroup:
+    """Paths from one source to one receiver.
+
+    Attributes
+    ----------
+    source, receiver : int
+        Indices.
+    start, end : ndarray (paths,)
+        Interval of reception in which each path is heard, s.
+    """
+
+    source: int
+    receiver: int
+    start: Floats
+    end: Floats
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def always_heard(self) -> bool:
+        """Whether no path begins or ends."""
+        return bool(np.all(np.isneginf(self.start)) and np.all(np.isposinf(self.end)))
+
+
+class Tracks(ABC):
+    """Delay and gain of paths as functions of the time of reception."""
+
+    groups: tuple[TrackGroup, ...]
+    source_count: int
+    receiver_names: tuple[str, ...]
+
+    @abstractmethod
+    def evaluate(
+        self, group: int, times: Floats, rows: NDArray[np.int64] | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return delay (s), its derivative and gain of a group's paths (or some rows), each (paths, times)."""
+
+    @abstractmethod
+    def max_rate(self, source: int) -> float:
+        """Return a bound on how fast a delay of this source changes, s/s."""
+
+    @abstractmethod
+    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
+        """Return bounds (paths,) on the delays of a group between two times of reception, s."""
+
+    @abstractmethod
+    def last_time(self) -> float:
+        """Return the time of reception up to which the tracks are known, s."""
+
+    @staticmethod
+    def from_samples(
+        times: Any, delays: Any, gains: Any, *, sources: Any = None, receivers: Any = None
+    ) -> SampledTracks:
+        """Return tracks from anybody's delays and gains.
+
+        Parameters
+        ----------
+        times : array_like (T,)
+            Times of reception, from 0 or before, strictly increasing, s.
+        delays : array_like (P, T)
+            From emission to reception, at least 0, s; NaN where a path is not heard.
+        gains : array_like (P, T)
+            Received over emitted pressure; NaN where, and only where, delays are.
+        sources, receivers : array_like (P,) of int, optional
+            Between which each path runs; all 0 when left out.
+
+        Returns
+        -------
+        SampledTracks
+            C2 splines through the samples. A path that is silent in between is heard from its first to its last
+            sample of every stretch, without fade.
+
+        Raises
+        ------
+        InputError
+            If shapes differ, a time does not increase, a delay is negative or grows as fast as time, or a stretch has
+            one sample only.
+
+        Examples
+        --------
+        >>> import clsim
+        >>> tracks = clsim.Tracks.from_samples([0.0, 1.0], [[0.010, 0.011]], [[0.3, 0.3]])
+        >>> tone = clsim.Signal.tone(1e3, duration=1.0, sampling_rate=48e3)
+        >>> clsim.render_tracks([tone], tracks, sampling_rate=48e3).pressure.shape
+        (1, 48000)
+        """
+        return _from_samples(times, delays, gains, sources, receivers)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneTracks(Tracks):
+    """Tracks of a scene's paths: computed when asked for, exactly."""
+
+    paths: PathSet
+    motion: str
+    amplitude: str
+    groups: tuple[TrackGroup, ...]
+    path_groups: tuple[PathGroup, ...]
+    source_speed: tuple[float, ...]
+    receiver_speed: tuple[float, ...]
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self.paths.scene
+
+    @property
+    def source_count(self) -> int:  # type: ignore[override]
+        """Number of sources."""
+        return len(self.scene.sources)
+
+    @property
+    def receiver_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the receivers."""
+        return tuple(r.name for r in self.scene.receivers)
+
+    def evaluate(
+        self, group: int, times: Floats, rows: NDArray[np.int64] | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return delay, its derivative and gain, in float64 without approximation."""
+        paths = self.path_groups[group]
+        if rows is not None:
+            paths = PathGroup(
+                paths.source, paths.receiver, paths.matrix[rows], paths.offset[rows], paths.reflection[rows]
+            )
+        found = arrivals(self.scene, paths, times, self.motion, self.amplitude)
+        return found.delay, found.delay_rate, found.gain
+
+    def max_rate(self, source: int) -> float:
+        """Return ``(v_s + v_r) / (c - v_s)`` with the peak speeds of the source and the fastest receiver."""
+        return self._rate(source, max(self.receiver_speed))
+
+    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
+        """Return bounds from the distance at mid-time and the peak speeds."""
+        paths = self.path_groups[group]
+        c, middle = self.scene.air.sound_speed, np.array([0.5 * (start + end)])
+        x_s = self.scene.sources[paths.source].trajectory.position(middle)[0]
+        x_r = self.scene.receivers[paths.receiver].trajectory.position(middle)[0]
+        distance = np.linalg.norm(paths.matrix @ x_s + paths.offset - x_r, axis=1)
+        v_s, v_r = self.source_speed[paths.source], self.receiver_speed[paths.receiver]
+        slack = 0.5 * (end - start) * (v_s + v_r)
+        return np.maximum(distance - slack, 0.0) / (c + v_s), (distance + slack) / (c - v_s)
+
+    def last_time(self) -> float:
+        """Return the end of the first moving receiver's trajectory, or infinity."""
+        return min(r.trajectory.end for r in self.scene.receivers)
+
+    def _rate(self, source: int, receiver_speed: float) -> float:
+        speed = self.source_speed[source]
+        return (speed + receiver_speed) / (self.scene.air.sound_speed - speed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledTracks(Tracks):
+    """Tracks given as samples over time; see `Tracks.from_samples`."""
+
+    groups: tuple[TrackGroup, ...]
+    splines: tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...]
+    source_count: int
+    receiver_names: tuple[str, ...]
+    largest_rate: float
+    end: float
+
+    def evaluate(
+        self, group: int, times: Floats, rows: NDArray[np.int64] | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the splines' values; outside a path's stretch those of its nearer end."""
+        shape = (len(self.groups[group]), len(times))
+        delay, rate, gain = np.empty(shape), np.empty(shape), np.empty(shape)
+        for which, spline in self.splines[group]:
+            inside = np.clip(times, spline.x[0], spline.x[-1])
+            values, slopes = spline(inside), spline(inside, 1)
+            delay[which] = values[:, :, 0].T + slopes[:, :, 0].T * (times - inside)
+            rate[which], gain[which] = slopes[:, :, 0].T, values[:, :, 1].T
+        if rows is None:
+            return delay, rate, gain
+        return delay[rows], rate[rows], gain[rows]
+
+    def max_rate(self, source: int) -> float:
+        """Return the largest derivative of any delay."""
+        return self.largest_rate
+
+    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
+        """Return bounds from the delay at mid-time and the largest derivative."""
+        delay = self.evaluate(group, np.array([0.5 * (start + end)]))[0][:, 0]
+        slack = 0.5 * (end - start) * self.largest_rate
+        return delay - slack, delay + slack
+
+    def last_time(self) -> float:
+        """Return the last sample's time."""
+        return self.end
+
+
+def track(paths: PathSet, *, motion: str = "retarded", amplitude: str = "wave-equation") -> SceneTracks:
+    """Return the tracks of a scene's paths.
+
+    Parameters
+    ----------
+    paths : PathSet
+        From `find_paths`, or made by hand.
+    motion : {"retarded", "quasi-static"}
+        Whether the image is where it was when the sound was emitted, or where it is when it is received.
+    amplitude : {"wave-equation", "static", "convective"}
+        Exponent 1, 0 or 2 of ``1 / (1 - M)``.
+
+    Raises
+    ------
+    InputError
+        If motion or amplitude are no known words.
+    """
+    if not isinstance(paths, PathSet):
+        raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
+    as_choice("motion", motion, MOTIONS)
+    as_choice("amplitude", amplitude, AMPLITUDES)
+    scene = paths.scene
+    groups, path_groups = [], []
+    for rows, group in paths.groups():
+        groups.append(TrackGroup(group.source, group.receiver, paths.start[rows], paths.end[rows]))
+        path_groups.append(group)
+    # Speeds are sampled; 2 % covers what lies between the samples.
+    speeds = [1.02 * item.trajectory.peak_speed(*scene.span(item))[0] for _, item in scene.named_ends()]
+    count = len(scene.sources)
+    return SceneTracks(
+        paths, motion, amplitude, tuple(groups), tuple(path_groups), tuple(speeds[:count]), tuple(speeds[count:])
+    )
+
+
+def _from_samples(times: Any, delays: Any, gains: Any, sources: Any, receivers: Any) -> SampledTracks:
+    times = as_floats("times", times, (None,))
+    if len(times) < 2 or times[0] > 0.0 or np.any(np.diff(times) <= 0.0):
+        raise InputError("times", f"must increase strictly from 0 s or before, but begin {times[:3].tolist()}")
+    delays, gains = np.array(delays, dtype=np.float64), np.array(gains, dtype=np.float64)
+    for name, values in (("delays", delays), ("gains", gains)):
+        if values.ndim != 2 or values.shape[1] != len(times) or not len(values):
+            raise InputError(name, f"must have the shape paths x {len(times)}, but has {values.shape}")
+    heard = np.isfinite(delays)
+    if delays.shape != gains.shape or np.any(heard != np.isfinite(gains)):
+        raise InputError("gains", "must be finite where delays are, and NaN where they are")
+    if np.any(delays[heard] < 0.0):
+        raise InputError("delays", f"must be at least 0 s, but one is {np.min(delays[heard]):g} s")
+    s, r = (_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
+    stretches = _stretches(heard)
+    if not stretches:
+        raise InputError("delays", "must hold at least one path that is heard, but all are NaN")
+    groups, splines, largest = [], [], 0.0
+    for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in stretches}):
+        mine = [stretch for stretch in stretches if (s[stretch[0]], r[stretch[0]]) == pair]
+        fitted = _fit(mine, times, delays, gains)
+        splines.append(fitted)
+        largest = max([largest, *(float(np.abs(f(f.x, 1)[..., 0]).max()) for _, f in fitted)])
+        start = np.array([times[a] if a else -np.inf for _, a, _ in mine])
+        end = np.array([times[b - 1] if b < len(times) else np.inf for _, _, b in mine])
+        groups.append(TrackGroup(*pair, read_only(start), read_only(end)))
+    if largest >= 1.0:
+        raise InputError("delays", f"must change by less than 1 s per second, but change by {largest:.3g}")
+    names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
+    # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
+    return SampledTracks(
+        tuple(groups), tuple(splines), int(s.max()) + 1, names, min(1.05 * largest, 0.99), float(times[-1])
+    )
+
+
+def _indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
+    if values is None:
+        return np.zeros(count, dtype=np.int64)
+    out = np.asarray(values)
+    if out.shape != (count,) or out.dtype.kind not in "iu" or np.any(out < 0):
+        raise InputError(name, f"must be {count} whole numbers of at least 0, but is {values!r:.80}")
+    return out.astype(np.int64)
+
+
+def _stretches(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
+    """Return path, first and one past last sample of every stretch in which a path is heard."""
+    found = []
+    for p, row in enumerate(heard):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
+        for a, b in edges.reshape(-1, 2):
+            if b - a < 2:
+                raise InputError(f"delays[{p}][{a}]", "must be heard for two samples or more, but stands alone")
+            found.append((p, int(a), int(b)))
+    return found
+
+
+def _fit(
+    stretches: list[tuple[int, int, int]], times: Floats, delays: Floats, gains: Floats
+) -> tuple[tuple[NDArray[np.int64], Any], ...]:
+    """Fit one spline through all stretches with the same samples: (T, paths, 2) for delay and gain."""
+    from scipy.interpolate import CubicSpline
+
+    fitted = []
+    for a, b in sorted({(a, b) for _, a, b in stretches}):
+        rows = np.array([i for i, stretch in enumerate(stretches) if stretch[1:] == (a, b)])
+        which = [stretches[i][0] for i in rows]
+        values = np.stack([delays[which, a:b], gains[which, a:b]], axis=-1).swapaxes(0, 1)
+        fitted.append((rows, CubicSpline(times[a:b], values, bc_type="not-a-knot" if b - a > 3 else "natural")))
+    return tuple(fitted)

@@ -1,0 +1,21 @@
+// The branch signals: the emitted signal through the fixed filters of the Farrow bank. Work-item: dimension 0 counts
+// spans of CHANNEL samples, dimension 1 rows. A sum of zeros is zero, so silence stays exact silence.
+
+#define CHANNEL (8 * LANES)
+
+__kernel void branches(__global const float* emitted,  // starts TAPS - 1 - centre samples before the first row's
+                       __constant float* taps,         // [rows][TAPS]
+                       int stride, __global float* rows)
+{
+    const int row = get_global_id(1);
+    const int first = get_global_id(0) * CHANNEL;
+    vec sum[8];
+    for (int j = 0; j < 8; j++) sum[j] = 0.0f;
+    for (int k = 0; k < TAPS; k++) {
+        const float tap = taps[row * TAPS + TAPS - 1 - k];
+        __global const float* at = emitted + first + k;
+#pragma unroll
+        for (int j = 0; j < 8; j++) sum[j] += tap * LOAD(at + j * LANES);
+    }
+    for (int j = 0; j < 8; j++) *(__global loose_vec*)(rows + (long)row * stride + first + j * LANES) = sum[j];
+}

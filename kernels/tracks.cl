@@ -1,0 +1,63 @@
+// Delay and gain of every path as cubics on every block, in float64. Work-item: dimension 0 counts slots (paths),
+// dimension 1 walks of WALK blocks. A walk solves the delay at its nodes in order, each predicted from the last two.
+// Node n is at the start of block n; blocks need one node before and one after theirs for the slope of the gain.
+
+__kernel void tracks(__global const double* image_matrix,  // [9][slots]
+                     __global const double* image_offset,  // [3][slots]
+                     __global const float* reflection,     // [slots]
+                     __global const int* receiver_of,      // [slots]
+                     __global const double* receivers,     // [receivers][nodes][9]: position, velocity, axis
+                     int nodes,                            // blocks + 3, the first one before the run
+                     __global const double* knots, int knot_count, double knot_first, double knot_rate,
+                     double start,                         // time of the run's first sample, s
+                     double sampling_rate, double speed_of_sound, float nepers,
+                     double late,                          // added to the delay, samples
+                     double emitted_first, double emitted_last,  // s, outside of which nothing sounds
+                     float angular_frequency,              // largest of the signal, rad/s
+                     __global const float4* source_beam, __global const float4* receiver_beam, int blocks,
+                     __global int* delay,                  // [blocks][slots]
+                     __global float* cubics,               // [blocks][COEFFICIENTS][slots]
+                     __global float4* found)               // [walks][slots]: error, largest gain, delays
+{
+    const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
+    const int first = walk * WALK, last = min(first + WALK, blocks);
+    const motion path = {knots, knot_count, knot_first, knot_rate, speed_of_sound};
+    const triple offset = {image_offset[slot], image_offset[slots + slot], image_offset[2 * slots + slot]};
+    __global const double* row = receivers + ((long)receiver_of[slot] * nodes + first) * 9;
+    const double block_time = (double)BLOCK / sampling_rate;
+    const float factor = reflection[slot];
+    window w = {{0.0}, {0.0}, {0.0f}};
+    float4 stats = (float4)(0.0f, 0.0f, 1e30f, -1e30f);
+    for (int n = first; n < last + 3; n++, row += 9) {
+        const triple position = turned_back(image_matrix, slots, slot, difference(at_row(row), offset));
+        const triple velocity = turned_back(image_matrix, slots, slot, at_row(row + 3));
+        const triple axis = turned_back(image_matrix, slots, slot, at_row(row + 6));
+        const double time = start + (double)(n - 1) * block_time;
+        const double rate = n == first + 1 ? w.rate[3] : 1.5 * w.rate[3] - 0.5 * w.rate[2];
+        arrival a;
+        double predicted = w.delay[3] + block_time * rate;
+        if (n == first) {
+            locate(&path, time, &a);
+            const triple apart = difference(position, cubic(a.knot, a.u));
+            predicted = sqrt(inner(apart, apart)) / speed_of_sound;
+        }
+        solve_delay(&path, position, velocity, time, predicted, n == first ? 8 : 0, &a);
+        for (int i = 0; i < 3; i++) {
+            w.delay[i] = w.delay[i + 1];
+            w.rate[i] = w.rate[i + 1];
+            w.gain[i] = w.gain[i + 1];
+        }
+        w.delay[3] = a.delay;
+        w.rate[3] = a.rate;
+        w.gain[3] = path_gain(&a, speed_of_sound, factor, nepers, axis, source_beam, receiver_beam);
+        stats.z = fmin(stats.z, (float)a.delay);
+        stats.w = fmax(stats.w, (float)a.delay);
+        if (n < first + 3) continue;
+        write_block(&w, n - 3, slots, slot, sampling_rate, late, delay, cubics);
+        stats.y = fmax(stats.y, fabs(w.gain[1]));
+        if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
+            stats.x = fmax(stats.x, block_error(&w, angular_frequency, block_time));
+        }
+    }
+    found[walk * slots + slot] = stats;
+}
