@@ -11,9 +11,12 @@ void render(__global const float* branches,     // [FUNCTIONS][BRANCHES][stride]
             __global const int* first_slot,     // [receivers + 1], multiples of BATCH
             int slots,
             int block_groups,                   // groups in a block
+            int first_block,                    // of `delay` and `nodes`, at the run's first sample
             int groups,                         // groups in the run
-            __global float* pressure,           // [receivers][pressure_stride], added to
-            int pressure_stride)
+            __global const int* pressure_row,   // [receivers]
+            __global float* pressure,           // [rows][pressure_stride], added to
+            int pressure_stride,
+            int first_sample)                   // of `pressure`, at the run's first sample
 {
     const int worker = get_local_id(0);
     const int first_group = get_group_id(0) * SPAN;
@@ -33,8 +36,9 @@ void render(__global const float* branches,     // [FUNCTIONS][BRANCHES][stride]
             vec group_sum[VECTORS];
             for (int j = 0; j < VECTORS; j++) group_sum[j] = 0.0f;
             for (int slot = tile; slot < tile_end; slot += BATCH) {
-                expand(delay + block * slots + slot, nodes + block * COEFFICIENTS * slots + slot, slots, t,
-                       per_sample, worker, &paths);
+                const int row = first_block + block;
+                expand(delay + row * slots + slot, nodes + row * COEFFICIENTS * slots + slot, slots, t, per_sample,
+                       worker, &paths);
                 SYNCHRONISE;
                 for (int k = 0; k < FUNCTIONS; k++) {
                     add_batch(branches + k * BRANCHES * stride + lead + g * GROUP, stride, &paths, k, worker,
@@ -46,7 +50,7 @@ void render(__global const float* branches,     // [FUNCTIONS][BRANCHES][stride]
         }
     }
     for (int g = first_group; g < last_group; g++) {
-        __global float* out = pressure + receiver * pressure_stride + g * GROUP;
+        __global float* out = pressure + (long)pressure_row[receiver] * pressure_stride + first_sample + g * GROUP;
         for (int j = 0; j < VECTORS; j++) {
             __global loose_vec* at = (__global loose_vec*)(out + (worker * VECTORS + j) * LANES);
             *at = *at + sum[g - first_group][j];

@@ -14,7 +14,9 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      double late,                          // added to the delay, samples
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
                      float angular_frequency,              // largest of the signal, rad/s
-                     __global const float4* source_beam, __global const float4* receiver_beam, int blocks,
+                     __global const float4* source_beam,
+                     __global const float4* receiver_beams,  // [receivers][CELLS]
+                     int blocks,
                      __global int* delay,                  // [blocks][slots]
                      __global float* cubics,               // [blocks][COEFFICIENTS][slots]
                      __global float4* found)               // [walks][slots]: error, largest gain, delays
@@ -49,7 +51,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         }
         w.delay[3] = a.delay;
         w.rate[3] = a.rate;
-        w.gain[3] = path_gain(&a, speed_of_sound, factor, nepers, axis, source_beam, receiver_beam);
+        w.gain[3] = path_gain(&a, speed_of_sound, factor, nepers, axis, source_beam,
+                              receiver_beams + receiver_of[slot] * CELLS);
         stats.z = fmin(stats.z, (float)a.delay);
         stats.w = fmax(stats.w, (float)a.delay);
         if (n < first + 3) continue;

@@ -115,8 +115,8 @@ def speed_of_sound_cramer(
 
     Notes
     -----
-    [Cramer]_, equation 15 with its coefficients for the speed of sound; valid from 0 to 30 °C, 75 to 102 kPa, vapour
-    fractions to 0.06 and CO2 fractions to 0.01, with an uncertainty of 300 ppm.
+    [Cramer]_, equation 15 with its coefficients for the speed of sound; valid from 0 to 30 °C, 75 to 102 kPa,
+    vapour fractions to 0.06 and CO2 fractions to 0.01, with an uncertainty of 300 ppm.
 
     Examples
     --------
@@ -191,8 +191,9 @@ def vapour_percent_iso9613(temperature_celsius: float, relative_humidity: float,
     >>> round(vapour_percent_iso9613(20.0, 0.5, 101_325.0), 3)
     1.153
     """
-    exponent: float = -6.8346 * (TRIPLE_POINT / (temperature_celsius + KELVIN)) ** 1.261 + 4.6151
-    return 100.0 * relative_humidity * 10.0**exponent * REFERENCE_PRESSURE / pressure
+    exponent = -6.8346 * (TRIPLE_POINT / (temperature_celsius + KELVIN)) ** 1.261 + 4.6151
+    saturation: float = 10.0**exponent  # in units of the reference pressure
+    return 100.0 * relative_humidity * saturation * REFERENCE_PRESSURE / pressure
 
 
 def absorption_iso9613(

@@ -62,8 +62,8 @@ def cardioid_gain(cosine: ArrayLike, weight: float) -> Floats:
     cosine : array_like (...)
         Cosine of the angle between axis and direction, -1 to 1.
     weight : float
-        Share of the omnidirectional part, 0 to 1: 1 omnidirectional, 0.5 cardioid, 0.25 hypercardioid, 0 figure of
-        eight.
+        Share of the omnidirectional part: 1 omnidirectional, 0.5 cardioid, 0.25 hypercardioid, 0 figure
+        of eight.
 
     Returns
     -------

@@ -49,8 +49,8 @@ class Air:
     -----
     ClsimWarning
         If the speed lies outside the range of Cramer's formula (0 to 30 °C, 75 to 102 kPa), or the absorption
-        where ISO 9613-1 is less sure than within 20 %, which it is from -20 to 50 °C, below 200 kPa and from 0.005 % of
-        vapour.
+        is less sure than within 20 %, which ISO 9613-1 is from -20 to 50 °C, below 200 kPa and from 0.005 %
+        of vapour.
 
     Examples
     --------
@@ -162,8 +162,9 @@ def _doubt_in_speed(air: Air, vapour: float) -> str:
     if air.speed_of_sound is not None or inside:
         return ""
     return (
-        f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of vapour, "
-        f"but the air has {air.temperature_celsius:g} °C, {air.pressure / 1e3:g} kPa and {100 * vapour:.3g} %; "
+        f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of "
+        f"vapour, but the air has {air.temperature_celsius:g} °C, {air.pressure / 1e3:g} kPa "
+        f"and {100 * vapour:.3g} %; "
         f'give speed_of_sound as a number or as "iso9613"'
     )
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
 from clsim.arrays import Floats, read_only
+from clsim.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -112,7 +113,38 @@ class Piecewise:
         return np.asarray(self.derivative(time), dtype=np.float64)
 
 
-def spline_through(times: Floats, positions: Floats, ends: str) -> Piecewise:
+def frame_about(axis: Floats) -> tuple[Floats, Floats]:
+    """Return the unit vectors from which and towards which a circle about `axis` turns at angle 0.
+
+    Parameters
+    ----------
+    axis : ndarray (3,)
+        Direction of any length.
+
+    Returns
+    -------
+    e1, e2 : ndarray (3,)
+        e1 is +x projected on the plane across the axis (+y where the axis lies along x); e1, e2 and the axis
+        are a right-handed frame.
+
+    Raises
+    ------
+    InputError
+        If the axis is zero.
+    """
+    largest = np.abs(axis).max()
+    if largest == 0.0:
+        raise InputError("axis", "must be a direction, but is 0, 0, 0")
+    axis = axis / largest
+    axis = axis / np.linalg.norm(axis)
+    along_x = np.hypot(axis[1], axis[2]) < 1e-6
+    reference = np.array([0.0, 1.0, 0.0] if along_x else [1.0, 0.0, 0.0])
+    e1 = reference - axis * np.dot(axis, reference)
+    e1 /= np.linalg.norm(e1)
+    return e1, np.cross(axis, e1)
+
+
+def spline_through(times: Floats, positions: Floats, ends: Literal["not-a-knot", "natural"]) -> Piecewise:
     """Return the C2 cubic spline through points, continued at its ends by `CONTINUATION`.
 
     Parameters
@@ -148,7 +180,8 @@ def kinks(times: Floats, positions: Floats) -> Floats:
     speed = np.diff(positions, axis=0) / np.diff(times)[:, None]
     step = np.linalg.norm(np.diff(speed, axis=0), axis=1)
     scale = np.linalg.norm(speed, axis=1)
-    return times[1:-1][step > 1e-9 * np.maximum(scale[1:], scale[:-1])]
+    jumps: Floats = times[1:-1][step > 1e-9 * np.maximum(scale[1:], scale[:-1])]
+    return jumps
 
 
 def _continued(coefficients: Floats, knots: Floats) -> Piecewise:

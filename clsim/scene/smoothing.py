@@ -14,14 +14,18 @@ P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numerische Ma
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import Floats
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
 
-# ln λ, for times in units of the median step. The least λ leaves the points where they are (it takes 1e-4 of
-# the fastest noise); at the greatest, what is slower than 6000 steps passes and rounding is still harmless.
-_LEAST, _GREATEST, _STEP = np.log(1e-6), np.log(1e12), 0.25
+# ln λ, for times in units of the median step. The least λ leaves the points where they are: it takes 1e-4 of
+# the fastest noise.
+_LEAST, _STEP = np.log(1e-6), 0.25
+# Largest λ QᵀQ, for which rounding is still harmless. With even steps, what is slower than 7000 steps passes.
+_STIFFEST = 1e13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,13 +79,13 @@ def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
     array([0.001])
     """
     system = _system(times)
-    grid = _STEP * np.arange(np.floor(_LEAST / _STEP) - 3, np.ceil(_GREATEST / _STEP) + 4)
+    grid = _STEP * np.arange(np.floor(_LEAST / _STEP) - 3, np.floor(system.greatest / _STEP) + 1)
     solved = [system.solve(strength, values) for strength in np.exp(grid)]
     freedom = _derivative(np.array([s[0] for s in solved]))
     squares = np.array([np.sum(s[1] ** 2, axis=0) for s in solved])[3:-3]
     residuals = np.empty_like(values)
     for column in range(values.shape[1]):
-        score = np.log(np.maximum(squares[:, column], 1e-300)) - 2.0 * np.log(freedom)
+        score = np.log(np.maximum(squares[:, column], 1e-300)) - 2.0 * np.log(np.maximum(freedom, 1e-300))
         best = _lowest(grid[3:-3], score)
         residuals[:, column] = system.solve(np.exp(best), values[:, column])[1]
     return _smoothed(values, residuals)
@@ -98,7 +102,7 @@ def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smooth
         Measured values.
     residual : float
         In the unit of the values, above 0. A column that is nearer to a straight line than that becomes the
-        straight line (or what is slower than 6000 steps), with the smaller residual it has.
+        straight line (or what is slower than 7000 steps), with the smaller residual it has.
 
     Returns
     -------
@@ -128,12 +132,12 @@ def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smooth
             left = system.solve(np.exp(log_strength), y)[1]
             return float(np.sqrt(np.mean(left**2))) - residual
 
-        if excess(_GREATEST) <= 0.0:
-            best = _GREATEST
+        if excess(system.greatest) <= 0.0:
+            best = system.greatest
         elif excess(_LEAST) >= 0.0:
             best = _LEAST
         else:
-            best = brentq(excess, _LEAST, _GREATEST, xtol=1e-6)
+            best = brentq(excess, _LEAST, system.greatest, xtol=1e-6)
         residuals[:, column] = system.solve(np.exp(best), y)[1]
     return _smoothed(values, residuals)
 
@@ -145,6 +149,11 @@ class _System:
     q: Floats
     r: Floats
     qq: Floats
+
+    @property
+    def greatest(self) -> float:
+        """Largest ln λ that rounding allows."""
+        return float(np.log(_STIFFEST / np.max(self.qq[0])))
 
     def solve(self, strength: float, values: Floats) -> tuple[float, Floats]:
         """Return ``ln det(R + λ QᵀQ)`` and the residual ``λ Q γ`` for values (n,) or (n, k)."""

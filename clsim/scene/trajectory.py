@@ -3,189 +3,47 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from clsim.arrays import Floats, as_floats, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
-from clsim.scene.curves import (
-    CONTINUATION,
-    Circular,
-    Curve,
-    Still,
-    Straight,
-    kinks,
-    legs_through,
-    spline_through,
+from clsim.scene.curves import Circular, Still, Straight, frame_about, kinks, legs_through, spline_through
+from clsim.scene.motion import Motion
+from clsim.scene.trajectory_checks import (
+    FARTHEST,
+    LONGEST,
+    as_choices,
+    as_increasing,
+    as_path,
+    as_places,
+    as_span,
 )
-from clsim.scene.turning import Turning, as_quaternions, turning_between
+from clsim.scene.turning import as_quaternions, quaternion_product, turning_between
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from os import PathLike
 
-_SCAN_BLOCK = 65536  # instants looked at at a time
-_FARTHEST = 1e6  # m, bound of coordinates
-_SHORTEST, _LONGEST = 1e-9, 1e9  # s, bounds of times and of their steps
+    from numpy.typing import ArrayLike
+
 _MOST_SAMPLES = 2e7  # of a function
 
 
-def _no_breaks() -> Floats:
-    return read_only(np.empty(0))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
-    """A motion from `start` to `end`; made by one of the constructors below.
+class Trajectory(Motion):
+    """A motion, made by one of the constructors `fixed`, `line`, `circle`, `waypoints`, `sampled`, `from_file`.
 
-    Shortly before its start and after its end, by 0.05 s, a trajectory goes on smoothly (lines and circles as
-    they are, splines by a parabola with the end's velocity and acceleration), because sound received at the
-    start was emitted before it. Beyond that everything stands still.
+    Its functions of time are those of `Motion`.
 
-    Parameters
-    ----------
-    curve : Curve
-        Position and velocity.
-    start, end : float
-        First and last time, s; -inf and inf for a fixed point.
-    turning : Turning, optional
-        Orientation over time; identity where left out.
-    notes : tuple of str
-        What was found, smoothed or repaired in the making, a sentence each.
-    breaks : ndarray (k,)
-        Times at which the velocity jumps, s; empty for smooth trajectories.
-    residual : ndarray (3,), optional
-        Root mean square by which smoothing moved the points along x, y and z, m.
+    Examples
+    --------
+    >>> lap = Trajectory.circle(center=(4, 3, 1.5), radius=1.0, period=1.0, duration=2.0)
+    >>> lap.start, lap.end, lap.has_orientation
+    (0.0, 2.0, False)
     """
-
-    curve: Curve
-    start: float
-    end: float
-    turning: Turning | None = None
-    notes: tuple[str, ...] = ()
-    breaks: Floats = field(default_factory=_no_breaks)
-    residual: Floats | None = None
-
-    @property
-    def duration(self) -> float:
-        """Time from start to end, s; infinite for a fixed point."""
-        return self.end - self.start
-
-    @property
-    def has_orientation(self) -> bool:
-        """Whether the trajectory says how the transducer is turned."""
-        return self.turning is not None
-
-    def position(self, t: ArrayLike) -> Floats:
-        """Return positions, m.
-
-        Parameters
-        ----------
-        t : array_like
-            Times, s, of any shape and in any order.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 3 more columns: ``(n, 3)`` for ``(n,)``, ``(3,)`` for a number.
-
-        Examples
-        --------
-        >>> Trajectory.line((0, 0, 1), (2, 0, 1), duration=4.0).position([1.0, 3.0])
-        array([[0.5, 0. , 1. ],
-               [1.5, 0. , 1. ]])
-        """
-        time = np.asarray(t, dtype=np.float64)
-        return self.curve.position(np.clip(time, self.start - CONTINUATION, self.end + CONTINUATION))
-
-    def velocity(self, t: ArrayLike) -> Floats:
-        """Return velocities, m/s, shaped as in `position`; at a break the one after it.
-
-        Parameters
-        ----------
-        t : array_like
-            Times, s.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 3 more columns.
-
-        Examples
-        --------
-        >>> Trajectory.line((0, 0, 1), (2, 0, 1), duration=4.0).velocity(1.0)
-        array([0.5, 0. , 0. ])
-        """
-        time = np.asarray(t, dtype=np.float64)
-        first, last = self.start - CONTINUATION, self.end + CONTINUATION
-        velocity = self.curve.velocity(np.clip(time, first, last))
-        velocity[(time < first) | (time > last)] = 0.0
-        return velocity
-
-    def orientation(self, t: ArrayLike) -> Floats:
-        """Return unit quaternions x y z w whose sign does not jump; identity without orientation.
-
-        Parameters
-        ----------
-        t : array_like
-            Times, s. Before the first and after the last known orientation, that one is held.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 4 more columns.
-
-        Examples
-        --------
-        >>> Trajectory.fixed((1, 1, 1)).orientation(0.0)
-        array([0., 0., 0., 1.])
-        """
-        time = np.asarray(t, dtype=np.float64)
-        if self.turning is None:
-            return np.tile([0.0, 0.0, 0.0, 1.0], (*time.shape, 1))
-        return self.turning.orientation(time)
-
-    def peak_speed(self, start: float, end: float, rate: float = 1000.0) -> tuple[float, float]:
-        """Return the largest speed at evenly spaced instants, and when it is reached.
-
-        Parameters
-        ----------
-        start, end : float
-            First and last instant, s.
-        rate : float
-            Instants per second, at least.
-
-        Returns
-        -------
-        speed, time : float
-            m/s and s.
-
-        Raises
-        ------
-        InputError
-            If the range is not finite or ends before it starts.
-
-        Examples
-        --------
-        >>> Trajectory.line((0, 0, 0), (3, 4, 0), duration=2.0).peak_speed(0.0, 2.0)
-        (2.5, 0.0)
-        """
-        start = as_number("start", start, unit="s")
-        end = as_number("end", end, at_least=start, unit="s")
-        count = math.ceil((end - start) * as_number("rate", rate, above=0.0, unit="Hz")) + 1
-        step = (end - start) / max(count - 1, 1)
-        best = (-1.0, start)
-        for first in range(0, count, _SCAN_BLOCK):
-            times = start + step * np.arange(first, min(first + _SCAN_BLOCK, count))
-            speed = np.linalg.norm(self.velocity(times), axis=1)
-            i = int(np.argmax(speed))
-            if speed[i] > best[0]:
-                best = (float(speed[i]), float(times[i]))
-        return best
 
     @staticmethod
     def fixed(position: ArrayLike, orientation: ArrayLike | None = None) -> Trajectory:
@@ -216,7 +74,7 @@ class Trajectory:
         turning = None
         if orientation is not None:
             turning = turning_between(np.zeros(1), as_quaternions("orientation", orientation, (4,))[None])
-        return Trajectory(Still(_places("position", position, (3,))), -math.inf, math.inf, turning)
+        return Trajectory(Still(as_places("position", position, (3,))), -math.inf, math.inf, turning)
 
     @staticmethod
     def line(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:
@@ -244,8 +102,8 @@ class Trajectory:
         >>> Trajectory.line((0, 0, 0), (1, 2, 3), duration=2.0).position(1.0)
         array([0.5, 1. , 1.5])
         """
-        first, last = _places("start", start, (3,)), _places("end", end, (3,))
-        duration = _span("duration", duration)
+        first, last = as_places("start", start, (3,)), as_places("end", end, (3,))
+        duration = as_span("duration", duration)
         return Trajectory(Straight(first, read_only((last - first) / duration)), 0.0, duration)
 
     @staticmethod
@@ -273,7 +131,8 @@ class Trajectory:
             Direction about which it turns by the right-hand rule, of any length.
         phase : float
             Angle at time 0, rad, from e1: the +x direction turned into the circle's plane (its projection),
-            or +y where the axis lies along x. With the axis +z, phase 0 begins at ``center + (radius, 0, 0)``.
+            or +y where the axis lies along x. With the axis +z, phase 0 begins
+            at ``center + (radius, 0, 0)``.
 
         Returns
         -------
@@ -292,16 +151,16 @@ class Trajectory:
         array([[5. , 3. , 1.5],
                [4. , 4. , 1.5]])
         """
-        e1, e2 = _plane(as_floats("axis", axis, (3,)))
+        e1, e2 = frame_about(as_floats("axis", axis, (3,)))
         curve = Circular(
-            _places("center", center, (3,)),
+            as_places("center", center, (3,)),
             read_only(e1),
             read_only(e2),
-            as_number("radius", radius, above=0.0, at_most=_FARTHEST, unit="m"),
-            2.0 * math.pi / _span("period", period),
-            as_number("phase", phase, at_least=-_LONGEST, at_most=_LONGEST, unit="rad"),
+            as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m"),
+            2.0 * math.pi / as_span("period", period),
+            as_number("phase", phase, at_least=-LONGEST, at_most=LONGEST, unit="rad"),
         )
-        return Trajectory(curve, 0.0, _span("duration", duration))
+        return Trajectory(curve, 0.0, as_span("duration", duration))
 
     @staticmethod
     def waypoints(
@@ -338,8 +197,8 @@ class Trajectory:
         (array([[0.5, 0. , 0. ],
                [1. , 1. , 0. ]]), array([1.]))
         """
-        t = _increasing_times(times)
-        x = _places("positions", positions, (len(t), 3))
+        t = as_increasing(times)
+        x = as_places("positions", positions, (len(t), 3))
         if not isinstance(smooth, bool | np.bool_):
             raise InputError("smooth", f"must be true or false, but is {smooth!r:.80}")
         turning = None
@@ -386,57 +245,97 @@ class Trajectory:
         """
         if not callable(function):
             raise InputError("function", f"must be callable, but is {function!r:.80}")
-        duration = _span("duration", duration)
+        duration = as_span("duration", duration)
         rate = as_number("rate", rate, above=0.0, at_most=_MOST_SAMPLES / duration, unit="Hz")
         times = np.linspace(0.0, duration, max(3, math.ceil(duration * rate * (1 - 1e-12))) + 1)
-        positions = _places("function", function(times.copy()), (len(times), 3))
+        positions = as_places("function", function(times.copy()), (len(times), 3))
         return Trajectory(spline_through(times, positions, "not-a-knot"), 0.0, duration)
 
+    @staticmethod
+    def from_file(
+        path: str | PathLike[str],
+        format: str = "tum",
+        *,
+        smooth: bool | float = True,
+        time_offset: float = 0.0,
+        rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        scale: float = 1.0,
+        translate: ArrayLike = (0.0, 0.0, 0.0),
+        repair: Sequence[str] = (),
+        max_speed: float = 20.0,
+        max_gap: float | None = None,
+    ) -> Trajectory:
+        r"""Return a measured motion, placed into the room by ``x' = rotate(scale x) + translate``.
 
-def _plane(axis: Floats) -> tuple[Floats, Floats]:
-    """Return e1 and e2 such that e1, e2 and the direction `axis` (3,) are a right-handed frame."""
-    largest = np.abs(axis).max()
-    if largest == 0.0:
-        raise InputError("axis", "must be a direction, but is 0, 0, 0")
-    axis = axis / largest
-    axis = axis / np.linalg.norm(axis)
-    along_x = np.hypot(axis[1], axis[2]) < 1e-6
-    reference = np.array([0.0, 1.0, 0.0] if along_x else [1.0, 0.0, 0.0])
-    e1 = reference - axis * np.dot(axis, reference)
-    e1 /= np.linalg.norm(e1)
-    return e1, np.cross(axis, e1)
+        Parameters
+        ----------
+        path : path-like
+            A text file.
+        format : {"tum", "euroc", "csv"}
+            TUM: ``t x y z qx qy qz qw``. EuRoC: nanoseconds, x, y, z, qw, qx, qy, qz. CSV: a header names
+            ``t,x,y,z`` and perhaps ``qx,qy,qz,qw``, in any order.
+        smooth : bool or float
+            True removes the noise and no more (cubic smoothing spline per axis by generalised
+            cross-validation, see `residual`); a number is the rms residual to leave per axis, m; False is the
+            C2 spline through the points.
+        time_offset : float
+            Time that the file's first row gets, s.
+        rotate, scale, translate : array_like (4,), float, array_like (3,)
+            Unit quaternion x y z w, metres in the file's unit of length, m.
+        repair : sequence of {"times", "gaps", "nan", "jumps"}
+            Faults to repair rather than refuse; `notes` says what was done. "nan" drops rows with something
+            that is no finite number, "times" those whose time is not above all before, "jumps" those out of
+            reach from the last good one, and "gaps" lets the spline bridge them.
+        max_speed : float
+            Speed from row to row above which it is a jump, m/s.
+        max_gap : float, optional
+            Step of time above which it is a gap, s; five median steps where left out.
 
+        Returns
+        -------
+        Trajectory
+            From `time_offset` on; orientations, where the file has them, are joined by great arcs (slerp).
 
-def _span(field_name: str, value: Any) -> float:
-    """Return a length of time, s, refused where it is not above 0 or absurd."""
-    as_number(field_name, value, above=0.0, unit="s")
-    return as_number(field_name, value, at_least=_SHORTEST, at_most=_LONGEST, unit="s")
+        Raises
+        ------
+        InputError
+            If the file cannot be read or a row breaks a rule; the message gives line and value.
 
+        Warns
+        -----
+        ClsimWarning
+            Without smoothing, of the Doppler noise to expect; with it, of accelerations above 50 m/s².
 
-def _places(field_name: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
-    """Return positions, m, refused where a coordinate is absurd."""
-    places = as_floats(field_name, value, shape)
-    far = np.argwhere(np.abs(places) > _FARTHEST)
-    if len(far):
-        index = "".join(f"[{i}]" for i in far[0])
-        raise InputError(
-            field_name + index, f"must be within {_FARTHEST:g} m, but is {places[tuple(far[0])]:g} m"
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder) / "push.csv"
+        ...     _ = path.write_text("t,x,y,z\n10,0,0,0\n11,1,0,0\n12,2,0,0\n13,3,0,0\n")
+        ...     push = Trajectory.from_file(path, "csv", translate=(1, 1, 1))
+        >>> push.end, push.position(1.5).round(9)
+        (3.0, array([2.5, 1. , 1. ]))
+        """
+        from clsim.scene import measured, trajectory_files
+
+        strength = measured.as_smooth(smooth)
+        poses = trajectory_files.read_poses(
+            as_path(path),
+            as_choice("format", format, trajectory_files.FORMATS),
+            scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
+            repair=as_choices("repair", repair, trajectory_files.REPAIRS),
+            max_speed=as_number("max_speed", max_speed, above=0.0, unit="m/s"),
+            max_gap=None if max_gap is None else as_span("max_gap", max_gap),
         )
-    return places
-
-
-def _increasing_times(times: Any) -> Floats:
-    """Return times (n,) s, refused unless there are two or more and they increase strictly."""
-    t = as_floats("times", times, (None,))
-    if len(t) < 2:
-        raise InputError("times", f"must hold at least two, but holds {len(t)}")
-    if np.abs(t).max() > _LONGEST * 2.0:  # the Unix epoch's seconds pass
-        i = int(np.argmax(np.abs(t)))
-        raise InputError(f"times[{i}]", f"must be within {_LONGEST * 2.0:g} s, but is {t[i]:g} s")
-    late = np.flatnonzero(np.diff(t) < _SHORTEST)
-    if len(late):
-        i = int(late[0])
-        raise InputError(
-            "times", f"must increase strictly, but [{i + 1}] = {t[i + 1]:.12g} s follows [{i}] = {t[i]:.12g} s"
+        place = measured.Placement(
+            as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,))
         )
-    return t
+        times = poses.times + as_number(
+            "time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s"
+        )
+        fit = measured.fit_measured(times, poses.positions, strength, place)
+        turning = None
+        if poses.orientations is not None:
+            turning = turning_between(times, quaternion_product(place.rotation, poses.orientations))
+        notes = (*poses.notes, *fit.notes)
+        return Trajectory(fit.curve, float(times[0]), float(times[-1]), turning, notes, residual=fit.residual)

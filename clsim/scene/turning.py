@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clsim.acoustics.geometry import same_hemisphere
 from clsim.arrays import Floats, as_floats, read_only
 from clsim.errors import InputError
 
@@ -45,13 +46,14 @@ class Turning:
         held = np.clip(time, self.times[0], self.times[-1])
         piece = np.maximum(np.searchsorted(self.times, held, side="right") - 1, 0)
         step = np.append(np.diff(self.times), 1.0)
-        turned = ((held - self.times[piece]) / step[piece] * self.angle[piece])[..., None]
-        return self.base[piece] * np.cos(turned) + self.side[piece] * np.sin(turned)
+        angle = ((held - self.times[piece]) / step[piece] * self.angle[piece])[..., None]
+        turned: Floats = self.base[piece] * np.cos(angle) + self.side[piece] * np.sin(angle)
+        return turned
 
 
 def turning_between(times: Floats, quaternions: Floats) -> Turning:
     """Return the turning through unit quaternions (n, 4) at strictly increasing `times` (n,) s."""
-    base = _same_hemisphere(quaternions)
+    base = same_hemisphere(quaternions)
     following = np.concatenate([base[1:], base[-1:]])
     cosine = np.sum(base * following, axis=1, keepdims=True)
     across = following - cosine * base
@@ -76,7 +78,8 @@ def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> 
         index = tuple(bad[0])
         name = field + "".join(f"[{i}]" for i in index)
         raise InputError(name, f"must be a unit quaternion x y z w, but its norm is {norm[index][0]:.6g}")
-    return quaternions / norm
+    unit: Floats = quaternions / norm
+    return unit
 
 
 def quaternion_product(left: Floats, right: Floats) -> Floats:
@@ -85,10 +88,3 @@ def quaternion_product(left: Floats, right: Floats) -> Floats:
     w, v = left[..., 3:], right[..., 3:]
     vector = w * b + v * a + np.cross(a, b)
     return np.concatenate([vector, w * v - np.sum(a * b, axis=-1, keepdims=True)], axis=-1)
-
-
-def _same_hemisphere(quaternions: Floats) -> Floats:
-    """Choose the sign of each quaternion (n, 4) so that it is the nearer one to its predecessor's."""
-    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
-    sign = np.concatenate([[1.0], np.where(np.logical_xor.accumulate(flips), -1.0, 1.0)])
-    return quaternions * sign[:, None]

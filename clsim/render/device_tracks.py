@@ -1,0 +1,181 @@
+"""Tracks computed on the device, in float64, from the images of a scene."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.acoustics.geometry import rotate
+from clsim.arrays import Floats
+from clsim.paths.arrivals import MACH_EXPONENT
+from clsim.render.device import Compiler
+from clsim.render.motion_knots import KNOT_COLUMNS, knot_rate, motion_knots
+from clsim.render.plan import SEGMENT, Plan, node_times
+from clsim.render.slots import Slots
+from clsim.render.tracks import SceneTracks
+from clsim.scene.directivity import Directivity, Omni
+
+_CELLS = 1024  # of a beam, over the cosine; its cubics are within 1e-9 for a piston of ka = 10
+_AXIS = np.array([1.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceNodes:
+    """Block polynomials of a run on the device, and what was found while they were made."""
+
+    delay: Any
+    cubics: Any
+    error: Floats  # (segments,), relative to the strongest arrival of each receiver
+    shortest: float  # s
+    longest: float
+
+    def edges(self, first: int, last: int) -> list[tuple[int, int, int, int]]:
+        """Return no edges: these paths are always heard."""
+        return []
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chunk:
+    """What one source and a batch of receivers need over a chunk, on the device."""
+
+    source: int
+    slots: Slots
+    images: tuple[Any, ...]
+    knots: Any
+    knot_count: int
+    knot_first: float
+
+
+class DeviceTracks:
+    """Makes block polynomials with ``tracks.cl``."""
+
+    def __init__(self, plan: Plan, tracks: SceneTracks, queue: Any, compiler: Compiler) -> None:
+        self._plan, self._tracks, self._queue, self._compiler = plan, tracks, queue, compiler
+        scene = tracks.scene
+        self._knot_rates = []
+        for source, emission in zip(scene.sources, plan.emissions, strict=True):
+            # A position wrong by this much is wrong in phase by half the asked error at the band's end.
+            error_db = getattr(plan.interpolator, "error_db", -90.0)
+            tolerance = 10 ** ((error_db - 6.0) / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.band)
+            self._knot_rates.append(knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance))
+        frequencies = [s.signal.centre_frequency for s in scene.sources]
+        c = scene.air.sound_speed
+        self._source_beams = [
+            self._upload(_beam_cells(s.directivity, f, c)) for s, f in zip(scene.sources, frequencies, strict=True)
+        ]
+        # One receiver beam per launch: receivers with different beams are told apart by a table each.
+        self._receiver_tables = [
+            [_beam_cells(r.directivity, f, c) for r in scene.receivers] for f in frequencies
+        ]
+
+    def prepare(self, source: int, slots: Slots, start: int, length: int) -> _Chunk:
+        """Upload images and motion for one source and a batch of receivers over a chunk."""
+        plan, scene = self._plan, self._tracks.scene
+        matrix = np.empty((9, slots.count))
+        offset = np.empty((3, slots.count))
+        reflection = np.empty(slots.count, dtype=np.float32)
+        receiver_of = np.empty(slots.count, dtype=np.int32)
+        for i, index in enumerate(slots.groups):
+            here, paths = slots.of_group(i), self._tracks.path_groups[index]
+            rows = slots.path[here]
+            matrix[:, here] = paths.matrix[rows].reshape(-1, 9).T
+            offset[:, here] = paths.offset[rows].T
+            reflection[here] = np.where(slots.filling[here], 0.0, paths.reflection[rows])
+            receiver_of[here] = i
+        rate = plan.sampling_rate
+        longest = max(
+            self._tracks.delay_range(i, start / rate, (start + length) / rate)[1].max() for i in slots.groups
+        )
+        knots, first = motion_knots(
+            scene.sources[source], start / rate - 1.01 * longest - 0.05, (start + length) / rate + 0.05,
+            self._knot_rates[source],
+        )  # fmt: skip
+        images = tuple(self._upload(a) for a in (matrix, offset, reflection, receiver_of))
+        return _Chunk(source, slots, images, self._upload(knots), len(knots), first)
+
+    def nodes(self, chunk: _Chunk, start: int, block: int, blocks: int) -> DeviceNodes:
+        """Make the polynomials of `blocks` blocks from a sample on."""
+        import pyopencl as cl
+
+        plan, scene, slots = self._plan, self._tracks.scene, chunk.slots
+        source, emission = scene.sources[chunk.source], plan.emissions[chunk.source]
+        rate, c = plan.sampling_rate, scene.air.sound_speed
+        walks = -(-blocks * block // SEGMENT)
+        context, flags = self._queue.context, cl.mem_flags.READ_WRITE
+        delay = cl.Buffer(context, flags, 4 * blocks * slots.count)
+        cubics = cl.Buffer(context, flags, 32 * blocks * slots.count)
+        found = np.empty((walks, slots.count, 4), dtype=np.float32)
+        on_device = cl.Buffer(context, flags, found.nbytes)
+        receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
+        beams = [self._receiver_tables[chunk.source][r] for r in slots.receiver]
+        kernel = self._compiler.kernel("tracks", self._constants(chunk.source, block))
+        nepers = float(scene.air.absorption(source.signal.centre_frequency)) * math.log(10.0) / 20.0
+        kernel(
+            self._queue, (slots.count, walks), None, *chunk.images, self._upload(receivers),
+            np.int32(blocks + 3), chunk.knots, np.int32(chunk.knot_count), np.float64(chunk.knot_first),
+            np.float64(self._knot_rates[chunk.source]), np.float64(start / rate), np.float64(rate), np.float64(c),
+            np.float32(nepers), np.float64(emission.start * rate - emission.bank.shift),
+            np.float64(emission.start), np.float64(emission.start + emission.signal.duration),
+            np.float32(2.0 * math.pi * emission.band), self._source_beams[chunk.source],
+            self._upload(np.concatenate(beams)), np.int32(blocks), delay, cubics, on_device,
+        )  # fmt: skip
+        cl.enqueue_copy(self._queue, found, on_device)
+        return DeviceNodes(
+            delay, cubics, _relative_error(found, slots), float(found[..., 2].min()), float(found[..., 3].max())
+        )
+
+    def _constants(self, source: int, block: int) -> dict[str, int]:
+        scene, retarded = self._tracks.scene, self._tracks.motion == "retarded"
+        return {
+            "BLOCK": block,
+            "WALK": SEGMENT // block,
+            "FUNCTIONS": 1,
+            "KNOT_COLUMNS": KNOT_COLUMNS,
+            "CELLS": _CELLS,
+            "RETARDED": int(retarded),
+            "MACH_EXPONENT": MACH_EXPONENT[self._tracks.amplitude] if retarded else 0,
+            "SOURCE_BEAM": int(not isinstance(scene.sources[source].directivity, Omni)),
+            "RECEIVER_BEAM": int(any(not isinstance(r.directivity, Omni) for r in scene.receivers)),
+        }
+
+    def _receivers_at(self, slots: Slots, times: Floats) -> Floats:
+        """Return position, velocity and axis of the batch's receivers at the nodes, (receivers, nodes, 9)."""
+        out = np.empty((len(slots.groups), len(times), 9))
+        for i, r in enumerate(slots.receiver):
+            receiver = self._tracks.scene.receivers[r]
+            out[i, :, :3] = receiver.trajectory.position(times)
+            out[i, :, 3:6] = receiver.trajectory.velocity(times)
+            out[i, :, 6:] = rotate(receiver.orientation(times), _AXIS)
+        return out
+
+    def _upload(self, array: NDArray[Any]) -> Any:
+        import pyopencl as cl
+
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self._queue.context, flags, hostbuf=np.ascontiguousarray(array))
+
+
+def _relative_error(found: NDArray[np.float32], slots: Slots) -> Floats:
+    """Return the largest error of each segment, relative to the strongest arrival of the same receiver."""
+    first = slots.first_slot[:-1]
+    error = np.maximum.reduceat(found[:, :, 0], first, axis=1)
+    strongest = np.maximum.reduceat(found[:, :, 1], first, axis=1)
+    return np.asarray((error / np.maximum(strongest, 1e-30)).max(axis=1), dtype=np.float64)
+
+
+def _beam_cells(directivity: Directivity, frequency: float, speed_of_sound: float) -> NDArray[np.float32]:
+    """Return a beam as cubics on equal cells of the cosine from -1 to 1, lowest power first, (cells, 4)."""
+    from scipy.interpolate import CubicSpline
+
+    cosine = np.linspace(-1.0, 1.0, _CELLS + 1)
+    half = _CELLS // 2  # two splines: the gain of a piston bends at 90°
+    parts = []
+    for piece in (slice(0, half + 1), slice(half, _CELLS + 1)):
+        spline = CubicSpline(cosine[piece], directivity.gain(cosine[piece], frequency, speed_of_sound))
+        width = (2.0 / _CELLS) ** np.arange(4)
+        parts.append(spline.c[::-1].T * width)
+    return np.ascontiguousarray(np.concatenate(parts), dtype=np.float32)

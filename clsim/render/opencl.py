@@ -1,0 +1,251 @@
+"""The OpenCL engine: branch signals, tracks and their sum on the device, chunk by chunk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats
+from clsim.errors import ClsimError, DeviceError
+from clsim.render.device import Compiler, find_device
+from clsim.render.device_tracks import DeviceTracks
+from clsim.render.host_tracks import HostTracks
+from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan, moving_scene
+from clsim.render.reference import render_paths
+from clsim.render.slots import Slots, fill_slots
+
+BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
+_TILE = 128  # paths whose branch signals stay in cache together
+_MARGIN = 64  # samples of branch signal beyond the bounds of the delays
+_BYTES_PER_NODE = 36  # of a block and a path: whole delay and two cubics
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How a group of samples is spread over a device: over the lanes of vectors, or over work-items."""
+
+    lanes: int
+    span: int
+
+    def constants(self, group: int) -> dict[str, int]:
+        """Return the compile-time constants of the render kernel for a group length."""
+        workers = 1 if self.lanes > 1 else group
+        return {
+            "LANES": self.lanes,
+            "VECTORS": group // (workers * self.lanes),
+            "WORKERS": workers,
+            "BATCH": BATCH,
+            "TILE": _TILE,
+            "SPAN": self.span * (32 // group),
+        }
+
+
+CPU_LAYOUT = Layout(lanes=8, span=16)
+GPU_LAYOUT = Layout(lanes=1, span=4)
+
+
+class OpenclEngine:
+    """Carries out a plan on an OpenCL device.
+
+    Parameters
+    ----------
+    plan : Plan
+        What to compute.
+    layout : Layout, optional
+        How to spread it; by the kind of device when left out.
+
+    Raises
+    ------
+    DeviceError
+        If there is no device, or it fails; the message says what to do.
+    """
+
+    def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
+        import pyopencl as cl
+
+        self._plan = plan
+        self._info, device = find_device(plan.device)
+        self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
+        self._context = cl.Context([device])
+        self._queue = cl.CommandQueue(self._context)
+        self._compiler = Compiler(self._context)
+        scene = moving_scene(plan.tracks)
+        self._tracks: DeviceTracks | HostTracks
+        if scene is not None and self._info.fp64:
+            self._tracks = DeviceTracks(plan, scene, self._queue, self._compiler)
+        else:
+            self._tracks = HostTracks(plan, self._queue)
+
+    def render(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
+        import pyopencl as cl
+
+        try:
+            return self._render(start, stop)
+        except (cl.MemoryError, cl.RuntimeError) as error:
+            raise DeviceError(
+                f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
+                "receivers at a time, or on another device (see `clsim devices`)"
+            ) from error
+
+    def _render(self, start: int, stop: int) -> NDArray[np.float32]:
+        import pyopencl as cl
+
+        plan = self._plan
+        length = -(-(stop - start) // BLOCKS[0]) * BLOCKS[0]
+        pressure = np.zeros((plan.receiver_count, length), dtype=np.float32)
+        on_device = self._upload(pressure)
+        edges: list[tuple[int, int, int, int]] = []
+        for source in range(len(plan.emissions)):
+            groups = [i for i, group in enumerate(plan.tracks.groups) if group.source == source]
+            if not groups:
+                continue
+            ranges = [plan.tracks.delay_range(i, *self._seconds(start, start + length)) for i in groups]
+            branches = self._branches(source, start, length, ranges)
+            if branches is None:
+                continue
+            for first, last in _batches(plan, groups):
+                slots = fill_slots(plan, groups[first:last], ranges[first:last], BATCH)
+                run = _Run(self, source, slots, branches, on_device, length, start)
+                run.cover(0, -(-length // SEGMENT), 0)
+                edges += run.edges
+        cl.enqueue_copy(self._queue, pressure, on_device)
+        for group, path, first, last in edges:
+            # A path that begins or ends within a block: that block is rendered on the host, sample by sample.
+            receiver = plan.tracks.groups[group].receiver
+            last = min(last, start + length)
+            part = render_paths(plan, group, np.array([path]), first, last)
+            pressure[receiver, first - start : last - start] += part.astype(np.float32)
+        return pressure[:, : stop - start]
+
+    def _seconds(self, first: int, last: int) -> tuple[float, float]:
+        return first / self._plan.sampling_rate, last / self._plan.sampling_rate
+
+    def _branches(
+        self, source: int, start: int, length: int, ranges: list[tuple[Floats, Floats]]
+    ) -> _Branches | None:
+        """Filter the part of a signal that can be heard in a chunk; None if it is silent."""
+        import pyopencl as cl
+
+        emission, rate = self._plan.emissions[source], self._plan.sampling_rate
+        late = emission.start * rate
+        least = int(np.floor(min(low.min() for low, _ in ranges) * rate + late)) - _MARGIN
+        most = int(np.ceil(max(high.max() for _, high in ranges) * rate + late)) + _MARGIN
+        channel = 8 * self._layout.lanes
+        rows, taps = emission.bank.taps.shape
+        width = -(-(length + most - least) // channel) * channel
+        stride = -(-width // 16) * 16
+        stride += 16 if (stride // 16) % 2 == 0 else 0  # whole pages apart, rows would fight for the same cache lines
+        first = start - most
+        emitted = np.zeros(stride + taps + channel, dtype=np.float32)
+        before = first - (taps - 1) + emission.bank.centre
+        emitted[: width + taps] = emission.signal.read(before, before + width + taps)
+        if not np.any(emitted):
+            return None
+        out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * rows * stride)
+        kernel = self._compiler.kernel("branches", {"LANES": self._layout.lanes, "TAPS": taps})
+        kernel(
+            self._queue, (width // channel, rows), None, self._upload(emitted),
+            self._upload(emission.bank.taps.astype(np.float32)), np.int32(stride), out,
+        )  # fmt: skip
+        return _Branches(out, stride, first, least, most)
+
+    def _upload(self, array: NDArray[Any]) -> Any:
+        import pyopencl as cl
+
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self._context, flags, hostbuf=np.ascontiguousarray(array))
+
+
+@dataclass(frozen=True, slots=True)
+class _Branches:
+    """Branch signals on the device, and which delays they cover."""
+
+    rows: Any
+    stride: int
+    first: int  # sample at which the rows begin
+    least: int  # samples
+    most: int
+
+
+class _Run:
+    """Renders one batch of receivers over one chunk, choosing the block length for each segment."""
+
+    def __init__(
+        self, engine: OpenclEngine, source: int, slots: Slots, branches: _Branches, pressure: Any, length: int, start: int
+    ) -> None:
+        self._engine, self._plan = engine, engine._plan
+        self._source, self._slots, self._branches = source, slots, branches
+        self._pressure, self._length, self._start = pressure, length, start
+        self._first_slot, self._row = engine._upload(slots.first_slot), engine._upload(slots.receiver)
+        self._state = engine._tracks.prepare(source, slots, start, length)
+        self.edges: list[tuple[int, int, int, int]] = []
+        error_db = getattr(self._plan.interpolator, "error_db", -90.0)
+        self._tolerance = 10 ** ((error_db - 6.0) / 20)
+
+    def cover(self, first: int, last: int, level: int) -> None:
+        """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
+        block = BLOCKS[level]
+        step = max(1, NODE_BUDGET // (_BYTES_PER_NODE * self._slots.count * (SEGMENT // block)))
+        for at in range(first, last, step):
+            upto = min(at + step, last)
+            begin, end = at * SEGMENT, min(upto * SEGMENT, self._length)
+            nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
+            self._check(nodes.shortest, nodes.longest)
+            coarse = nodes.error > self._tolerance
+            coarse &= level + 1 < len(BLOCKS)
+            for a, b in _stretches(coarse):
+                if coarse[a]:
+                    self.cover(at + a, at + b, level + 1)
+                else:
+                    self._render(nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block)
+                    self.edges += nodes.edges(a * SEGMENT // block, b * SEGMENT // block)
+
+    def _check(self, shortest: float, longest: float) -> None:
+        """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
+        late = self._plan.emissions[self._source].start * self._plan.sampling_rate
+        low, high = (delay * self._plan.sampling_rate + late for delay in (shortest, longest))
+        if not (low > self._branches.least + 1 and high < self._branches.most - 1):
+            raise ClsimError(
+                f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
+                "please report this scene as a defect"
+            )
+
+    def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        engine, emission = self._engine, self._plan.emissions[self._source]
+        constants = engine._layout.constants(emission.bank.group)
+        constants |= {"BRANCHES": len(emission.bank.taps), "FUNCTIONS": 1}
+        kernel = engine._compiler.kernel("render", constants)
+        begin = segment * SEGMENT
+        groups = (end - begin) // emission.bank.group
+        size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
+        kernel(
+            engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
+            np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, self._first_slot,
+            np.int32(self._slots.count), np.int32(block // emission.bank.group), np.int32(first_block),
+            np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin),
+        )  # fmt: skip
+
+
+def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the maximal ranges of equal flags."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8))) + 1
+    return list(zip([0, *edges.tolist()], [*edges.tolist(), len(flags)], strict=True))
+
+
+def _batches(plan: Plan, groups: list[int]) -> list[tuple[int, int]]:
+    """Cut groups into batches whose polynomials fit the budget for one segment at the shortest blocks."""
+    most = max(BATCH, NODE_BUDGET // (_BYTES_PER_NODE * (SEGMENT // BLOCKS[-1])))
+    batches, first, count = [], 0, 0
+    for i, group in enumerate(groups):
+        paths = -(-len(plan.tracks.groups[group]) // BATCH) * BATCH
+        if i > first and count + paths > most:
+            batches.append((first, i))
+            first, count = i, 0
+        count += paths
+    batches.append((first, len(groups)))
+    return batches
+

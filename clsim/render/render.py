@@ -1,0 +1,161 @@
+"""From tracks to sound."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.paths.path_set import PathSet
+from clsim.render.interpolator import Interpolator
+from clsim.render.opencl import OpenclEngine
+from clsim.render.plan import Plan, plan_render, plan_tracks
+from clsim.render.reference import ReferenceEngine
+from clsim.render.tracks import SceneTracks, Tracks
+from clsim.scene.scene import Scene
+from clsim.scene.signal import Signal
+
+if TYPE_CHECKING:
+    from clsim.recording import Recording
+
+
+def render(
+    scene: Scene,
+    paths: PathSet,
+    sampling_rate: float,
+    *,
+    interpolator: Interpolator | None = None,
+    motion: str = "retarded",
+    amplitude: str = "wave-equation",
+    engine: str = "opencl",
+    device: str | None = None,
+    duration: float | None = None,
+    chunk: int | None = None,
+) -> Recording:
+    """Return what every receiver of a scene hears.
+
+    Parameters
+    ----------
+    scene : Scene
+        What sounds where.
+    paths : PathSet
+        Its paths, from `find_paths`.
+    sampling_rate : float
+        Of the recording, Hz; signals are brought to it.
+    interpolator : Lagrange, TruncatedLagrange or Bandlimited, optional
+        The fractional-delay filter, ``Bandlimited(error_db=-90)`` when left out.
+    motion : {"retarded", "quasi-static"}
+        Whether an image is where it was when the sound was emitted, or where it is when it is received.
+    amplitude : {"wave-equation", "static", "convective"}
+        Exponent 1, 0 or 2 of ``1 / (1 - M)``, M the Mach number of the image towards the receiver.
+    engine : {"opencl", "reference"}
+        The fast one or the exact one.
+    device : str, optional
+        An OpenCL device by id or part of its name (see ``clsim devices``); the best one when left out.
+    duration : float, optional
+        Length of the recording, s. Left out: until all that was emitted has been heard, or until the first moving
+        receiver's trajectory ends.
+    chunk : int, optional
+        Samples that are held at a time, rounded up to whole segments of 9216.
+
+    Returns
+    -------
+    Recording
+        Sound pressure in Pa, float32.
+
+    Raises
+    ------
+    InputError
+        If an argument breaks a rule.
+    DeviceError
+        If there is no OpenCL device, or it fails.
+
+    Notes
+    -----
+    Each path is ``g(t) s(t - delay(t))``. The delay is applied by a Farrow bank whose branch signals are the emitted
+    signal through fixed filters (C. W. Farrow, "A continuously variable digital delay element", ISCAS 1988).
+
+    Examples
+    --------
+    >>> import clsim
+    >>> room = clsim.Shoebox(size=(8.0, 6.0, 3.0), walls=clsim.Material.from_reflection(0.9))
+    >>> tone = clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3)
+    >>> robot = clsim.Source("robot", tone, clsim.Trajectory.fixed((4.0, 3.0, 1.5)))
+    >>> ceiling = clsim.Receiver("ceiling", clsim.Trajectory.fixed((1.0, 1.0, 2.9)))
+    >>> scene = clsim.Scene(room, clsim.Air(), [robot], [ceiling])
+    >>> paths = clsim.find_paths(scene, max_order=1)
+    >>> clsim.render(scene, paths, 192e3, engine="reference", duration=0.02).pressure.shape
+    (1, 3840)
+    """
+    plan = plan_render(
+        scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude, engine=engine,
+        device=device, duration=duration, chunk=chunk,
+    )  # fmt: skip
+    return _record(plan)
+
+
+def render_tracks(
+    signals: Sequence[Signal],
+    tracks: Tracks,
+    sampling_rate: float,
+    *,
+    starts: Sequence[float] | None = None,
+    interpolator: Interpolator | None = None,
+    engine: str = "opencl",
+    device: str | None = None,
+    duration: float | None = None,
+    chunk: int | None = None,
+) -> Recording:
+    """Return what is heard of signals along tracks, whoever computed these.
+
+    Parameters
+    ----------
+    signals : sequence of Signal
+        One per source of the tracks.
+    tracks : Tracks
+        From `track` or `Tracks.from_samples`.
+    sampling_rate : float
+        Of the recording, Hz.
+    starts : sequence of float, optional
+        Time at which each signal begins, s; 0 when left out.
+    interpolator, engine, device, duration, chunk
+        As in `render`.
+    """
+    plan = plan_tracks(
+        signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, engine=engine, device=device,
+        duration=duration, chunk=chunk,
+    )  # fmt: skip
+    return _record(plan)
+
+
+def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Yield the recording piece by piece, in bounded memory.
+
+    Parameters
+    ----------
+    plan : Plan
+        From `plan_render`.
+
+    Yields
+    ------
+    start : int
+        First sample of the piece.
+    pressure : ndarray (receivers, n) float32
+        Sound pressure, Pa.
+    """
+    engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
+    for start in range(0, plan.samples, plan.chunk):
+        yield start, engine.render(start, min(start + plan.chunk, plan.samples)).astype(np.float32, copy=False)
+
+
+def _record(plan: Plan) -> Recording:
+    from clsim.recording import Recording
+
+    pressure = np.empty((plan.receiver_count, plan.samples), dtype=np.float32)
+    for start, piece in render_chunks(plan):
+        pressure[:, start : start + piece.shape[1]] = piece
+    pressure.flags.writeable = False
+    paths = plan.tracks.paths if isinstance(plan.tracks, SceneTracks) else None
+    return Recording(pressure, plan.sampling_rate, plan.tracks.receiver_names, paths, tuple(plan.describe()))

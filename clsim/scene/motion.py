@@ -1,0 +1,177 @@
+"""Position, velocity and orientation over time, with a beginning and an end."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import Floats, as_number, read_only
+from clsim.scene.curves import CONTINUATION, Curve
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from clsim.scene.turning import Turning
+
+_SCAN_BLOCK = 65536  # instants looked at at a time
+
+
+def _no_breaks() -> Floats:
+    return read_only(np.empty(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A motion from `start` to `end`.
+
+    Shortly before its start and after its end, by 0.05 s, it goes on smoothly (lines and circles as
+    they are, splines by a parabola with the end's velocity and acceleration), because sound received at the
+    start was emitted before it. Beyond that everything stands still.
+
+    Parameters
+    ----------
+    curve : Curve
+        Position and velocity.
+    start, end : float
+        First and last time, s; -inf and inf for a fixed point.
+    turning : Turning, optional
+        Orientation over time; identity where left out.
+    notes : tuple of str
+        What was found, smoothed or repaired in the making, a sentence each.
+    breaks : ndarray (k,)
+        Times at which the velocity jumps, s; empty for smooth trajectories.
+    residual : ndarray (3,), optional
+        Root mean square by which smoothing moved the points along x, y and z, m.
+    """
+
+    curve: Curve
+    start: float
+    end: float
+    turning: Turning | None = None
+    notes: tuple[str, ...] = ()
+    breaks: Floats = field(default_factory=_no_breaks)
+    residual: Floats | None = None
+
+    @property
+    def duration(self) -> float:
+        """`end` less `start`, s; infinite for a fixed point."""
+        return self.end - self.start
+
+    @property
+    def has_orientation(self) -> bool:
+        """Whether the trajectory says how the transducer is turned."""
+        return self.turning is not None
+
+    def position(self, t: ArrayLike) -> Floats:
+        """Return positions, m.
+
+        Parameters
+        ----------
+        t : array_like
+            Times, s, of any shape and in any order.
+
+        Returns
+        -------
+        ndarray
+            Shape of `t` and 3 more columns: ``(n, 3)`` for ``(n,)``, ``(3,)`` for a number.
+
+        Examples
+        --------
+        >>> from clsim import Trajectory
+        >>> Trajectory.line((0, 0, 1), (2, 0, 1), duration=4.0).position([1.0, 3.0])
+        array([[0.5, 0. , 1. ],
+               [1.5, 0. , 1. ]])
+        """
+        time = np.asarray(t, dtype=np.float64)
+        return self.curve.position(np.clip(time, self.start - CONTINUATION, self.end + CONTINUATION))
+
+    def velocity(self, t: ArrayLike) -> Floats:
+        """Return velocities, m/s, shaped as in `position`; at a break the one after it.
+
+        Parameters
+        ----------
+        t : array_like
+            Times, s.
+
+        Returns
+        -------
+        ndarray
+            Shape of `t` and 3 more columns.
+
+        Examples
+        --------
+        >>> from clsim import Trajectory
+        >>> Trajectory.line((0, 0, 1), (2, 0, 1), duration=4.0).velocity(1.0)
+        array([0.5, 0. , 0. ])
+        """
+        time = np.asarray(t, dtype=np.float64)
+        first, last = self.start - CONTINUATION, self.end + CONTINUATION
+        velocity = self.curve.velocity(np.clip(time, first, last))
+        velocity[(time < first) | (time > last)] = 0.0
+        return velocity
+
+    def orientation(self, t: ArrayLike) -> Floats:
+        """Return unit quaternions x y z w whose sign does not jump; identity without orientation.
+
+        Parameters
+        ----------
+        t : array_like
+            Times, s. Before the first and after the last known orientation, that one is held.
+
+        Returns
+        -------
+        ndarray
+            Shape of `t` and 4 more columns.
+
+        Examples
+        --------
+        >>> from clsim import Trajectory
+        >>> Trajectory.fixed((1, 1, 1)).orientation(0.0)
+        array([0., 0., 0., 1.])
+        """
+        time = np.asarray(t, dtype=np.float64)
+        if self.turning is None:
+            return np.tile([0.0, 0.0, 0.0, 1.0], (*time.shape, 1))
+        return self.turning.orientation(time)
+
+    def peak_speed(self, start: float, end: float, rate: float = 1000.0) -> tuple[float, float]:
+        """Return the largest speed at evenly spaced instants, and when it is reached.
+
+        Parameters
+        ----------
+        start, end : float
+            First and last instant, s.
+        rate : float
+            Instants per second, at least.
+
+        Returns
+        -------
+        speed, time : float
+            m/s and s.
+
+        Raises
+        ------
+        InputError
+            If the range is not finite or ends before it starts.
+
+        Examples
+        --------
+        >>> from clsim import Trajectory
+        >>> Trajectory.line((0, 0, 0), (3, 4, 0), duration=2.0).peak_speed(0.0, 2.0)
+        (2.5, 0.0)
+        """
+        start = as_number("start", start, unit="s")
+        end = as_number("end", end, at_least=start, unit="s")
+        count = math.ceil((end - start) * as_number("rate", rate, above=0.0, unit="Hz")) + 1
+        step = (end - start) / max(count - 1, 1)
+        best = (-1.0, start)
+        for first in range(0, count, _SCAN_BLOCK):
+            times = start + step * np.arange(first, min(first + _SCAN_BLOCK, count))
+            speed = np.linalg.norm(self.velocity(times), axis=1)
+            i = int(np.argmax(speed))
+            if speed[i] > best[0]:
+                best = (float(speed[i]), float(times[i]))
+        return best

@@ -1,0 +1,86 @@
+"""Binary sequences and their waveforms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats, as_count
+from clsim.errors import InputError
+
+SEQUENCES = ("mls", "gold")
+
+# Feedback taps of preferred pairs of maximum-length sequences (R. Gold, IEEE Trans. Inf. Theory 13, 1967), as in
+# scipy.signal.max_len_seq: the exponents between 0 and the register's length of each polynomial.
+_PREFERRED: dict[int, tuple[tuple[int, ...], tuple[int, ...]]] = {
+    5: ((2,), (2, 3, 4)),
+    6: ((1,), (1, 2, 5)),
+    7: ((3,), (1, 2, 3)),
+    9: ((4,), (3, 4, 6)),
+    10: ((3,), (2, 3, 8)),
+    11: ((2,), (2, 5, 8)),
+}
+_HALF_CHIPS = 16  # chips on either side over which a chip's pulse is kept
+
+
+def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
+    """Return one period of a sequence as +1 and -1, ``2**bits - 1`` chips.
+
+    Parameters
+    ----------
+    kind : {"mls", "gold"}
+        Maximum-length or Gold.
+    bits : int
+        Register length.
+    code : int
+        For "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by k.
+        For "mls" the number of chips by which it is rotated.
+    """
+    from scipy.signal import max_len_seq
+
+    length = 2**bits - 1 if isinstance(bits, int) else 0
+    if kind == "mls":
+        bits = as_count("bits", bits, at_least=2, at_most=16)
+        code = as_count("code", code, at_least=0, at_most=length - 1)
+        return np.asarray(np.roll(1.0 - 2.0 * max_len_seq(bits)[0], code))
+    if bits not in _PREFERRED:
+        raise InputError("bits", f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits!r:.80}")
+    code = as_count("code", code, at_least=0, at_most=length + 1)
+    first, second = (1.0 - 2.0 * max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
+    if code < 2:
+        return np.asarray((first, second)[code])
+    return np.asarray(first * np.roll(second, code - 2))
+
+
+def raised_cosine_sequence(
+    kind: str, bits: int, code: int, repeats: int, chip_rate: float, carrier: float, rolloff: float, sampling_rate: float
+) -> Floats:
+    """Return a sequence on a carrier, (n,), its chips shaped by a raised cosine; the first chip is centred 16 chips in.
+
+    References
+    ----------
+    J. G. Proakis, Digital Communications, 4th ed., eq. 9.2-27.
+    """
+    chips = np.tile(binary_sequence(kind, bits, code), repeats)
+    count = math.ceil((len(chips) - 1 + 2 * _HALF_CHIPS) * sampling_rate / chip_rate) + 1
+    n = np.arange(count)
+    place = n * (chip_rate / sampling_rate) - _HALF_CHIPS  # in chips
+    base = np.zeros(count)
+    nearest = np.floor(place).astype(np.int64)
+    for offset in range(-_HALF_CHIPS, _HALF_CHIPS + 1):
+        k = nearest + offset
+        inside = (k >= 0) & (k < len(chips))
+        base[inside] += chips[k[inside]] * _pulse(place[inside] - k[inside], rolloff)
+    return base * np.cos(2.0 * math.pi * np.mod(n * (carrier / sampling_rate), 1.0))
+
+
+def _pulse(x: Floats, rolloff: float) -> Floats:
+    """Return the raised-cosine pulse, tapered to nothing at its ends; `x` in chips."""
+    singular = np.abs(np.abs(2.0 * rolloff * x) - 1.0) < 1e-6
+    safe = np.where(singular, 0.0, x)
+    shape = np.sinc(safe) * np.cos(math.pi * rolloff * safe) / (1.0 - (2.0 * rolloff * safe) ** 2)
+    limit = math.pi / 4.0 * math.sin(math.pi / (2.0 * rolloff)) / (math.pi / (2.0 * rolloff))
+    taper = np.cos(0.5 * math.pi * np.clip(x / (_HALF_CHIPS + 1), -1.0, 1.0)) ** 2
+    return np.where(singular, limit, shape) * taper

@@ -1,0 +1,330 @@
+"""What sources emit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.errors import InputError
+from clsim.scene.sequences import SEQUENCES, raised_cosine_sequence
+from clsim.scene.waveforms import Chirp, Noise, Pulses, Samples, Tone, Waveform
+
+_SPECTRUM_LENGTH = 8192  # samples of a segment
+_ALL_SEGMENTS = 400  # above which segments are picked
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """Sound pressure at 1 m on a source's axis in free field, Pa, by sample. Made by one of the constructors below.
+
+    Parameters
+    ----------
+    waveform : Waveform
+        What gives the samples.
+    sampling_rate : float
+        Hz.
+    """
+
+    waveform: Waveform
+    sampling_rate: float
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return self.waveform.count(self.sampling_rate)
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+        return self.count / self.sampling_rate
+
+    @property
+    def centre_frequency(self) -> float:
+        """Frequency at which air, walls and beams are taken, Hz: the carrier, the mean, or the centroid of energy."""
+        known = self.waveform.centre_frequency
+        if known is not None:
+            return known
+        frequencies, energy = self.energy_spectrum()
+        total = float(energy.sum())
+        return float(frequencies @ energy) / total if total > 0.0 else 0.25 * self.sampling_rate
+
+    def read(self, start: int, stop: int) -> Floats:
+        """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut."""
+        out = np.zeros(max(stop - start, 0))
+        first, last = max(start, 0), min(stop, self.count)
+        if first < last:
+            out[first - start : last - start] = self.waveform.read(first, last, self.sampling_rate)
+        return out
+
+    def at_rate(self, sampling_rate: float) -> Signal:
+        """Return the signal at another sampling rate: formulae are evaluated anew, samples are resampled.
+
+        Raises
+        ------
+        InputError
+            If a formula's frequencies do not fit below half the new rate.
+        """
+        if sampling_rate == self.sampling_rate:
+            return self
+        return Signal(self.waveform.at_rate(self.sampling_rate, sampling_rate), sampling_rate)
+
+    def energy_spectrum(self) -> tuple[Floats, Floats]:
+        """Return frequencies (n,) in Hz and the signal's energy at each (n,), in Pa² times samples.
+
+        Hann-windowed segments with half overlap, from before the onset to after the end. Of long signals the
+        first and last segments and evenly spaced ones between them are taken, which stand for the rest.
+        """
+        length, hop = _SPECTRUM_LENGTH, _SPECTRUM_LENGTH // 2
+        last = -(-self.count // hop)
+        picked = np.arange(-1, last)
+        if len(picked) > _ALL_SEGMENTS:
+            inner = np.unique(np.linspace(8, last - 9, _ALL_SEGMENTS // 2).astype(np.int64))
+            picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
+        weight = np.gradient(picked.astype(np.float64)) if len(picked) > _ALL_SEGMENTS // 2 else np.ones(len(picked))
+        window = np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2
+        energy = np.zeros(hop + 1)
+        for k, share in zip(picked, weight, strict=True):
+            spectrum = np.fft.rfft(self.read(int(k) * hop, int(k) * hop + length) * window)
+            energy += share * np.abs(spectrum) ** 2
+        return np.fft.rfftfreq(length, 1.0 / self.sampling_rate), energy / length
+
+    @classmethod
+    def tone(
+        cls,
+        frequency: float,
+        duration: float,
+        sampling_rate: float,
+        *,
+        amplitude: float = 1.0,
+        phase: float = 0.0,
+        fade: float = 0.0,
+    ) -> Signal:
+        """Return ``amplitude sin(2 pi frequency t + phase)``.
+
+        Parameters
+        ----------
+        frequency : float
+            Above 0 and below half the sampling rate, Hz.
+        duration, sampling_rate : float
+            s, Hz.
+        amplitude, phase : float
+            Pa, rad.
+        fade : float
+            Length of a raised-cosine rise and fall, s.
+
+        Examples
+        --------
+        >>> Signal.tone(1e3, duration=0.01, sampling_rate=8e3).read(0, 3)
+        array([0.        , 0.70710678, 1.        ])
+        """
+        rate = _rate(sampling_rate)
+        duration = _duration(duration, rate)
+        fade = as_number("fade", fade, at_least=0.0, at_most=duration / 2, unit="s")
+        return cls(
+            Tone(
+                _frequency("frequency", frequency, rate), duration, as_number("amplitude", amplitude),
+                as_number("phase", phase), fade,
+            ),
+            rate,
+        )  # fmt: skip
+
+    @classmethod
+    def chirp(
+        cls,
+        start: float,
+        stop: float,
+        duration: float,
+        sampling_rate: float,
+        *,
+        method: str = "linear",
+        window: str = "none",
+        amplitude: float = 1.0,
+    ) -> Signal:
+        """Return a sweep from one frequency to another.
+
+        Parameters
+        ----------
+        start, stop : float
+            Above 0 and below half the sampling rate, Hz.
+        duration, sampling_rate : float
+            s, Hz.
+        method : {"linear", "exponential"}
+            How the frequency goes from start to stop.
+        window : {"none", "tukey", "hann"}
+            Envelope; ``"tukey"`` rises and falls within a tenth of the duration each.
+        amplitude : float
+            Pa.
+        """
+        rate = _rate(sampling_rate)
+        as_choice("method", method, ("linear", "exponential"))
+        as_choice("window", window, ("none", "tukey", "hann"))
+        return cls(
+            Chirp(
+                _frequency("start", start, rate), _frequency("stop", stop, rate), _duration(duration, rate), method,
+                {"none": 0.0, "tukey": 0.1, "hann": 0.5}[window], as_number("amplitude", amplitude),
+            ),
+            rate,
+        )  # fmt: skip
+
+    @classmethod
+    def pulses(cls, pulse: Signal, period: float, count: int) -> Signal:
+        """Return a pulse, repeated.
+
+        Parameters
+        ----------
+        pulse : Signal
+            What is repeated.
+        period : float
+            From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
+        count : int
+            At least 1.
+        """
+        if not isinstance(pulse, Signal):
+            raise InputError("pulse", f"must be a Signal, but is {pulse!r:.80}")
+        period = as_number("period", period, at_least=pulse.duration, unit="s")
+        if isinstance(pulse.waveform, Pulses):
+            raise InputError("pulse", "must be a single pulse, but is a train")
+        return cls(
+            Pulses(pulse.waveform, pulse.sampling_rate, period, as_count("count", count, at_least=1)).checked(
+                pulse.sampling_rate
+            ),
+            pulse.sampling_rate,
+        )
+
+    @classmethod
+    def noise(
+        cls,
+        duration: float,
+        sampling_rate: float,
+        seed: int,
+        *,
+        band: tuple[float, float] | None = None,
+        rms: float = 1.0,
+    ) -> Signal:
+        """Return Gaussian noise, the same for the same seed.
+
+        Parameters
+        ----------
+        duration, sampling_rate : float
+            s, Hz.
+        seed : int
+            At least 0.
+        band : (low, high), optional
+            Pass band, Hz; white up to half the sampling rate when left out.
+        rms : float
+            Root mean square, Pa.
+        """
+        rate = _rate(sampling_rate)
+        edges = None
+        if band is not None:
+            low, high = as_floats("band", band, (2,))
+            as_number("band[0]", float(low), at_least=0.0, unit="Hz")
+            as_number("band[1]", float(high), above=float(low), below=0.5 * rate, unit="Hz")
+            edges = (float(low), float(high))
+        return cls(
+            Noise(
+                _duration(duration, rate), as_count("seed", seed, at_least=0), edges,
+                as_number("rms", rms, at_least=0.0, unit="Pa"),
+            ),
+            rate,
+        )  # fmt: skip
+
+    @classmethod
+    def sequence(
+        cls,
+        *,
+        carrier: float,
+        chip_rate: float,
+        sampling_rate: float,
+        kind: str = "mls",
+        bits: int = 10,
+        code: int = 0,
+        repeats: int = 1,
+        rolloff: float = 0.5,
+        amplitude: float = 1.0,
+    ) -> Signal:
+        """Return a binary sequence on a carrier (BPSK), its chips shaped by a raised cosine.
+
+        Parameters
+        ----------
+        carrier, chip_rate, sampling_rate : float
+            Hz; the band is ``carrier`` plus and minus ``chip_rate (1 + rolloff) / 2``.
+        kind : {"mls", "gold"}
+            Maximum-length or Gold sequence of ``2**bits - 1`` chips.
+        bits : int
+            Register length: 2 to 16 for "mls"; 5, 6, 7, 9, 10 or 11 for "gold".
+        code : int
+            Which Gold sequence, from 0 to ``2**bits``; for "mls" the number of chips by which it is rotated.
+        repeats : int
+            Periods.
+        rolloff : float
+            From 0.05 to 1.
+        amplitude : float
+            Pa.
+        """
+        rate = _rate(sampling_rate)
+        as_choice("kind", kind, SEQUENCES)
+        chip_rate = as_number("chip_rate", chip_rate, above=0.0, below=0.5 * rate, unit="Hz")
+        rolloff = as_number("rolloff", rolloff, at_least=0.05, at_most=1.0)
+        half = 0.5 * chip_rate * (1.0 + rolloff)
+        carrier = as_number("carrier", carrier, at_least=half, at_most=0.5 * rate - half, unit="Hz")
+        repeats = as_count("repeats", repeats, at_least=1)
+        samples = raised_cosine_sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, rate)
+        return cls(Samples(read_only(as_number("amplitude", amplitude) * samples), carrier), rate)
+
+    @classmethod
+    def from_array(cls, samples: Any, sampling_rate: float) -> Signal:
+        """Return a signal from samples (n,) in Pa.
+
+        Examples
+        --------
+        >>> Signal.from_array([0.0, 1.0, 0.0], 48e3).read(-1, 2)
+        array([0., 0., 1.])
+        """
+        return cls(Samples(as_floats("samples", samples, (None,)), None), _rate(sampling_rate))
+
+    @classmethod
+    def from_wav(cls, path: str | PathLike[str], *, channel: int = 0, scale: float = 1.0) -> Signal:
+        """Return one channel of a sound file; full scale (1.0) becomes `scale` Pa.
+
+        Raises
+        ------
+        InputError
+            If the file is missing or no sound file, has no such channel, or holds NaN.
+        """
+        import soundfile
+
+        channel = as_count("channel", channel, at_least=0)
+        scale = as_number("scale", scale)
+        try:
+            with soundfile.SoundFile(path) as file:
+                if channel >= file.channels:
+                    raise InputError("channel", f"must be below {file.channels}, the file's channels, but is {channel}")
+                rate = float(file.samplerate)
+                parts = [block[:, channel] for block in file.blocks(65536, dtype="float32", always_2d=True)]
+        except (OSError, RuntimeError) as error:
+            raise InputError("path", f"must be a sound file, but {error}") from error
+        samples = np.concatenate(parts) if parts else np.empty(0, dtype=np.float32)
+        if not len(samples):
+            raise InputError("path", f"must hold sound, but {path} is empty")
+        if not np.all(np.isfinite(samples)):
+            raise InputError("path", f"must hold finite samples, but [{np.argmin(np.isfinite(samples))}] of {path} is not")
+        samples *= scale
+        return cls(Samples(read_only(samples), None), _rate(rate))
+
+
+def _rate(sampling_rate: float) -> float:
+    return as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+
+
+def _duration(duration: float, rate: float) -> float:
+    return as_number("duration", duration, at_least=1.0 / rate, at_most=1e7, unit="s")
+
+
+def _frequency(field: str, frequency: float, rate: float) -> float:
+    return as_number(field, frequency, above=0.0, below=0.5 * rate, unit="Hz")

@@ -1,0 +1,95 @@
+"""Checks of what describes a motion: places, lengths of time, increasing times."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clsim.arrays import Floats, as_choice, as_floats, as_number
+from clsim.errors import InputError
+
+FARTHEST = 1e8  # m, bound of coordinates: where float64 still resolves 15 nm
+SHORTEST, LONGEST = 1e-9, 1e9  # s, bounds of lengths of time
+
+
+def as_span(field_name: str, value: Any) -> float:
+    """Return a length of time, s.
+
+    Raises
+    ------
+    InputError
+        If it is not above 0, or absurd.
+    """
+    as_number(field_name, value, above=0.0, unit="s")
+    return as_number(field_name, value, at_least=SHORTEST, at_most=LONGEST, unit="s")
+
+
+def as_places(field_name: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
+    """Return positions, m.
+
+    Raises
+    ------
+    InputError
+        If they are not finite or have another shape, or a coordinate is absurd.
+    """
+    places = as_floats(field_name, value, shape)
+    far = np.argwhere(np.abs(places) > FARTHEST)
+    if len(far):
+        index = "".join(f"[{i}]" for i in far[0])
+        raise InputError(
+            field_name + index, f"must be within {FARTHEST:g} m, but is {places[tuple(far[0])]:g} m"
+        )
+    return places
+
+
+def as_increasing(times: Any) -> Floats:
+    """Return the field ``times`` (n,) s.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, or they do not increase strictly (by 1 ns).
+    """
+    t = as_floats("times", times, (None,))
+    if len(t) < 2:
+        raise InputError("times", f"must hold at least two, but holds {len(t)}")
+    if np.abs(t).max() > 2.0 * LONGEST:  # seconds since 1970 pass
+        i = int(np.argmax(np.abs(t)))
+        raise InputError(f"times[{i}]", f"must be within {2.0 * LONGEST:g} s, but is {t[i]:g} s")
+    late = np.flatnonzero(np.diff(t) < SHORTEST)
+    if len(late):
+        i = int(late[0])
+        raise InputError(
+            "times",
+            f"must increase strictly, but [{i + 1}] = {t[i + 1]:.12g} s follows [{i}] = {t[i]:.12g} s",
+        )
+    return t
+
+
+def as_choices(field_name: str, values: Any, choices: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a tuple of names.
+
+    Raises
+    ------
+    InputError
+        If it is no list, or one of them is not among the choices.
+    """
+    if not isinstance(values, list | tuple):
+        raise InputError(field_name, f"must be a list of names, but is {values!r:.80}")
+    return tuple(as_choice(f"{field_name}[{i}]", value, choices) for i, value in enumerate(values))
+
+
+def as_path(value: Any) -> Path:
+    """Return the field ``path``.
+
+    Raises
+    ------
+    InputError
+        If it is neither text nor a path.
+    """
+    if not isinstance(value, str | PathLike) or not str(value).strip():
+        raise InputError("path", f"must be the path of a file, but is {value!r:.80}")
+    return Path(value)

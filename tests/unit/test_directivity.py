@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+
+from clsim.acoustics.directivity import piston_gain
+from clsim.errors import InputError
+from clsim.scene.directivity import DIRECTIVITY_NAMES, Cardioid, Directivity, Omni, Piston, named_directivity
+
+ANGLES = np.radians(np.linspace(0.0, 180.0, 181))
+ALL = [Omni(), Cardioid(0.0), Cardioid(0.25), Cardioid(), Cardioid(1.0), Piston(0.0047), Piston(0.1)]
+
+
+@pytest.mark.parametrize("directivity", ALL, ids=repr)
+def test_gain_is_one_on_the_axis_and_nowhere_more(directivity):
+    gain = directivity.gain(np.cos(ANGLES), 40e3, 343.0)
+    assert gain.shape == ANGLES.shape
+    assert gain[0] == pytest.approx(1.0, rel=1e-15)
+    assert np.all(np.abs(gain) <= 1.0 + 1e-15)
+    assert isinstance(directivity, Directivity)
+
+
+@pytest.mark.parametrize("directivity", ALL, ids=repr)
+def test_gain_keeps_the_shape(directivity):
+    assert directivity.gain(np.zeros((3, 4)), 40e3, 343.0).shape == (3, 4)
+
+
+def test_first_order_patterns():
+    sides = np.array([1.0, 0.0, -1.0])
+    np.testing.assert_array_equal(Omni().gain(sides, 1e3, 343.0), [1, 1, 1])
+    np.testing.assert_array_equal(Cardioid(1.0).gain(sides, 1e3, 343.0), [1, 1, 1])
+    np.testing.assert_array_equal(Cardioid(0.5).gain(sides, 1e3, 343.0), [1, 0.5, 0])
+    np.testing.assert_array_equal(Cardioid(0.25).gain(sides, 1e3, 343.0), [1, 0.25, -0.5])
+    np.testing.assert_array_equal(Cardioid(0.0).gain(sides, 1e3, 343.0), [1, 0, -1])
+
+
+def test_piston_is_the_integral_over_its_face():
+    # Far field of a disc: the mean of exp(i k x sin(theta)) over it. With x = a sin(u) the midpoint rule
+    # over u converges faster than any power, so 1e-12 is rounding.
+    frequency, c, radius = 40e3, 343.0, 0.01
+    u = (np.arange(200) + 0.5) * np.pi / 200 - np.pi / 2
+    wavenumber = 2 * np.pi * frequency / c
+    for angle in np.radians([0.0, 1e-4, 1.0, 20.0, 45.0, 70.0, 90.0]):
+        phase = wavenumber * radius * np.sin(u) * np.sin(angle)
+        integral = np.sum(np.cos(phase) * np.cos(u) ** 2) / np.sum(np.cos(u) ** 2)
+        assert piston_gain(np.cos(angle), frequency, radius, c) == pytest.approx(integral, abs=1e-12)
+
+
+def test_piston_has_no_seam_near_the_axis():
+    # Either side of the switch to the series, x = 1e-4, the gain differs from 1 by x^2/8 to rounding.
+    frequency, c, radius = 343.0 / (2 * np.pi), 343.0, 1.0
+    for x in (0.99e-4, 1.01e-4):
+        gain = piston_gain(np.sqrt(1.0 - x**2), frequency, radius, c)
+        assert gain == pytest.approx(1.0 - x**2 / 8.0, abs=1e-15)
+
+
+def test_piston_keeps_its_value_at_the_baffle_behind_it():
+    gain = Piston(0.0047).gain(np.array([0.0, -1e-9, -0.5, -1.0]), 40e3, 343.0)
+    assert np.all(gain == gain[0])
+    assert gain[0] != pytest.approx(1.0, abs=0.5)
+
+
+def test_piston_is_omnidirectional_at_low_frequency():
+    # 1 - (ka)^2/8 at 90 degrees.
+    ka = 2 * np.pi * 100.0 * 0.0047 / 343.0
+    assert Piston(0.0047).gain(np.zeros(1), 100.0, 343.0)[0] == pytest.approx(1 - ka**2 / 8, abs=ka**4 / 100)
+
+
+@pytest.mark.parametrize("name", DIRECTIVITY_NAMES)
+def test_named_transducers_have_a_beam_of_80_degrees(name):
+    # The piston's radius has two digits: 1 % of it moves the level at 40 degrees by 0.13 dB.
+    gain = named_directivity(name).gain(np.cos(np.radians([40.0, 35.0, 45.0])), 40e3, 343.994)
+    level = 20 * np.log10(gain)
+    assert level[0] == pytest.approx(-6.02, abs=0.13)
+    assert level[2] < -6.5
+    assert level[1] > -5.5
+
+
+def test_bad_values_are_refused_by_name():
+    for weight in (-0.1, 1.1, np.nan, "0.5", None):
+        with pytest.raises(InputError) as error:
+            Cardioid(weight)
+        assert error.value.field == "weight"
+    for radius in (0.0, -1.0, np.inf, None):
+        with pytest.raises(InputError) as error:
+            Piston(radius)
+        assert error.value.field == "radius"
+    with pytest.raises(InputError, match="MA40S4R") as error:
+        named_directivity("MA40")
+    assert error.value.field == "name"
+
+
+def test_directivities_are_values():
+    assert Piston(0.0047) == named_directivity("MA40S4S")
+    assert len({Omni(), Omni(), Cardioid(), Cardioid(0.5)}) == 2
+    assert [d.kind for d in (Omni(), Cardioid(), Piston(1.0))] == ["omni", "cardioid", "piston"]
