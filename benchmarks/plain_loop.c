@@ -24,7 +24,7 @@ void render(const float *branches, long stride, int count, long lead, const int 
     EACH for (int i = 0; i < LANES; i++) sample[j][i] = (float)(j * LANES + i) - 0.5f * (GROUP - 1);
     for (int g = first_group; g < last_group; g++) {
         const int block = g / block_groups;
-        const float t = (float)(2 * (g - block * block_groups) + 1 - block_groups) / (float)block_groups;
+        const float t = (float)(2 * (g - block * block_groups) * GROUP + GROUP - 1) * (0.5f * per_sample) - 1.0f;
         vec sum[VECTORS], mu[VECTORS], value[VECTORS];
         EACH sum[j] = sample[j] * 0.0f;
         for (int p = 0; p < paths; p++) {

@@ -32,7 +32,8 @@ void render(__global const float* branches,     // [FUNCTIONS][BRANCHES][stride]
         const int tile_end = min(tile + TILE, first_slot[receiver + 1]);
         for (int g = first_group; g < last_group; g++) {
             const int block = g / block_groups;
-            const float t = (float)(2 * (g - block * block_groups) + 1 - block_groups) / (float)block_groups;
+            // The middle of the group lies half a sample before the middle of its span.
+            const float t = (float)(2 * (g - block * block_groups) * GROUP + GROUP - 1) * (0.5f * per_sample) - 1.0f;
             vec group_sum[VECTORS];
             for (int j = 0; j < VECTORS; j++) group_sum[j] = 0.0f;
             for (int slot = tile; slot < tile_end; slot += BATCH) {

@@ -153,7 +153,7 @@ def _warn_if_rough(curve: Piecewise, times: Floats) -> None:
     if acceleration[i] > _ROUGH:
         warnings.warn(
             f"trajectory: accelerates by {acceleration[i]:.3g} m/s² at {times[i]:.6g} s, more than "
-            f"{_ROUGH:g}: the noise may not be white (dropouts, filtered capture); smooth=<metres> smooths more",
+            f"{_ROUGH:g}: the noise may not be white (dropouts, filters); smooth=<metres> smooths more",
             ClsimWarning,
             stacklevel=4,
         )

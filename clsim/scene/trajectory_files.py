@@ -334,7 +334,7 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
             f"{steps[i - 1]:.4g} s after {poses.stamps[i - 1]}; bridge it by max_gap= or repair=('gaps',)",
         )
     note = (
-        f"Bridged {len(wide)} gaps longer than {longest:.4g} s, the first before line {poses.lines[i]}, "
+        f"Bridged {len(wide)} gap{'s' if len(wide) > 1 else ''} longer than {longest:.4g} s, the first before line {poses.lines[i]}, "
         f"the longest {steps.max():.4g} s."
     )
     return replace(poses, notes=(*poses.notes, note))

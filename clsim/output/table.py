@@ -1,0 +1,101 @@
+"""Path tables as files."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.output.atomic import atomic_path
+from clsim.paths.path_table import PathTable
+
+_NAMES = ("source_names", "receiver_names", "wall_names")
+_ROW_GROUP = 1_000_000  # rows of a Parquet file written at a time
+
+
+def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
+    """Write a path table as ``.npz`` (arrays as in `PathTable`) or ``.parquet`` (a row per path and time).
+
+    Raises
+    ------
+    InputError
+        If the suffix is another, or pyarrow is missing for Parquet.
+    OSError
+        If the file cannot be written; nothing is left of it then.
+    """
+    suffix = Path(path).suffix
+    if suffix == ".npz":
+        with atomic_path(path) as temporary:
+            columns: dict[str, Any] = {f.name: getattr(table, f.name) for f in dataclasses.fields(table)}
+            np.savez_compressed(temporary, **{k: np.array(v) if k in _NAMES else v for k, v in columns.items()})
+    elif suffix == ".parquet":
+        _write_parquet(table, path)
+    else:
+        raise InputError("path", f"must end in .npz or .parquet, but is {str(path)!r}")
+
+
+def read_table(path: str | os.PathLike[str]) -> PathTable:
+    """Read a path table that `write_table` wrote as ``.npz``.
+
+    Raises
+    ------
+    InputError
+        If the file is none.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            columns: dict[str, Any] = {f.name: file[f.name] for f in dataclasses.fields(PathTable)}
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError("path", f"must be a path table (.npz), but {error}") from error
+    return PathTable(**{k: tuple(map(str, v)) if k in _NAMES else v for k, v in columns.items()})
+
+
+def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise InputError("table", 'Parquet needs pyarrow: pip install "clsim[parquet]"') from error
+    step = max(1, _ROW_GROUP // len(table.times))
+    walls = [",".join(table.wall_names[w] for w in row if w >= 0) for row in table.walls]
+    with atomic_path(path) as temporary:
+        writer = None
+        try:
+            for first in range(0, len(table.source), step):
+                rows = range(first, min(first + step, len(table.source)))
+                piece = pa.table(_long(table, rows, walls))
+                writer = writer or parquet.ParquetWriter(temporary, piece.schema)
+                writer.write_table(piece)
+        finally:
+            if writer is not None:
+                writer.close()
+
+
+def _long(table: PathTable, rows: range, walls: list[str]) -> dict[str, Any]:
+    """Return the columns of some paths, a row per path and time at which it is heard."""
+    part = slice(rows.start, rows.stop)
+    count = len(table.times)
+    heard = np.isfinite(table.delay[part]).ravel()
+
+    def per_path(values: Any) -> Any:
+        return np.repeat(np.asarray(values), count)[heard]
+
+    columns = {
+        "time": np.tile(table.times, len(rows))[heard],
+        "path": per_path(np.arange(rows.start, rows.stop)),
+        "source": per_path([table.source_names[s] for s in table.source[part]]),
+        "receiver": per_path([table.receiver_names[r] for r in table.receiver[part]]),
+        "order": per_path(table.order[part]),
+        "walls": per_path([walls[p] for p in rows]),
+        "direct": per_path(table.direct[part]),
+    }
+    for name in ("delay", "doppler", "gain"):
+        columns[name] = getattr(table, name)[part].ravel()[heard]
+    for name in ("departure", "arrival"):
+        for axis in range(3):
+            columns[f"{name}_{'xyz'[axis]}"] = getattr(table, name)[part, :, axis].ravel()[heard]
+    return columns

@@ -1,0 +1,95 @@
+"""WAV files of 32-bit floats, written piece by piece."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.errors import InputError
+from clsim.output.atomic import temporary_path
+
+_LARGEST_WAV = 2**32 - 2**16  # bytes; beyond that RF64
+
+
+class WavWriter:
+    """Writes a WAV file of 32-bit floats; it gets its name when the block ends well, and is deleted otherwise.
+
+    Parameters
+    ----------
+    path : path-like
+        Where the file is to be.
+    sampling_rate : float
+        A whole number of Hz, since the format holds nothing else.
+    channels : int
+        Number of channels.
+    samples : int, optional
+        How many will be written, if known: above 4 GiB the file becomes an RF64.
+
+    Raises
+    ------
+    InputError
+        If the sampling rate is no whole number.
+    OSError
+        If the file cannot be written; nothing is left of it then.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.wav"
+    >>> with WavWriter(path, 500e3) as writer:
+    ...     writer.write(np.zeros(10, dtype=np.float32))
+    >>> path.exists()
+    True
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], sampling_rate: float, channels: int = 1, samples: int | None = None
+    ) -> None:
+        import soundfile
+
+        if sampling_rate != round(sampling_rate):
+            raise InputError("sampling_rate", f"must be a whole number of Hz for a WAV file, but is {sampling_rate!r} Hz")
+        self._path = Path(path)
+        self._temporary = temporary_path(self._path)
+        large = samples is not None and 4 * channels * samples > _LARGEST_WAV
+        try:
+            self._file = soundfile.SoundFile(
+                self._temporary, "w", samplerate=int(sampling_rate), channels=channels, subtype="FLOAT",
+                format="RF64" if large else "WAV",
+            )  # fmt: skip
+        except soundfile.LibsndfileError as error:
+            raise OSError(f"cannot write {self._path}: {error}") from error
+
+    def write(self, samples: NDArray[Any]) -> None:
+        """Append samples (n,) or (n, channels).
+
+        Raises
+        ------
+        OSError
+            If they do not fit on the disk.
+        """
+        before = self._file.frames
+        try:
+            self._file.write(np.ascontiguousarray(samples, dtype=np.float32))
+        except (RuntimeError, AssertionError) as error:  # libsndfile reports a full disk as a short write
+            raise OSError(f"cannot write {self._path}: {error or 'disk full'}") from error
+        if self._file.frames - before != len(samples):
+            raise OSError(f"cannot write {self._path}: disk full")
+
+    def __enter__(self) -> WavWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._file.close()
+            if kind is None:
+                self._temporary.replace(self._path)
+        finally:
+            self._temporary.unlink(missing_ok=True)
