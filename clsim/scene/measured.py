@@ -18,9 +18,9 @@ from clsim.scene.smoothing import smooth_by_cross_validation, smooth_by_residual
 _BEACON = 40e3  # Hz, at which noise is told as Doppler
 _SPEED_OF_SOUND = 343.0  # m/s, for that figure alone
 _ROUGH = 50.0  # m/s², acceleration that hands, robots and drones hardly reach
-# Speed noise at the points of a cubic spline through white noise of unit deviation and unit step: the mean
-# square of 3 sin ω / (2 + cos ω) over ω is 9 (2/√3 − 1).
-_SPEED_NOISE = 3.0 * math.sqrt(2.0 / math.sqrt(3.0) - 1.0)
+# Speed noise of a cubic spline through white noise of unit deviation and unit step, rms over time: the square
+# is the mean over ω of (3 / (2 + cos ω))² (2 − 2 cos ω) (66 + 52 cos ω + 2 cos 2ω) / 120, from B-splines.
+_SPEED_NOISE = 1.5731
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,8 +93,8 @@ def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: 
         speed = speed_noise(times, positions)
         doppler = _BEACON * speed / _SPEED_OF_SOUND
         note = (
-            f"Not smoothed: noise in the positions makes the speed noisy by {1e3 * speed:.2g} mm/s rms, "
-            f"which is about {doppler:.2g} Hz of Doppler noise at 40 kHz."
+            f"Not smoothed: noise of the positions makes the speed noisy, by {1e3 * speed:.2g} mm/s rms "
+            f"along the noisiest axis, which is about {doppler:.2g} Hz of Doppler noise at 40 kHz."
         )
         warnings.warn(f"trajectory: {note}", ClsimWarning, stacklevel=3)
         return Fit(spline_through(times, place(positions), "not-a-knot"), None, (note,))
@@ -126,25 +126,25 @@ def speed_noise(times: Floats, positions: Floats) -> float:
     Returns
     -------
     float
-        Over all three axes together.
+        Along the noisiest axis, over time.
 
     Notes
     -----
     The k-th difference of white noise of variance σ² has the variance ``σ² binom(2k, k)``, while that of a
     smooth motion vanishes as the step to the power k; k = 5 here. The spline turns σ into
-    ``3 √(2/√3 − 1) σ / step`` of speed.
+    ``1.573 σ / step`` of speed.
 
     Examples
     --------
     >>> import numpy as np
     >>> t = np.linspace(0.0, 10.0, 1001)
     >>> noise = np.random.default_rng(1).normal(scale=1e-4, size=(1001, 3))
-    >>> round(speed_noise(t, noise + np.sin(t)[:, None]), 3)  # 1.18 * 1e-4 * sqrt(3) / 0.01
-    0.02
+    >>> round(speed_noise(t, noise + np.sin(t)[:, None]), 3)  # 1.573 * 1e-4 / 0.01
+    0.016
     """
     order = min(5, len(times) - 1)
     variance = np.mean(np.diff(positions, n=order, axis=0) ** 2, axis=0) / math.comb(2 * order, order)
-    return _SPEED_NOISE * math.sqrt(float(np.sum(variance))) / float(np.median(np.diff(times)))
+    return _SPEED_NOISE * math.sqrt(float(np.max(variance))) / float(np.median(np.diff(times)))
 
 
 def _warn_if_rough(curve: Piecewise, times: Floats) -> None:

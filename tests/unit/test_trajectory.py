@@ -356,8 +356,9 @@ def test_cross_validation_does_not_depend_on_the_units(rng):
 def test_cross_validation_leaves_exact_data_and_flattens_pure_noise(rng):
     t = np.linspace(0.0, 2.0, 401)
     exact = smoothing.smooth_by_cross_validation(t, circle_positions(t))
-    # At the least strength λ = 1e-6 the residual is λ times the fourth difference, (2 π / 200)⁴ = 1e-6.
-    assert np.all(exact.residual < 1e-11)
+    # At the least strength λ = 1e-6 the residual is λ times the fourth difference, (2 π / 200)⁴ = 1e-6, but
+    # λ times the second, 1e-3, at both ends, where the spline may not bend: 1e-9 sqrt(2 / 401) in all.
+    assert np.all(exact.residual < 1.5e-10)
     noise = 1e-4 * rng.normal(size=(401, 1))
     flat = smoothing.smooth_by_cross_validation(t, noise)
     assert flat.residual[0] == pytest.approx(np.std(noise), rel=0.03)
@@ -377,4 +378,4 @@ def test_smoothing_bears_times_that_nearly_coincide(rng):
     y = np.sin(t)[:, None] + 1e-3 * rng.normal(size=(501, 1))
     smoothed = smoothing.smooth_by_cross_validation(t, y)
     assert smoothed.residual[0] == pytest.approx(1e-3, rel=0.1)
-    assert np.abs(smoothed.points[:, 0] - np.sin(t)).max() < 1e-3
+    assert np.abs(smoothed.points[150:250, 0] - np.sin(t[150:250])).max() < 5e-4
