@@ -50,7 +50,10 @@ class _Material(_Model):
         if len(given) != 1:
             raise InputError("", f"must have one of reflection, named, absorption, but has {', '.join(given) or 'none'}")
         if self.reflection is not None:
-            return Material.from_reflection(self.reflection)
+            factor = self.reflection
+            if not -1.0 <= factor <= 1.0:
+                raise InputError("reflection", f"must be from -1 to 1, but is {factor:g}")
+            return Material.from_reflection(factor)
         if self.named is not None:
             return Material.named(self.named)
         assert self.absorption is not None

@@ -2,6 +2,7 @@
 // derivatives are exact, Catmull-Rom for the gain. Cubics are in t, -1 at the block's start and 1 at its end.
 
 #define COEFFICIENTS (4 + 4 * FUNCTIONS)
+#define ROUNDING 6755399441055744.0  // 1.5 * 2^52: adding and taking it away rounds to a whole number
 
 typedef struct {
     double delay[4], rate[4];  // s, and by the time of reception
@@ -14,7 +15,7 @@ static void write_block(const window* node, int block, int slots, int slot, doub
     __global float* c = cubics + (long)block * COEFFICIENTS * slots + slot;
     const double p0 = node->delay[1] * sampling_rate + late, p1 = node->delay[2] * sampling_rate + late;
     const double e0 = node->rate[1] * (0.5 * BLOCK), e1 = node->rate[2] * (0.5 * BLOCK);
-    const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = rint(centre);
+    const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING) - ROUNDING;
     delay[block * slots + slot] = (int)whole;
     c[0] = (float)(centre - whole);
     c[slots] = (float)(0.75 * (p1 - p0) - 0.25 * (e0 + e1));
@@ -28,14 +29,14 @@ static void write_block(const window* node, int block, int slots, int slot, doub
     c[7 * slots] = 0.25f * (s0 + s1) - 0.25f * (g1 - g0);
 }
 
-// Largest error of those cubics as pressure at full scale: the Hermite remainder h^4 f''''/384 of the delay turned
+// Square of the largest error of those cubics as pressure at full scale: the Hermite remainder h^4 f''''/384 of the delay turned
 // into phase, and 0.02 of the gain's third difference (0.016 is that of Catmull-Rom), both from differences of nodes.
-static float block_error(const window* node, float angular_frequency, double block_time)
+static float block_error_squared(const window* node, float angular_frequency, double block_time)
 {
     const double* r = node->rate;
     const float* g = node->gain;
     const float late = (float)((r[3] - r[0] + 3.0 * (r[1] - r[2])) * block_time) / 384.0f;
     const float change = 0.02f * (g[3] - g[0] + 3.0f * (g[1] - g[2]));
     const float phase = angular_frequency * late * g[1];
-    return sqrt(phase * phase + change * change);
+    return phase * phase + change * change;
 }

@@ -19,31 +19,34 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      int blocks,
                      __global int* delay,                  // [blocks][slots]
                      __global float* cubics,               // [blocks][COEFFICIENTS][slots]
-                     __global float4* found)               // [walks][slots]: error, largest gain, delays
+                     __global float4* found)               // [walks][slots]: error squared, largest gain, delays
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
-    const int first = walk * WALK, last = min(first + WALK, blocks);
-    const motion path = {knots, knot_count, knot_first, knot_rate, speed_of_sound};
+    const int first = walk * WALK, last = first + WALK < blocks ? first + WALK : blocks;
+    const motion path = {knots, knot_count, knot_first, knot_rate, 1.0 / speed_of_sound};
     const triple offset = {image_offset[slot], image_offset[slots + slot], image_offset[2 * slots + slot]};
     __global const double* row = receivers + ((long)receiver_of[slot] * nodes + first) * 9;
+    __global const float4* receiver_beam = receiver_beams + receiver_of[slot] * CELLS;
     const double block_time = (double)BLOCK / sampling_rate;
     const float factor = reflection[slot];
     window w = {{0.0}, {0.0}, {0.0f}};
-    float4 stats = (float4)(0.0f, 0.0f, 1e30f, -1e30f);
+    float error = 0.0f, largest = 0.0f, shortest = 1e30f, longest = -1e30f;
     for (int n = first; n < last + 3; n++, row += 9) {
         const triple position = turned_back(image_matrix, slots, slot, difference(at_row(row), offset));
         const triple velocity = turned_back(image_matrix, slots, slot, at_row(row + 3));
-        const triple axis = turned_back(image_matrix, slots, slot, at_row(row + 6));
+        triple axis = {0.0, 0.0, 0.0};
+#if RECEIVER_BEAM
+        axis = turned_back(image_matrix, slots, slot, at_row(row + 6));
+#endif
         const double time = start + (double)(n - 1) * block_time;
-        const double rate = n == first + 1 ? w.rate[3] : 1.5 * w.rate[3] - 0.5 * w.rate[2];
         arrival a;
-        double predicted = w.delay[3] + block_time * rate;
         if (n == first) {
-            locate(&path, time, &a);
-            const triple apart = difference(position, cubic(a.knot, a.u));
-            predicted = sqrt(inner(apart, apart)) / speed_of_sound;
+            settle(&path, position, velocity, time, &a);
+        } else {
+            const double rate = n == first + 1 ? w.rate[3] : 1.5 * w.rate[3] - 0.5 * w.rate[2];
+            a.delay = w.delay[3] + block_time * rate;
+            newton_step(&path, position, velocity, time, &a);
         }
-        solve_delay(&path, position, velocity, time, predicted, n == first ? 8 : 0, &a);
         for (int i = 0; i < 3; i++) {
             w.delay[i] = w.delay[i + 1];
             w.rate[i] = w.rate[i + 1];
@@ -51,16 +54,17 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         }
         w.delay[3] = a.delay;
         w.rate[3] = a.rate;
-        w.gain[3] = path_gain(&a, speed_of_sound, factor, nepers, axis, source_beam,
-                              receiver_beams + receiver_of[slot] * CELLS);
-        stats.z = fmin(stats.z, (float)a.delay);
-        stats.w = fmax(stats.w, (float)a.delay);
+        w.gain[3] = path_gain(&a, speed_of_sound, factor, nepers, axis, source_beam, receiver_beam);
+        const float delay_now = (float)a.delay, gain_now = w.gain[3] < 0.0f ? -w.gain[3] : w.gain[3];
+        shortest = delay_now < shortest ? delay_now : shortest;
+        longest = delay_now > longest ? delay_now : longest;
+        largest = gain_now > largest ? gain_now : largest;
         if (n < first + 3) continue;
         write_block(&w, n - 3, slots, slot, sampling_rate, late, delay, cubics);
-        stats.y = fmax(stats.y, fabs(w.gain[1]));
-        if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
-            stats.x = fmax(stats.x, block_error(&w, angular_frequency, block_time));
+        if (time - a.delay >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
+            const float squared = block_error_squared(&w, angular_frequency, block_time);
+            error = squared > error ? squared : error;
         }
     }
-    found[walk * slots + slot] = stats;
+    found[walk * slots + slot] = (float4)(error, largest, shortest, longest);
 }

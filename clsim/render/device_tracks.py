@@ -162,7 +162,7 @@ class DeviceTracks:
 def _relative_error(found: NDArray[np.float32], slots: Slots) -> Floats:
     """Return the largest error of each segment, relative to the strongest arrival of the same receiver."""
     first = slots.first_slot[:-1]
-    error = np.maximum.reduceat(found[:, :, 0], first, axis=1)
+    error = np.sqrt(np.maximum.reduceat(found[:, :, 0], first, axis=1))
     strongest = np.maximum.reduceat(found[:, :, 1], first, axis=1)
     return np.asarray((error / np.maximum(strongest, 1e-30)).max(axis=1), dtype=np.float64)
 

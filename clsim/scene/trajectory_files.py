@@ -333,8 +333,9 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
             f"{poses.where(i)}: must follow within {longest:.4g} s ({rule}), but {poses.stamps[i]} is "
             f"{steps[i - 1]:.4g} s after {poses.stamps[i - 1]}; bridge it by max_gap= or repair=('gaps',)",
         )
+    gaps = "1 gap" if len(wide) == 1 else f"{len(wide)} gaps"
     note = (
-        f"Bridged {len(wide)} gap{'s' if len(wide) > 1 else ''} longer than {longest:.4g} s, the first before line {poses.lines[i]}, "
+        f"Bridged {gaps} longer than {longest:.4g} s, the first before line {poses.lines[i]}, "
         f"the longest {steps.max():.4g} s."
     )
     return replace(poses, notes=(*poses.notes, note))
