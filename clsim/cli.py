@@ -38,7 +38,9 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"clsim: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except MemoryError:
-        print("clsim: error: not enough memory; choose a smaller [render] chunk or max_order", file=sys.stderr)
+        print(
+            "clsim: error: not enough memory; choose a smaller [render] chunk or max_order", file=sys.stderr
+        )
         return 2
     except KeyboardInterrupt:
         print("clsim: interrupted; nothing half-written was left", file=sys.stderr)
@@ -51,13 +53,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    run = _command(commands, "run", _run, "render a scene file into a folder of sound files, tables and pictures")
-    run.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the results go")
+    run = _command(
+        commands, "run", _run, "render a scene file into a folder of sound files, tables and pictures"
+    )
+    run.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the results go"
+    )
     run.add_argument("--force", action="store_true", help="write over results that are already there")
     run.add_argument(
-        "--table", choices=("npz", "parquet", "none"), default="npz", help="format of the path table (default: npz)"
+        "--table",
+        choices=("npz", "parquet", "none"),
+        default="npz",
+        help="format of the path table (default: npz)",
     )
-    run.add_argument("--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)")
+    run.add_argument(
+        "--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)"
+    )
     run.add_argument("--no-plots", action="store_true", help="draw no pictures")
     run.add_argument("--device", help="OpenCL device, by id or part of its name (see `clsim devices`)")
     run.add_argument("--engine", choices=("opencl", "reference"), help="instead of the scene file's")
@@ -66,9 +77,15 @@ def _parser() -> argparse.ArgumentParser:
     _command(commands, "check", _check, "check a scene file and say what would be computed")
 
     paths = _command(commands, "paths", _paths, "list the paths of a scene file")
-    paths.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
-    paths.add_argument("--limit", type=int, default=40, metavar="ROWS", help="paths listed at most (default: 40)")
-    paths.add_argument("-o", "--output", type=Path, metavar="FILE", help="write all of them to a .npz or .parquet file")
+    paths.add_argument(
+        "--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)"
+    )
+    paths.add_argument(
+        "--limit", type=int, default=40, metavar="ROWS", help="paths listed at most (default: 40)"
+    )
+    paths.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="write all of them to a .npz or .parquet file"
+    )
 
     devices = commands.add_parser("devices", help="list the OpenCL devices of this machine")
     devices.set_defaults(command=_devices)
@@ -92,7 +109,9 @@ def _run(options: argparse.Namespace) -> int:
     folder: Path = options.output
     names = _file_names(plan.tracks.receiver_names)
     if not options.force and (folder / "scene.toml").exists():
-        raise InputError("--output", f"must hold no results yet, but {folder / 'scene.toml'} exists (--force writes over)")
+        raise InputError(
+            "--output", f"must hold no results yet, but {folder / 'scene.toml'} exists (--force writes over)"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     sounds = [folder / f"{name}.wav" for name in names]
     _write_sounds(plan, sounds)
@@ -130,14 +149,18 @@ def _paths(options: argparse.Namespace) -> int:
 
     _, paths, plan = _planned(options.scene, {})
     if not 0.0 <= options.at <= plan.duration:
-        raise InputError("--at", f"must lie within the recording, 0 to {plan.duration:g} s, but is {options.at:g} s")
+        raise InputError(
+            "--at", f"must lie within the recording, 0 to {plan.duration:g} s, but is {options.at:g} s"
+        )
     table = _table(paths, plan, np.array([options.at]))
     if options.output is not None:
         write_table(table, options.output)
         print(options.output)
         return 0
     rows = np.argsort(table.delay[:, 0], kind="stable")
-    print(f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10} {'doppler':>9}  walls")
+    print(
+        f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10} {'doppler':>9}  walls"
+    )
     for p in rows[: max(options.limit, 0)]:
         gain = 20 * np.log10(max(abs(table.gain[p, 0]), 1e-30))
         walls = " ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct"
@@ -202,7 +225,9 @@ def _write_sounds(plan: Plan, sounds: list[Path]) -> None:
 
     work = plan.path_count * plan.samples
     with ExitStack() as stack:
-        writers = [stack.enter_context(WavWriter(path, plan.sampling_rate, samples=plan.samples)) for path in sounds]
+        writers = [
+            stack.enter_context(WavWriter(path, plan.sampling_rate, samples=plan.samples)) for path in sounds
+        ]
         with _progress("rendering", work) as advance:
             for _, pressure in render_chunks(plan):
                 for writer, samples in zip(writers, pressure, strict=True):
@@ -213,7 +238,9 @@ def _write_sounds(plan: Plan, sounds: list[Path]) -> None:
 def _table_times(plan: Plan, rate: float) -> Any:
     """Return the table's times; fewer than asked where the table would grow beyond all use."""
     if not 0.0 < rate <= plan.sampling_rate:
-        raise InputError("--table-rate", f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
+        raise InputError(
+            "--table-rate", f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz"
+        )
     count = int(plan.duration * rate) + 1
     most = max(2, _LARGEST_TABLE // max(plan.path_count, 1))
     if count > most:

@@ -48,7 +48,9 @@ class _Material(_Model):
     def build(self) -> Material:
         given = self.model_dump(exclude_none=True)
         if len(given) != 1:
-            raise InputError("", f"must have one of reflection, named, absorption, but has {', '.join(given) or 'none'}")
+            raise InputError(
+                "", f"must have one of reflection, named, absorption, but has {', '.join(given) or 'none'}"
+            )
         if self.reflection is not None:
             factor = self.reflection
             if not -1.0 <= factor <= 1.0:
@@ -325,7 +327,9 @@ class _Paths(_Model):
 
 class _Render(_Model):
     sampling_rate: float
-    interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = _Bandlimited()
+    interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = (
+        _Bandlimited()
+    )
     motion: Literal["retarded", "quasi-static"] = "retarded"
     amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
     engine: Literal["opencl", "reference"] = "opencl"
@@ -458,7 +462,9 @@ def _explain(error: ValidationError, content: Any) -> InputError:
     field, at = "", content
     steps = first["loc"]
     for i, step in enumerate(steps):
-        known = isinstance(at, dict | list) and (step in at if isinstance(at, dict) else isinstance(step, int))
+        known = isinstance(at, dict | list) and (
+            step in at if isinstance(at, dict) else isinstance(step, int)
+        )
         if isinstance(step, str) and not known and i < len(steps) - 1:
             continue  # the name of a union's member, which no file holds
         if isinstance(step, str) and not known and first["type"] not in ("missing", "extra_forbidden"):
@@ -473,7 +479,9 @@ def _explain(error: ValidationError, content: Any) -> InputError:
     if kind == "union_tag_not_found":
         return InputError(f"{field}.kind", f"must be one of {_choices(error, field)}, but is missing")
     if kind == "union_tag_invalid":
-        return InputError(f"{field}.kind", f"must be one of {context['expected_tags']}, but is {context['tag']!r:.80}")
+        return InputError(
+            f"{field}.kind", f"must be one of {context['expected_tags']}, but is {context['tag']!r:.80}"
+        )
     message = first["msg"].replace("Input should be ", "must be ")
     return InputError(field, f"{message}, but is {first['input']!r:.80}")
 
@@ -482,5 +490,7 @@ def _choices(error: ValidationError, field: str) -> str:
     last = field.rpartition(".")[2].partition("[")[0]
     kinds = {"trajectory": _Trajectory, "signal": _Signal, "directivity": _Directivity, "pulse": _Pulse}
     union = kinds.get(last)
-    members = union.__origin__.__args__ if union is not None else (_Lagrange, _TruncatedLagrange, _Bandlimited)
+    members = (
+        union.__origin__.__args__ if union is not None else (_Lagrange, _TruncatedLagrange, _Bandlimited)
+    )
     return ", ".join(repr(m.model_fields["kind"].annotation.__args__[0]) for m in members)

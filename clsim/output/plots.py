@@ -73,10 +73,14 @@ def spectrogram(
         interpolation="nearest",
     )  # fmt: skip
     for times, frequencies, label in overlay or []:
-        axes.plot(times, np.asarray(frequencies) / 1e3, "--", color="white", linewidth=0.9, alpha=0.8, label=label)
+        axes.plot(
+            times, np.asarray(frequencies) / 1e3, "--", color="white", linewidth=0.9, alpha=0.8, label=label
+        )
     if overlay:
         axes.legend(loc="upper right", framealpha=0.4, facecolor="black", labelcolor="white")
-    axes.set(xlabel="time (s)", ylabel="frequency (kHz)", title=title, xlim=edges[:2], ylim=(low / 1e3, high / 1e3))
+    axes.set(
+        xlabel="time (s)", ylabel="frequency (kHz)", title=title, xlim=edges[:2], ylim=(low / 1e3, high / 1e3)
+    )
     figure.colorbar(shown, label="level (dB re 20 µPa in a window)")
     _save(figure, path)
 
@@ -152,7 +156,9 @@ def envelope(
             linestyle="-" if direct else "--", label=label if label not in seen else None,
         )  # fmt: skip
         seen.add(label)
-    axes.set(xlabel="time (ms)", ylabel="envelope (Pa)", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
+    axes.set(
+        xlabel="time (ms)", ylabel="envelope (Pa)", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None)
+    )
     axes.grid(alpha=0.3)
     if arrivals:
         axes.legend(loc="upper right")
@@ -162,7 +168,7 @@ def envelope(
 def _segment(count: int, sampling_rate: float, width: float) -> int:
     """Return a window's length: about as many bins across the band as columns over time, a power of two."""
     fine = 2.0 * math.sqrt(max(count, 1) * sampling_rate / max(width, 1.0))
-    return int(min(max(2 ** round(math.log2(max(fine, 64.0))), 128), 16384))
+    return int(min(max(2 ** round(math.log2(max(fine, 64.0))), 128), 65536))
 
 
 def _levels(

@@ -31,7 +31,9 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
     if suffix == ".npz":
         with atomic_path(path) as temporary:
             columns: dict[str, Any] = {f.name: getattr(table, f.name) for f in dataclasses.fields(table)}
-            np.savez_compressed(temporary, **{k: np.array(v) if k in _NAMES else v for k, v in columns.items()})
+            np.savez_compressed(
+                temporary, **{k: np.array(v) if k in _NAMES else v for k, v in columns.items()}
+            )
     elif suffix == ".parquet":
         _write_parquet(table, path)
     else:

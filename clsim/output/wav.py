@@ -48,12 +48,18 @@ class WavWriter:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], sampling_rate: float, channels: int = 1, samples: int | None = None
+        self,
+        path: str | os.PathLike[str],
+        sampling_rate: float,
+        channels: int = 1,
+        samples: int | None = None,
     ) -> None:
         import soundfile
 
         if sampling_rate != round(sampling_rate):
-            raise InputError("sampling_rate", f"must be a whole number of Hz for a WAV file, but is {sampling_rate!r} Hz")
+            raise InputError(
+                "sampling_rate", f"must be a whole number of Hz for a WAV file, but is {sampling_rate!r} Hz"
+            )
         self._path = Path(path)
         self._temporary = temporary_path(self._path)
         large = samples is not None and 4 * channels * samples > _LARGEST_WAV

@@ -105,4 +105,6 @@ class PathSet:
         count = len(self.source)
         for name in ("receiver", "order", "walls", "image_matrix", "image_offset", "start", "end"):
             if len(getattr(self, name)) != count:
-                raise InputError(name, f"must have one row per path, {count}, but has {len(getattr(self, name))}")
+                raise InputError(
+                    name, f"must have one row per path, {count}, but has {len(getattr(self, name))}"
+                )

@@ -60,12 +60,17 @@ class DeviceTracks:
         for source, emission in zip(scene.sources, plan.emissions, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
             error_db = getattr(plan.interpolator, "error_db", -90.0)
-            tolerance = 10 ** ((error_db - 6.0) / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.band)
-            self._knot_rates.append(knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance))
+            tolerance = (
+                10 ** ((error_db - 6.0) / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.band)
+            )
+            self._knot_rates.append(
+                knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
+            )
         frequencies = [s.signal.centre_frequency for s in scene.sources]
         c = scene.air.sound_speed
         self._source_beams = [
-            self._upload(_beam_cells(s.directivity, f, c)) for s, f in zip(scene.sources, frequencies, strict=True)
+            self._upload(_beam_cells(s.directivity, f, c))
+            for s, f in zip(scene.sources, frequencies, strict=True)
         ]
         # One receiver beam per launch: receivers with different beams are told apart by a table each.
         self._receiver_tables = [
@@ -125,7 +130,11 @@ class DeviceTracks:
         )  # fmt: skip
         cl.enqueue_copy(self._queue, found, on_device)
         return DeviceNodes(
-            delay, cubics, _relative_error(found, slots), float(found[..., 2].min()), float(found[..., 3].max())
+            delay,
+            cubics,
+            _relative_error(found, slots),
+            float(found[..., 2].min()),
+            float(found[..., 3].max()),
         )
 
     def _constants(self, source: int, block: int) -> dict[str, int]:

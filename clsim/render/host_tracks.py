@@ -72,7 +72,9 @@ class HostTracks:
                 partly.append((index, int(slots.path[here][slot]), int(k)))
             np.maximum(error, _by_segment(wrong, gain, block), out=error)
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
-        return HostNodes(self._upload(whole), self._upload(cubics), error, shortest, longest, start, block, partly)
+        return HostNodes(
+            self._upload(whole), self._upload(cubics), error, shortest, longest, start, block, partly
+        )
 
     def _heard(
         self, index: int, slots: Slots, here: slice, start: int, block: int, blocks: int

@@ -138,7 +138,9 @@ class OpenclEngine:
         rows, taps = emission.bank.taps.shape
         width = -(-(length + most - least) // channel) * channel
         stride = -(-width // 16) * 16
-        stride += 16 if (stride // 16) % 2 == 0 else 0  # whole pages apart, rows would fight for the same cache lines
+        stride += (
+            16 if (stride // 16) % 2 == 0 else 0
+        )  # whole pages apart, rows would fight for the same cache lines
         first = start - most
         emitted = np.zeros(stride + taps + channel, dtype=np.float32)
         before = first - (taps - 1) + emission.bank.centre
@@ -175,7 +177,14 @@ class _Run:
     """Renders one batch of receivers over one chunk, choosing the block length for each segment."""
 
     def __init__(
-        self, engine: OpenclEngine, source: int, slots: Slots, branches: _Branches, pressure: Any, length: int, start: int
+        self,
+        engine: OpenclEngine,
+        source: int,
+        slots: Slots,
+        branches: _Branches,
+        pressure: Any,
+        length: int,
+        start: int,
     ) -> None:
         self._engine, self._plan = engine, engine._plan
         self._source, self._slots, self._branches = source, slots, branches
@@ -193,7 +202,9 @@ class _Run:
         for at in range(first, last, step):
             upto = min(at + step, last)
             begin, end = at * SEGMENT, min(upto * SEGMENT, self._length)
-            nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
+            nodes = self._engine._tracks.nodes(
+                self._state, self._start + begin, block, (end - begin) // block
+            )
             self._check(nodes.shortest, nodes.longest)
             coarse = nodes.error > self._tolerance
             coarse &= level + 1 < len(BLOCKS)
@@ -201,7 +212,9 @@ class _Run:
                 if coarse[a]:
                     self.cover(at + a, at + b, level + 1)
                 else:
-                    self._render(nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block)
+                    self._render(
+                        nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block
+                    )
                     self.edges += nodes.edges(a * SEGMENT // block, b * SEGMENT // block)
 
     def _check(self, shortest: float, longest: float) -> None:
@@ -248,4 +261,3 @@ def _batches(plan: Plan, groups: list[int]) -> list[tuple[int, int]]:
         count += paths
     batches.append((first, len(groups)))
     return batches
-

@@ -18,7 +18,7 @@ from clsim.scene.scene import Scene
 from clsim.scene.signal import Signal
 
 ENGINES = ("opencl", "reference")
-SEGMENT = 9216  # samples; chunks are whole segments, and the block length is chosen for each segment
+SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
 BLOCKS = (384, 192, 96)  # samples in a block, divisors of a segment, tried in this order
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 _PRESSURE_BUDGET = 64 * 2**20  # bytes of output held at a time
@@ -88,12 +88,16 @@ class Plan:
     @property
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
-        span = max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
+        span = (
+            max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
+        )
         rows = max(len(e.bank.taps) for e in self.emissions)
         per_segment = 36 * (SEGMENT // BLOCKS[-1]) * max(len(group) for group in self.tracks.groups)
         nodes = max(NODE_BUDGET, per_segment)
         paths = self.path_count * 150
-        return int(4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths)
+        return int(
+            4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths
+        )
 
     @property
     def receiver_count(self) -> int:
@@ -189,9 +193,7 @@ def plan_tracks(
         for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
     )
     draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device)
-    return Plan(
-        tracks, emissions, interpolator, rate, samples, _chunk(draft, chunk), engine, device
-    )
+    return Plan(tracks, emissions, interpolator, rate, samples, _chunk(draft, chunk), engine, device)
 
 
 def _samples(
@@ -208,7 +210,8 @@ def _samples(
         duration = as_number("duration", duration, above=0.0, unit="s")
         if duration > last * (1 + 1e-12) + 0.5 / rate:
             raise InputError(
-                "duration", f"must end while every receiver's trajectory lasts, {last:g} s, but is {duration:g} s"
+                "duration",
+                f"must end while every receiver's trajectory lasts, {last:g} s, but is {duration:g} s",
             )
     return max(1, math.ceil(duration * rate - 1e-6))
 

@@ -25,13 +25,13 @@ class ReferenceEngine:
         for i, group in enumerate(plan.tracks.groups):
             for first in range(start, stop, _SLICE):
                 last = min(first + _SLICE, stop)
-                pressure[group.receiver, first - start : last - start] += render_paths(plan, i, None, first, last)
+                pressure[group.receiver, first - start : last - start] += render_paths(
+                    plan, i, None, first, last
+                )
         return pressure
 
 
-def render_paths(
-    plan: Plan, group: int, rows: NDArray[np.int64] | None, first: int, last: int
-) -> Floats:
+def render_paths(plan: Plan, group: int, rows: NDArray[np.int64] | None, first: int, last: int) -> Floats:
     """Return the sum of a group's paths, or of some rows of it, over samples `first` to `last`, shape (n,)."""
     tracks, member = plan.tracks, plan.tracks.groups[group]
     emission = plan.emissions[member.source]

@@ -58,7 +58,7 @@ def render(
         Length of the recording, s. Left out: until all that was emitted has been heard, or until the first moving
         receiver's trajectory ends.
     chunk : int, optional
-        Samples that are held at a time, rounded up to whole segments of 9216.
+        Samples that are held at a time, rounded up to whole segments of 18432.
 
     Returns
     -------
@@ -147,7 +147,10 @@ def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """
     engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
     for start in range(0, plan.samples, plan.chunk):
-        yield start, engine.render(start, min(start + plan.chunk, plan.samples)).astype(np.float32, copy=False)
+        yield (
+            start,
+            engine.render(start, min(start + plan.chunk, plan.samples)).astype(np.float32, copy=False),
+        )
 
 
 def _record(plan: Plan) -> Recording:

@@ -40,7 +40,9 @@ def resample(samples: NDArray[Any], old: float, new: float) -> NDArray[Any]:
 
     ratio = Fraction(new / old).limit_denominator(_LARGEST_FACTOR)
     if ratio.numerator > _LARGEST_FACTOR or abs(float(ratio) * old - new) > 1e-9 * new:
-        raise InputError("sampling_rate", f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz")
+        raise InputError(
+            "sampling_rate", f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz"
+        )
     up, down = ratio.numerator, ratio.denominator
     widest = max(up, down)
     count, beta = kaiserord(_STOP_DB, (1.0 - _PASS) / widest)

@@ -175,7 +175,9 @@ def _checked_ends(item: Source | Receiver) -> Floats | None:
     if not callable(getattr(item.directivity, "gain", None)):
         raise InputError("directivity", f"must be a directivity, but is {item.directivity!r:.80}")
     if item.trajectory.start > 0.0:
-        raise InputError("trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s")
+        raise InputError(
+            "trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s"
+        )
     if item.aim is None:
         return None
     if item.trajectory.has_orientation:
@@ -202,7 +204,9 @@ def _checked_list(name: str, values: Any, kind: type) -> tuple[Any, ...]:
         if not isinstance(value, kind):
             raise InputError(f"{name}[{i}]", f"must be a {kind.__name__}, but is {value!r:.80}")
         if value.name in seen:
-            raise InputError(f"{name}[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
+            raise InputError(
+                f"{name}[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too"
+            )
         seen[value.name] = i
     return tuple(values)
 
@@ -228,7 +232,6 @@ def _check_inside(scene: Scene, field_name: str, item: Source | Receiver) -> Non
                 f"must stay below the speed of sound, {speed_of_sound:.6g} m/s, "
                 f"but {item.name!r} moves at {speed[i]:.6g} m/s at {times[i]:.6g} s",
             )
-
 
 
 def _check_distance(scene: Scene, index: int, source: Source, receiver: Receiver) -> None:

@@ -46,7 +46,10 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
         code = as_count("code", code, at_least=0, at_most=length - 1)
         return np.asarray(np.roll(1.0 - 2.0 * max_len_seq(bits)[0], code))
     if bits not in _PREFERRED:
-        raise InputError("bits", f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits!r:.80}")
+        raise InputError(
+            "bits",
+            f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits!r:.80}",
+        )
     code = as_count("code", code, at_least=0, at_most=length + 1)
     first, second = (1.0 - 2.0 * max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
     if code < 2:
@@ -55,7 +58,14 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
 
 
 def raised_cosine_sequence(
-    kind: str, bits: int, code: int, repeats: int, chip_rate: float, carrier: float, rolloff: float, sampling_rate: float
+    kind: str,
+    bits: int,
+    code: int,
+    repeats: int,
+    chip_rate: float,
+    carrier: float,
+    rolloff: float,
+    sampling_rate: float,
 ) -> Floats:
     """Return a sequence on a carrier, (n,), its chips shaped by a raised cosine; the first chip is centred 16 chips in.
 

@@ -85,7 +85,11 @@ class Signal:
         if len(picked) > _ALL_SEGMENTS:
             inner = np.unique(np.linspace(8, last - 9, _ALL_SEGMENTS // 2).astype(np.int64))
             picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
-        weight = np.gradient(picked.astype(np.float64)) if len(picked) > _ALL_SEGMENTS // 2 else np.ones(len(picked))
+        weight = (
+            np.gradient(picked.astype(np.float64))
+            if len(picked) > _ALL_SEGMENTS // 2
+            else np.ones(len(picked))
+        )
         window = np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2
         energy = np.zeros(hop + 1)
         for k, share in zip(picked, weight, strict=True):
@@ -304,7 +308,9 @@ class Signal:
         try:
             with soundfile.SoundFile(path) as file:
                 if channel >= file.channels:
-                    raise InputError("channel", f"must be below {file.channels}, the file's channels, but is {channel}")
+                    raise InputError(
+                        "channel", f"must be below {file.channels}, the file's channels, but is {channel}"
+                    )
                 rate = float(file.samplerate)
                 parts = [block[:, channel] for block in file.blocks(65536, dtype="float32", always_2d=True)]
         except (OSError, RuntimeError) as error:
@@ -313,7 +319,9 @@ class Signal:
         if not len(samples):
             raise InputError("path", f"must hold sound, but {path} is empty")
         if not np.all(np.isfinite(samples)):
-            raise InputError("path", f"must hold finite samples, but [{np.argmin(np.isfinite(samples))}] of {path} is not")
+            raise InputError(
+                "path", f"must hold finite samples, but [{np.argmin(np.isfinite(samples))}] of {path} is not"
+            )
         samples *= scale
         return cls(Samples(read_only(samples), None), _rate(rate))
 

@@ -140,7 +140,9 @@ class Pulses:
         """Return samples."""
         out = np.zeros(last - first)
         step, length = self._step(sampling_rate), self.pulse.count(sampling_rate)
-        for k in range(max(0, (first - length + 1) // step), min(self.repetitions - 1, (last - 1) // step) + 1):
+        for k in range(
+            max(0, (first - length + 1) // step), min(self.repetitions - 1, (last - 1) // step) + 1
+        ):
             a, b = max(first, k * step), min(last, k * step + length)
             if a < b:
                 out[a - first : b - first] += self.pulse.read(a - k * step, b - k * step, sampling_rate)
@@ -201,7 +203,9 @@ class Noise:
         a, b = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
         parts = [
             oaconvolve(
-                self._white(k * _NOISE_BLOCK - _NOISE_HALF, (k + 1) * _NOISE_BLOCK + _NOISE_HALF), taps, mode="valid"
+                self._white(k * _NOISE_BLOCK - _NOISE_HALF, (k + 1) * _NOISE_BLOCK + _NOISE_HALF),
+                taps,
+                mode="valid",
             )
             for k in range(a, b)
         ]
@@ -261,5 +265,6 @@ def _count(duration: float, sampling_rate: float) -> int:
 def _fits(field: str, frequency: float, sampling_rate: float) -> None:
     if frequency >= 0.5 * sampling_rate:
         raise InputError(
-            f"signal.{field}", f"must be below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is {frequency:g} Hz"
+            f"signal.{field}",
+            f"must be below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is {frequency:g} Hz",
         )
