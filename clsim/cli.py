@@ -8,7 +8,6 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,8 @@ import numpy as np
 from clsim.errors import ClsimError, ClsimWarning, InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.render.plan import Plan
@@ -38,9 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"clsim: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except MemoryError:
-        print(
-            "clsim: error: not enough memory; choose a smaller [render] chunk or max_order", file=sys.stderr
-        )
+        print("clsim: error: not enough memory; choose a smaller [render] chunk or max_order", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("clsim: interrupted; nothing half-written was left", file=sys.stderr)
@@ -53,12 +52,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    run = _command(
-        commands, "run", _run, "render a scene file into a folder of sound files, tables and pictures"
-    )
-    run.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the results go"
-    )
+    run = _command(commands, "run", _run, "render a scene file into a folder of sound files, tables and pictures")
+    run.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the results go")
     run.add_argument("--force", action="store_true", help="write over results that are already there")
     run.add_argument(
         "--table",
@@ -66,9 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         default="npz",
         help="format of the path table (default: npz)",
     )
-    run.add_argument(
-        "--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)"
-    )
+    run.add_argument("--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)")
     run.add_argument("--no-plots", action="store_true", help="draw no pictures")
     run.add_argument("--device", help="OpenCL device, by id or part of its name (see `clsim devices`)")
     run.add_argument("--engine", choices=("opencl", "reference"), help="instead of the scene file's")
@@ -77,15 +70,9 @@ def _parser() -> argparse.ArgumentParser:
     _command(commands, "check", _check, "check a scene file and say what would be computed")
 
     paths = _command(commands, "paths", _paths, "list the paths of a scene file")
-    paths.add_argument(
-        "--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)"
-    )
-    paths.add_argument(
-        "--limit", type=int, default=40, metavar="ROWS", help="paths listed at most (default: 40)"
-    )
-    paths.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="write all of them to a .npz or .parquet file"
-    )
+    paths.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
+    paths.add_argument("--limit", type=int, default=40, metavar="ROWS", help="paths listed at most (default: 40)")
+    paths.add_argument("-o", "--output", type=Path, metavar="FILE", help="write all of them to a .npz or .parquet file")
 
     devices = commands.add_parser("devices", help="list the OpenCL devices of this machine")
     devices.set_defaults(command=_devices)
@@ -149,18 +136,14 @@ def _paths(options: argparse.Namespace) -> int:
 
     _, paths, plan = _planned(options.scene, {})
     if not 0.0 <= options.at <= plan.duration:
-        raise InputError(
-            "--at", f"must lie within the recording, 0 to {plan.duration:g} s, but is {options.at:g} s"
-        )
+        raise InputError("--at", f"must lie within the recording, 0 to {plan.duration:g} s, but is {options.at:g} s")
     table = _table(paths, plan, np.array([options.at]))
     if options.output is not None:
         write_table(table, options.output)
         print(options.output)
         return 0
     rows = np.argsort(table.delay[:, 0], kind="stable")
-    print(
-        f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10} {'doppler':>9}  walls"
-    )
+    print(f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10} {'doppler':>9}  walls")
     for p in rows[: max(options.limit, 0)]:
         gain = 20 * np.log10(max(abs(table.gain[p, 0]), 1e-30))
         walls = " ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct"
@@ -225,9 +208,7 @@ def _write_sounds(plan: Plan, sounds: list[Path]) -> None:
 
     work = plan.path_count * plan.samples
     with ExitStack() as stack:
-        writers = [
-            stack.enter_context(WavWriter(path, plan.sampling_rate, samples=plan.samples)) for path in sounds
-        ]
+        writers = [stack.enter_context(WavWriter(path, plan.sampling_rate, samples=plan.samples)) for path in sounds]
         with _progress("rendering", work) as advance:
             for _, pressure in render_chunks(plan):
                 for writer, samples in zip(writers, pressure, strict=True):
@@ -238,9 +219,7 @@ def _write_sounds(plan: Plan, sounds: list[Path]) -> None:
 def _table_times(plan: Plan, rate: float) -> Any:
     """Return the table's times; fewer than asked where the table would grow beyond all use."""
     if not 0.0 < rate <= plan.sampling_rate:
-        raise InputError(
-            "--table-rate", f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz"
-        )
+        raise InputError("--table-rate", f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
     count = int(plan.duration * rate) + 1
     most = max(2, _LARGEST_TABLE // max(plan.path_count, 1))
     if count > most:
@@ -274,12 +253,13 @@ def _draw(plan: Plan, table: PathTable, sounds: list[Path], folder: Path, names:
 
 def _shown_band(plan: Plan) -> tuple[float, float]:
     """Return the frequencies worth showing: those that hold nearly all energy, with a margin for Doppler."""
-    low, high = np.inf, 0.0
+    low: float = np.inf
+    high: float = 0.0
     for emission in plan.emissions:
         frequencies, energy = emission.signal.energy_spectrum()
         share = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
-        low = min(low, frequencies[np.searchsorted(share, 1e-3)])
-        high = max(high, frequencies[min(np.searchsorted(share, 1.0 - 1e-3), len(frequencies) - 1)])
+        low = min(low, float(frequencies[np.searchsorted(share, 1e-3)]))
+        high = max(high, float(frequencies[np.minimum(np.searchsorted(share, 1.0 - 1e-3), len(frequencies) - 1)]))
     margin = max(0.15 * (high - low), 3.0 * plan.max_rate * high, 200.0)
     return max(0.0, float(low) - margin), min(0.5 * plan.sampling_rate, float(high) + margin)
 

@@ -6,9 +6,11 @@ import os
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from clsim.errors import InputError
@@ -21,6 +23,7 @@ from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene.signal import Signal
 from clsim.scene.trajectory import Trajectory
 
+T = TypeVar("T")
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
@@ -58,8 +61,7 @@ class _Material(_Model):
             return Material.from_reflection(factor)
         if self.named is not None:
             return Material.named(self.named)
-        assert self.absorption is not None
-        return _within("absorption", lambda: Material.from_absorption(**self.absorption.arguments()))
+        return _within("absorption", lambda: Material.from_absorption(**given["absorption"]))
 
 
 class _Walls(_Model):
@@ -89,7 +91,8 @@ class _Room(_Model):
     ]
 
     def build(self) -> Shoebox:
-        return Shoebox(self.size, _within("walls", self.walls.build))
+        walls: Any = self.walls
+        return Shoebox(np.array(self.size), _within("walls", walls.build))
 
 
 class _Air(_Model):
@@ -321,15 +324,16 @@ class _Bandlimited(_Model):
         return Bandlimited(self.error_db)
 
 
+_Interpolator = Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")]
+
+
 class _Paths(_Model):
     max_order: int
 
 
 class _Render(_Model):
     sampling_rate: float
-    interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = (
-        _Bandlimited()
-    )
+    interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = _Bandlimited()
     motion: Literal["retarded", "quasi-static"] = "retarded"
     amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
     engine: Literal["opencl", "reference"] = "opencl"
@@ -411,8 +415,8 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
         raise _explain(error, content) from error
-    sources = [_within(f"sources[{i}]", lambda s=s: s.build(base)) for i, s in enumerate(model.sources)]
-    receivers = [_within(f"receivers[{i}]", lambda r=r: r.build(base)) for i, r in enumerate(model.receivers)]
+    sources = [_within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
+    receivers = [_within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
     room = _within("room", model.room.build)
     air = _within("air", lambda: Air(**model.air.arguments()))
     scene = Scene(room, air, sources, receivers, model.min_distance)
@@ -449,7 +453,7 @@ def scene_schema() -> dict[str, Any]:
     return SceneModel.model_json_schema()
 
 
-def _within(parent: str, build: Callable[[], Any]) -> Any:
+def _within(parent: str, build: Callable[[], T]) -> T:
     try:
         return build()
     except InputError as error:
@@ -462,9 +466,7 @@ def _explain(error: ValidationError, content: Any) -> InputError:
     field, at = "", content
     steps = first["loc"]
     for i, step in enumerate(steps):
-        known = isinstance(at, dict | list) and (
-            step in at if isinstance(at, dict) else isinstance(step, int)
-        )
+        known = isinstance(at, dict | list) and (step in at if isinstance(at, dict) else isinstance(step, int))
         if isinstance(step, str) and not known and i < len(steps) - 1:
             continue  # the name of a union's member, which no file holds
         if isinstance(step, str) and not known and first["type"] not in ("missing", "extra_forbidden"):
@@ -477,20 +479,21 @@ def _explain(error: ValidationError, content: Any) -> InputError:
     if kind == "extra_forbidden":
         return InputError(field, "is no known key")
     if kind == "union_tag_not_found":
-        return InputError(f"{field}.kind", f"must be one of {_choices(error, field)}, but is missing")
+        return InputError(f"{field}.kind", f"must be one of {_choices(field)}, but is missing")
     if kind == "union_tag_invalid":
-        return InputError(
-            f"{field}.kind", f"must be one of {context['expected_tags']}, but is {context['tag']!r:.80}"
-        )
+        return InputError(f"{field}.kind", f"must be one of {context['expected_tags']}, but is {context['tag']!r:.80}")
     message = first["msg"].replace("Input should be ", "must be ")
     return InputError(field, f"{message}, but is {first['input']!r:.80}")
 
 
-def _choices(error: ValidationError, field: str) -> str:
-    last = field.rpartition(".")[2].partition("[")[0]
-    kinds = {"trajectory": _Trajectory, "signal": _Signal, "directivity": _Directivity, "pulse": _Pulse}
-    union = kinds.get(last)
-    members = (
-        union.__origin__.__args__ if union is not None else (_Lagrange, _TruncatedLagrange, _Bandlimited)
-    )
-    return ", ".join(repr(m.model_fields["kind"].annotation.__args__[0]) for m in members)
+def _choices(field: str) -> str:
+    """Return the kinds that a field can be of."""
+    unions: dict[str, Any] = {
+        "trajectory": _Trajectory,
+        "signal": _Signal,
+        "directivity": _Directivity,
+        "pulse": _Pulse,
+    }
+    union = unions.get(field.rpartition(".")[2], _Interpolator)
+    members = get_args(get_args(union)[0])
+    return ", ".join(repr(get_args(member.model_fields["kind"].annotation)[0]) for member in members)

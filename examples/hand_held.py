@@ -29,10 +29,7 @@ def main() -> None:
     tone = clsim.Signal.tone(40e3, duration=options.duration, sampling_rate=192e3, fade=0.01)
     beacon = clsim.Source("beacon", tone, motion)
     corners = [(1.0, 1.0), (5.0, 1.0), (1.0, 4.0), (5.0, 4.0)]
-    ceiling = [
-        clsim.Receiver(f"ceiling-{i}", clsim.Trajectory.fixed((x, y, 2.95)))
-        for i, (x, y) in enumerate(corners)
-    ]
+    ceiling = [clsim.Receiver(f"ceiling-{i}", clsim.Trajectory.fixed((x, y, 2.95))) for i, (x, y) in enumerate(corners)]
     scene = clsim.Scene(room, clsim.Air(), [beacon], ceiling)
     paths = clsim.find_paths(scene, max_order=2)
     recording = clsim.render(scene, paths, 192e3, duration=options.duration)

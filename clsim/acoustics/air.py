@@ -233,9 +233,7 @@ def absorption_iso9613(
     theta = T / REFERENCE_TEMPERATURE
     h = vapour_percent_iso9613(temperature_celsius, relative_humidity, pressure)
     relaxation_oxygen = p * (24.0 + 4.04e4 * h * (0.02 + h) / (0.391 + h))
-    relaxation_nitrogen = (
-        p * theta**-0.5 * (9.0 + 280.0 * h * math.exp(-4.170 * (theta ** (-1.0 / 3.0) - 1.0)))
-    )
+    relaxation_nitrogen = p * theta**-0.5 * (9.0 + 280.0 * h * math.exp(-4.170 * (theta ** (-1.0 / 3.0) - 1.0)))
     classical = 1.84e-11 * theta**0.5 / p
     oxygen = 0.01275 * math.exp(-2239.1 / T) / (relaxation_oxygen + f2 / relaxation_oxygen)
     nitrogen = 0.1068 * math.exp(-3352.0 / T) / (relaxation_nitrogen + f2 / relaxation_nitrogen)

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_OUT_OF_BAND_WEIGHT = (
-    1e-6  # of the least squares above the band; 1e-4 stops at -88 dB, see docs/validation.md
-)
+_OUT_OF_BAND_WEIGHT = 1e-6  # of the least squares above the band; 1e-4 stops at -88 dB, see docs/validation.md
 _LARGEST_LENGTH = 301
 _LARGEST_DEGREE = 40
 
@@ -78,9 +76,7 @@ def lagrange_bank(order: int, length: int | None = None) -> Floats:
     for k in range(order + 1):
         others = [j for j in range(order + 1) if j != k]
         scale = math.prod(float(k - j) for j in others)
-        columns.append(
-            polynomial.polyfromroots([j - middle for j in others]) / scale if others else np.ones(1)
-        )
+        columns.append(polynomial.polyfromroots([j - middle for j in others]) / scale if others else np.ones(1))
     bank = np.stack(columns, axis=1)
     if length is None:
         return bank
@@ -200,9 +196,7 @@ def design_bandlimited(error_db: float, edge: float, mu_max: float) -> tuple[Flo
             return taps, 20 * math.log10(reached)
         step = max(1, half // 8)
         half += step
-    raise ValueError(
-        f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {edge:.4g} rad"
-    )
+    raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {edge:.4g} rad")
 
 
 def bank_error(taps: Floats, centre: int, shift: float, edge: float, mu_max: float) -> float:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-import os
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from clsim.arrays import Floats
 from clsim.output.atomic import atomic_path
-from clsim.paths.path_table import PathTable
+
+if TYPE_CHECKING:
+    import os
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.path_table import PathTable
 
 _COLUMNS = 1200  # of a spectrogram's raster
 _RANGE_DB = 75.0
@@ -73,14 +77,10 @@ def spectrogram(
         interpolation="nearest",
     )  # fmt: skip
     for times, frequencies, label in overlay or []:
-        axes.plot(
-            times, np.asarray(frequencies) / 1e3, "--", color="white", linewidth=0.9, alpha=0.8, label=label
-        )
+        axes.plot(times, np.asarray(frequencies) / 1e3, "--", color="white", linewidth=0.9, alpha=0.8, label=label)
     if overlay:
         axes.legend(loc="upper right", framealpha=0.4, facecolor="black", labelcolor="white")
-    axes.set(
-        xlabel="time (s)", ylabel="frequency (kHz)", title=title, xlim=edges[:2], ylim=(low / 1e3, high / 1e3)
-    )
+    axes.set(xlabel="time (s)", ylabel="frequency (kHz)", title=title, xlim=edges[:2], ylim=(low / 1e3, high / 1e3))
     figure.colorbar(shown, label="level (dB re 20 µPa in a window)")
     _save(figure, path)
 
@@ -156,9 +156,7 @@ def envelope(
             linestyle="-" if direct else "--", label=label if label not in seen else None,
         )  # fmt: skip
         seen.add(label)
-    axes.set(
-        xlabel="time (ms)", ylabel="envelope (Pa)", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None)
-    )
+    axes.set(xlabel="time (ms)", ylabel="envelope (Pa)", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
     axes.grid(alpha=0.3)
     if arrivals:
         axes.legend(loc="upper right")

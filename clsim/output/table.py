@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.errors import InputError
 from clsim.output.atomic import atomic_path
 from clsim.paths.path_table import PathTable
+
+if TYPE_CHECKING:
+    import os
 
 _NAMES = ("source_names", "receiver_names", "wall_names")
 _ROW_GROUP = 1_000_000  # rows of a Parquet file written at a time
@@ -31,9 +33,8 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
     if suffix == ".npz":
         with atomic_path(path) as temporary:
             columns: dict[str, Any] = {f.name: getattr(table, f.name) for f in dataclasses.fields(table)}
-            np.savez_compressed(
-                temporary, **{k: np.array(v) if k in _NAMES else v for k, v in columns.items()}
-            )
+            write: Any = np.savez_compressed
+            write(temporary, **{k: np.array(v) if k in _NAMES else v for k, v in columns.items()})
     elif suffix == ".parquet":
         _write_parquet(table, path)
     else:
@@ -50,10 +51,11 @@ def read_table(path: str | os.PathLike[str]) -> PathTable:
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            columns: dict[str, Any] = {f.name: file[f.name] for f in dataclasses.fields(PathTable)}
+            columns = {f.name: file[f.name] for f in dataclasses.fields(PathTable)}
     except (OSError, ValueError, KeyError) as error:
         raise InputError("path", f"must be a path table (.npz), but {error}") from error
-    return PathTable(**{k: tuple(map(str, v)) if k in _NAMES else v for k, v in columns.items()})
+    arguments: dict[str, Any] = {k: tuple(map(str, v)) if k in _NAMES else v for k, v in columns.items()}
+    return PathTable(**arguments)
 
 
 def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:

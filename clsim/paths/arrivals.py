@@ -6,15 +6,18 @@ The OpenCL tracks are the small twin of this file.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.acoustics.geometry import rotate
-from clsim.arrays import Floats
 from clsim.scene.directivity import Omni
-from clsim.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.scene import Scene
 
 Motion = Literal["retarded", "quasi-static"]
 Amplitude = Literal["wave-equation", "static", "convective"]

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_choice, as_floats
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
 from clsim.paths.path_table import PathTable
 from clsim.scene.room import WALLS
-from clsim.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +110,4 @@ class PathSet:
         count = len(self.source)
         for name in ("receiver", "order", "walls", "image_matrix", "image_offset", "start", "end"):
             if len(getattr(self, name)) != count:
-                raise InputError(
-                    name, f"must have one row per path, {count}, but has {len(getattr(self, name))}"
-                )
+                raise InputError(name, f"must have one row per path, {count}, but has {len(getattr(self, name))}")

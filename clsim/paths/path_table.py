@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+    from clsim.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)

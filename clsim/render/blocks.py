@@ -1,13 +1,18 @@
-"""From nodes to the cubics of every block, in NumPy: the twin of ``block.h``, for devices without float64 and for
-tracks that were computed elsewhere.
+"""From nodes to the cubics of every block, in NumPy: the twin of ``block.h``.
+
+For devices without float64, and for tracks that were computed elsewhere.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
-from clsim.arrays import Floats
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
 
 
 def block_cubics(

@@ -62,15 +62,11 @@ def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
     """
     found = _devices()
     if not found:
-        raise DeviceError(
-            f'no OpenCL device: {INSTALL}; or use engine="reference", which needs none but is slow'
-        )
+        raise DeviceError(f'no OpenCL device: {INSTALL}; or use engine="reference", which needs none but is slow')
     if wanted is None:
         return max(found, key=lambda f: (f[0].kind == "GPU", f[0].fp64, f[0].compute_units))
     for info, device in found:
-        if wanted == info.id or (
-            ":" not in wanted and wanted.lower() in f"{info.name} {info.platform}".lower()
-        ):
+        if wanted == info.id or (":" not in wanted and wanted.lower() in f"{info.name} {info.platform}".lower()):
             return info, device
     listed = "; ".join(f"{info.id} {info.name}" for info, _ in found)
     raise DeviceError(f"no OpenCL device is or is called {wanted!r}; there are: {listed}")
@@ -90,7 +86,8 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
         except cl.Error:  # a platform without a device
             continue
         for d, device in enumerate(devices):
-            kind = {cl.device_type.CPU: "CPU", cl.device_type.GPU: "GPU"}.get(device.type & ~1, "other")
+            kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"))
+            kind = next((name for bit, name in kinds if device.type & bit), "other")
             info = DeviceInfo(
                 f"{p}:{d}", device.name.strip(), platform.name.strip(), device.version.strip(), kind,
                 int(device.global_mem_size), int(device.max_compute_units),

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.acoustics.geometry import rotate
-from clsim.arrays import Floats
 from clsim.paths.arrivals import MACH_EXPONENT
-from clsim.render.device import Compiler
 from clsim.render.motion_knots import KNOT_COLUMNS, knot_rate, motion_knots
 from clsim.render.plan import SEGMENT, Plan, node_times
-from clsim.render.slots import Slots
-from clsim.render.tracks import SceneTracks
 from clsim.scene.directivity import Directivity, Omni
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.render.device import Compiler
+    from clsim.render.slots import Slots
+    from clsim.render.tracks import SceneTracks
 
 _CELLS = 1024  # of a beam, over the cosine; its cubics are within 1e-9 for a piston of ka = 10
 _AXIS = np.array([1.0, 0.0, 0.0])
@@ -60,22 +63,17 @@ class DeviceTracks:
         for source, emission in zip(scene.sources, plan.emissions, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
             error_db = getattr(plan.interpolator, "error_db", -90.0)
-            tolerance = (
-                10 ** ((error_db - 6.0) / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.band)
-            )
+            tolerance = 10 ** ((error_db - 6.0) / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.band)
             self._knot_rates.append(
                 knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
             )
         frequencies = [s.signal.centre_frequency for s in scene.sources]
         c = scene.air.sound_speed
         self._source_beams = [
-            self._upload(_beam_cells(s.directivity, f, c))
-            for s, f in zip(scene.sources, frequencies, strict=True)
+            self._upload(_beam_cells(s.directivity, f, c)) for s, f in zip(scene.sources, frequencies, strict=True)
         ]
         # One receiver beam per launch: receivers with different beams are told apart by a table each.
-        self._receiver_tables = [
-            [_beam_cells(r.directivity, f, c) for r in scene.receivers] for f in frequencies
-        ]
+        self._receiver_tables = [[_beam_cells(r.directivity, f, c) for r in scene.receivers] for f in frequencies]
 
     def prepare(self, source: int, slots: Slots, start: int, length: int) -> _Chunk:
         """Upload images and motion for one source and a batch of receivers over a chunk."""
@@ -92,9 +90,7 @@ class DeviceTracks:
             reflection[here] = np.where(slots.filling[here], 0.0, paths.reflection[rows])
             receiver_of[here] = i
         rate = plan.sampling_rate
-        longest = max(
-            self._tracks.delay_range(i, start / rate, (start + length) / rate)[1].max() for i in slots.groups
-        )
+        longest = max(self._tracks.delay_range(i, start / rate, (start + length) / rate)[1].max() for i in slots.groups)
         knots, first = motion_knots(
             scene.sources[source], start / rate - 1.01 * longest - 0.05, (start + length) / rate + 0.05,
             self._knot_rates[source],

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsim.arrays import Floats
 from clsim.render.blocks import block_cubics, block_error
 from clsim.render.plan import SEGMENT, Plan, node_times
-from clsim.render.slots import Slots
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.render.slots import Slots
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +52,7 @@ class HostTracks:
 
     def nodes(self, state: tuple[int, Slots], start: int, block: int, blocks: int) -> HostNodes:
         """Make the polynomials of `blocks` blocks from a sample on."""
-        source, slots = state
+        _source, slots = state
         plan, emission = self._plan, self._plan.emissions[state[0]]
         rate = plan.sampling_rate
         whole = np.empty((blocks, slots.count), dtype=np.int32)
@@ -72,13 +75,9 @@ class HostTracks:
                 partly.append((index, int(slots.path[here][slot]), int(k)))
             np.maximum(error, _by_segment(wrong, gain, block), out=error)
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
-        return HostNodes(
-            self._upload(whole), self._upload(cubics), error, shortest, longest, start, block, partly
-        )
+        return HostNodes(self._upload(whole), self._upload(cubics), error, shortest, longest, start, block, partly)
 
-    def _heard(
-        self, index: int, slots: Slots, here: slice, start: int, block: int, blocks: int
-    ) -> NDArray[np.int8]:
+    def _heard(self, index: int, slots: Slots, here: slice, start: int, block: int, blocks: int) -> NDArray[np.int8]:
         """Return how each path is heard in each block (blocks, paths): 0 not, 1 partly, 2 throughout."""
         group, rate = self._plan.tracks.groups[index], self._plan.sampling_rate
         begin, end = group.start[slots.path[here]], group.end[slots.path[here]]

@@ -48,7 +48,7 @@ class Bank:
     @property
     def reach(self) -> int:
         """Samples by which the filter looks to either side at most, for any ``mu``."""
-        return max(self.centre, self.taps.shape[1] - 1 - self.centre) + math.ceil(self.mu_max) + 1
+        return int(max(self.centre, self.taps.shape[1] - 1 - self.centre)) + math.ceil(self.mu_max) + 1
 
 
 class Interpolator(Protocol):

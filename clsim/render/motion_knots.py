@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.acoustics.geometry import rotate
-from clsim.arrays import Floats
-from clsim.scene.scene import Source
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+    from clsim.scene.scene import Source
 
 KNOT_COLUMNS = 24  # cubics of the position and of the axis: [power][3] each
 _RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order

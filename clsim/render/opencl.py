@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsim.arrays import Floats
 from clsim.errors import ClsimError, DeviceError
 from clsim.render.device import Compiler, find_device
 from clsim.render.device_tracks import DeviceTracks
@@ -16,6 +14,11 @@ from clsim.render.host_tracks import HostTracks
 from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan, moving_scene
 from clsim.render.reference import render_paths
 from clsim.render.slots import Slots, fill_slots
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
 
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
@@ -124,9 +127,7 @@ class OpenclEngine:
     def _seconds(self, first: int, last: int) -> tuple[float, float]:
         return first / self._plan.sampling_rate, last / self._plan.sampling_rate
 
-    def _branches(
-        self, source: int, start: int, length: int, ranges: list[tuple[Floats, Floats]]
-    ) -> _Branches | None:
+    def _branches(self, source: int, start: int, length: int, ranges: list[tuple[Floats, Floats]]) -> _Branches | None:
         """Filter the part of a signal that can be heard in a chunk; None if it is silent."""
         import pyopencl as cl
 
@@ -138,9 +139,7 @@ class OpenclEngine:
         rows, taps = emission.bank.taps.shape
         width = -(-(length + most - least) // channel) * channel
         stride = -(-width // 16) * 16
-        stride += (
-            16 if (stride // 16) % 2 == 0 else 0
-        )  # whole pages apart, rows would fight for the same cache lines
+        stride += 16 if (stride // 16) % 2 == 0 else 0  # whole pages apart, rows would fight for the same cache lines
         first = start - most
         emitted = np.zeros(stride + taps + channel, dtype=np.float32)
         before = first - (taps - 1) + emission.bank.centre
@@ -190,7 +189,7 @@ class _Run:
         self._source, self._slots, self._branches = source, slots, branches
         self._pressure, self._length, self._start = pressure, length, start
         self._first_slot, self._row = engine._upload(slots.first_slot), engine._upload(slots.receiver)
-        self._state = engine._tracks.prepare(source, slots, start, length)
+        self._state: Any = engine._tracks.prepare(source, slots, start, length)
         self.edges: list[tuple[int, int, int, int]] = []
         error_db = getattr(self._plan.interpolator, "error_db", -90.0)
         self._tolerance = 10 ** ((error_db - 6.0) / 20)
@@ -202,9 +201,7 @@ class _Run:
         for at in range(first, last, step):
             upto = min(at + step, last)
             begin, end = at * SEGMENT, min(upto * SEGMENT, self._length)
-            nodes = self._engine._tracks.nodes(
-                self._state, self._start + begin, block, (end - begin) // block
-            )
+            nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
             self._check(nodes.shortest, nodes.longest)
             coarse = nodes.error > self._tolerance
             coarse &= level + 1 < len(BLOCKS)
@@ -212,9 +209,7 @@ class _Run:
                 if coarse[a]:
                     self.cover(at + a, at + b, level + 1)
                 else:
-                    self._render(
-                        nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block
-                    )
+                    self._render(nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block)
                     self.edges += nodes.edges(a * SEGMENT // block, b * SEGMENT // block)
 
     def _check(self, shortest: float, longest: float) -> None:

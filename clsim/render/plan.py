@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange,
 from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.scene.scene import Scene
 from clsim.scene.signal import Signal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 ENGINES = ("opencl", "reference")
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
@@ -88,16 +91,12 @@ class Plan:
     @property
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
-        span = (
-            max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
-        )
+        span = max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
         rows = max(len(e.bank.taps) for e in self.emissions)
         per_segment = 36 * (SEGMENT // BLOCKS[-1]) * max(len(group) for group in self.tracks.groups)
         nodes = max(NODE_BUDGET, per_segment)
         paths = self.path_count * 150
-        return int(
-            4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths
-        )
+        return int(4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths)
 
     @property
     def receiver_count(self) -> int:
@@ -228,7 +227,7 @@ def _emission(
     bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
-            f"{field}: {removed_db:.0f} dB of its energy lies above {band:.0f} Hz, the band that the delay filters hold "
+            f"{field}: {removed_db:.0f} dB of its energy lies above {band:.0f} Hz, the band of the delay filters "
             "at this sampling rate and speed, and is removed or distorted; fade or window the signal, or sample faster"
         )
     if bank.error_db > _WEAK_ERROR_DB:

@@ -1,13 +1,17 @@
-"""The reference engine: NumPy, float64, exact delays at every sample, taps by their own formula. The definition of right."""
+"""The reference engine, the definition of right: float64, exact delays at every sample, taps by their formula."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-from clsim.arrays import Floats
-from clsim.render.plan import Emission, Plan
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.render.plan import Emission, Plan
 
 _SLICE = 4096  # samples of a path at a time
 
@@ -25,9 +29,7 @@ class ReferenceEngine:
         for i, group in enumerate(plan.tracks.groups):
             for first in range(start, stop, _SLICE):
                 last = min(first + _SLICE, stop)
-                pressure[group.receiver, first - start : last - start] += render_paths(
-                    plan, i, None, first, last
-                )
+                pressure[group.receiver, first - start : last - start] += render_paths(plan, i, None, first, last)
         return pressure
 
 
@@ -46,9 +48,7 @@ def render_paths(plan: Plan, group: int, rows: NDArray[np.int64] | None, first: 
     return _sum_paths(plan, emission, np.arange(first, last) - whole.astype(np.int64), late - whole, gain)
 
 
-def _sum_paths(
-    plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: Floats, gain: Floats
-) -> Floats:
+def _sum_paths(plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: Floats, gain: Floats) -> Floats:
     """Apply the taps of every path and sample to the signal around the emitted sample, and sum over paths."""
     length, centre = emission.bank.taps.shape[1], emission.bank.centre
     total = np.zeros(emitted.shape[1])

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsim.paths.path_set import PathSet
-from clsim.render.interpolator import Interpolator
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import Plan, plan_render, plan_tracks
 from clsim.render.reference import ReferenceEngine
 from clsim.render.tracks import SceneTracks, Tracks
-from clsim.scene.scene import Scene
-from clsim.scene.signal import Signal
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.paths.path_set import PathSet
     from clsim.recording import Recording
+    from clsim.render.interpolator import Interpolator
+    from clsim.scene.scene import Scene
+    from clsim.scene.signal import Signal
 
 
 def render(

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsim.arrays import Floats
-from clsim.render.plan import Plan
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.render.plan import Plan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +49,7 @@ class Slots:
 
 
 def fill_slots(plan: Plan, groups: list[int], ranges: list[tuple[Floats, Floats]], batch: int) -> Slots:
-    """Return the slots of some groups; `ranges` are bounds (paths,) on their delays, by whose middle they are sorted."""
+    """Return the slots of some groups; `ranges` bound their delays (paths,), by whose middle they are sorted."""
     path, filling, first = [], [], [0]
     for low, high in ranges:
         order = np.argsort(low + high, kind="stable")

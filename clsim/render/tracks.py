@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
 from clsim.paths.path_set import PathSet
-from clsim.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,9 +257,7 @@ def track(paths: PathSet, *, motion: str = "retarded", amplitude: str = "wave-eq
 def _from_samples(times: Any, delays: Any, gains: Any, sources: Any, receivers: Any) -> SampledTracks:
     times = as_floats("times", times, (None,))
     if len(times) < 2 or times[0] > 0.0 or np.any(np.diff(times) <= 0.0):
-        raise InputError(
-            "times", f"must increase strictly from 0 s or before, but begin {times[:3].tolist()}"
-        )
+        raise InputError("times", f"must increase strictly from 0 s or before, but begin {times[:3].tolist()}")
     delays, gains = np.array(delays, dtype=np.float64), np.array(gains, dtype=np.float64)
     for name, values in (("delays", delays), ("gains", gains)):
         if values.ndim != 2 or values.shape[1] != len(times) or not len(values):
@@ -304,9 +305,7 @@ def _stretches(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
         for a, b in edges.reshape(-1, 2):
             if b - a < 2:
-                raise InputError(
-                    f"delays[{p}][{a}]", "must be heard for two samples or more, but stands alone"
-                )
+                raise InputError(f"delays[{p}][{a}]", "must be heard for two samples or more, but stands alone")
             found.append((p, int(a), int(b)))
     return found
 
@@ -322,7 +321,5 @@ def _fit(
         rows = np.array([i for i, stretch in enumerate(stretches) if stretch[1:] == (a, b)])
         which = [stretches[i][0] for i in rows]
         values = np.stack([delays[which, a:b], gains[which, a:b]], axis=-1).swapaxes(0, 1)
-        fitted.append(
-            (rows, CubicSpline(times[a:b], values, bc_type="not-a-knot" if b - a > 3 else "natural"))
-        )
+        fitted.append((rows, CubicSpline(times[a:b], values, bc_type="not-a-knot" if b - a > 3 else "natural")))
     return tuple(fitted)

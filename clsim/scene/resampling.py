@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _STOP_DB = 110.0
 _PASS = 0.9  # of the lower Nyquist frequency
@@ -40,11 +42,10 @@ def resample(samples: NDArray[Any], old: float, new: float) -> NDArray[Any]:
 
     ratio = Fraction(new / old).limit_denominator(_LARGEST_FACTOR)
     if ratio.numerator > _LARGEST_FACTOR or abs(float(ratio) * old - new) > 1e-9 * new:
-        raise InputError(
-            "sampling_rate", f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz"
-        )
+        raise InputError("sampling_rate", f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz")
     up, down = ratio.numerator, ratio.denominator
     widest = max(up, down)
     count, beta = kaiserord(_STOP_DB, (1.0 - _PASS) / widest)
     taps = firwin(2 * math.ceil(count / 2) + 1, 0.5 * (1.0 + _PASS) / widest, window=("kaiser", beta))
-    return read_only(np.asarray(resample_poly(samples, up, down, window=taps)))
+    resampled: Any = resample_poly(samples, up, down, window=taps)  # type: ignore[call-overload]
+    return read_only(np.asarray(resampled))

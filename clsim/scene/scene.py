@@ -161,8 +161,7 @@ def scan_times(start: float, end: float) -> list[Floats]:
     count = max(2, math.ceil((end - start) * _SCAN_RATE) + 1)
     step = (end - start) / (count - 1)
     return [
-        start + step * np.arange(i, min(i + _SCAN_BLOCK, count), dtype=np.float64)
-        for i in range(0, count, _SCAN_BLOCK)
+        start + step * np.arange(i, min(i + _SCAN_BLOCK, count), dtype=np.float64) for i in range(0, count, _SCAN_BLOCK)
     ]
 
 
@@ -175,9 +174,7 @@ def _checked_ends(item: Source | Receiver) -> Floats | None:
     if not callable(getattr(item.directivity, "gain", None)):
         raise InputError("directivity", f"must be a directivity, but is {item.directivity!r:.80}")
     if item.trajectory.start > 0.0:
-        raise InputError(
-            "trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s"
-        )
+        raise InputError("trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s")
     if item.aim is None:
         return None
     if item.trajectory.has_orientation:
@@ -194,7 +191,7 @@ def _orientation(item: Source | Receiver, times: Floats) -> Floats:
     return np.broadcast_to(quaternion_from_direction(item.aim), (len(times), 4))
 
 
-def _checked_list(name: str, values: Any, kind: type) -> tuple[Any, ...]:
+def _checked_list(name: str, values: Any, kind: type[Source] | type[Receiver]) -> tuple[Any, ...]:
     if isinstance(values, str) or not isinstance(values, Sequence):
         raise InputError(name, f"must be a list, but is {values!r:.80}")
     if not values:
@@ -204,9 +201,7 @@ def _checked_list(name: str, values: Any, kind: type) -> tuple[Any, ...]:
         if not isinstance(value, kind):
             raise InputError(f"{name}[{i}]", f"must be a {kind.__name__}, but is {value!r:.80}")
         if value.name in seen:
-            raise InputError(
-                f"{name}[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too"
-            )
+            raise InputError(f"{name}[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
         seen[value.name] = i
     return tuple(values)
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_count
 from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 SEQUENCES = ("mls", "gold")
 
@@ -83,7 +86,7 @@ def raised_cosine_sequence(
         k = nearest + offset
         inside = (k >= 0) & (k < len(chips))
         base[inside] += chips[k[inside]] * _pulse(place[inside] - k[inside], rolloff)
-    return base * np.cos(2.0 * math.pi * np.mod(n * (carrier / sampling_rate), 1.0))
+    return np.asarray(base * np.cos(2.0 * math.pi * np.mod(n * (carrier / sampling_rate), 1.0)))
 
 
 def _pulse(x: Floats, rolloff: float) -> Floats:
@@ -93,4 +96,4 @@ def _pulse(x: Floats, rolloff: float) -> Floats:
     shape = np.sinc(safe) * np.cos(math.pi * rolloff * safe) / (1.0 - (2.0 * rolloff * safe) ** 2)
     limit = math.pi / 4.0 * math.sin(math.pi / (2.0 * rolloff)) / (math.pi / (2.0 * rolloff))
     taper = np.cos(0.5 * math.pi * np.clip(x / (_HALF_CHIPS + 1), -1.0, 1.0)) ** 2
-    return np.where(singular, limit, shape) * taper
+    return np.asarray(np.where(singular, limit, shape) * taper)

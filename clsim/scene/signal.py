@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +12,9 @@ from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read
 from clsim.errors import InputError
 from clsim.scene.sequences import SEQUENCES, raised_cosine_sequence
 from clsim.scene.waveforms import Chirp, Noise, Pulses, Samples, Tone, Waveform
+
+if TYPE_CHECKING:
+    from os import PathLike
 
 _SPECTRUM_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
@@ -85,17 +87,14 @@ class Signal:
         if len(picked) > _ALL_SEGMENTS:
             inner = np.unique(np.linspace(8, last - 9, _ALL_SEGMENTS // 2).astype(np.int64))
             picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
-        weight = (
-            np.gradient(picked.astype(np.float64))
-            if len(picked) > _ALL_SEGMENTS // 2
-            else np.ones(len(picked))
-        )
+        weight = np.gradient(picked.astype(np.float64)) if len(picked) > _ALL_SEGMENTS // 2 else np.ones(len(picked))
         window = np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2
         energy = np.zeros(hop + 1)
         for k, share in zip(picked, weight, strict=True):
             spectrum = np.fft.rfft(self.read(int(k) * hop, int(k) * hop + length) * window)
             energy += share * np.abs(spectrum) ** 2
-        return np.fft.rfftfreq(length, 1.0 / self.sampling_rate), energy / length
+        frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
+        return frequencies, energy / length
 
     @classmethod
     def tone(
@@ -308,9 +307,7 @@ class Signal:
         try:
             with soundfile.SoundFile(path) as file:
                 if channel >= file.channels:
-                    raise InputError(
-                        "channel", f"must be below {file.channels}, the file's channels, but is {channel}"
-                    )
+                    raise InputError("channel", f"must be below {file.channels}, the file's channels, but is {channel}")
                 rate = float(file.samplerate)
                 parts = [block[:, channel] for block in file.blocks(65536, dtype="float32", always_2d=True)]
         except (OSError, RuntimeError) as error:

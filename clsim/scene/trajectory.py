@@ -206,9 +206,7 @@ class Trajectory(Motion):
             turning = turning_between(t, as_quaternions("orientations", orientations, (len(t), 4)))
         if smooth:
             return Trajectory(spline_through(t, x, "not-a-knot"), float(t[0]), float(t[-1]), turning)
-        return Trajectory(
-            legs_through(t, x), float(t[0]), float(t[-1]), turning, breaks=read_only(kinks(t, x))
-        )
+        return Trajectory(legs_through(t, x), float(t[0]), float(t[-1]), turning, breaks=read_only(kinks(t, x)))
 
     @staticmethod
     def sampled(function: Callable[[Floats], ArrayLike], duration: float, rate: float) -> Trajectory:
@@ -327,12 +325,8 @@ class Trajectory(Motion):
             max_speed=as_number("max_speed", max_speed, above=0.0, unit="m/s"),
             max_gap=None if max_gap is None else as_span("max_gap", max_gap),
         )
-        place = measured.Placement(
-            as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,))
-        )
-        times = poses.times + as_number(
-            "time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s"
-        )
+        place = measured.Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
+        times = poses.times + as_number("time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s")
         fit = measured.fit_measured(times, poses.positions, strength, place)
         turning = None
         if poses.orientations is not None:

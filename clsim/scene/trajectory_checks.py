@@ -39,9 +39,7 @@ def as_places(field_name: str, value: Any, shape: tuple[int | None, ...]) -> Flo
     far = np.argwhere(np.abs(places) > FARTHEST)
     if len(far):
         index = "".join(f"[{i}]" for i in far[0])
-        raise InputError(
-            field_name + index, f"must be within {FARTHEST:g} m, but is {places[tuple(far[0])]:g} m"
-        )
+        raise InputError(field_name + index, f"must be within {FARTHEST:g} m, but is {places[tuple(far[0])]:g} m")
     return places
 
 

@@ -158,9 +158,7 @@ def _parse(path: Path, form: str, drop: bool) -> Poses:
         of = len(bad) + len(lines)
         notes += (f"Dropped {len(bad)} of {of} rows (no finite number), the first in line {bad[0]}.",)
         if 2 * len(bad) >= of:
-            raise InputError(
-                "repair", f"would drop {len(bad)} of {of} rows of {path.name} (no finite number)"
-            )
+            raise InputError("repair", f"would drop {len(bad)} of {of} rows of {path.name} (no finite number)")
     values = np.array(numbers, dtype=np.float64).reshape(len(lines), len(columns) - 1)
     times = np.array([float(t - clock[0]) for t in clock])
     orientations = values[:, 3:] if len(columns) == len(_POSE) else None
@@ -188,9 +186,7 @@ def _rows(path: Path, form: str) -> tuple[list[tuple[int, list[str]]], list[int]
     for line, cells in rows:
         if not widths[0] <= len(cells) <= widths[1]:
             wanted = f"{widths[0]}" if widths[0] == widths[1] else f"at least {widths[0]}"
-            raise InputError(
-                "path", f"{path.name}, line {line}: must have {wanted} columns, but has {len(cells)}"
-            )
+            raise InputError("path", f"{path.name}, line {line}: must have {wanted} columns, but has {len(cells)}")
     return rows, columns, notes
 
 
@@ -272,9 +268,7 @@ def _with_unit_quaternions(poses: Poses) -> Poses:
 
 def _refuse_few(poses: Poses) -> None:
     if len(poses.times) < _FEWEST_ROWS:
-        raise InputError(
-            "path", f"{poses.file} must hold at least {_FEWEST_ROWS} rows, but holds {len(poses.times)}"
-        )
+        raise InputError("path", f"{poses.file} must hold at least {_FEWEST_ROWS} rows, but holds {len(poses.times)}")
 
 
 def _check_times(poses: Poses, repair: bool) -> Poses:

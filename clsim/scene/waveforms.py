@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.scene.resampling import resample
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
 
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
 _NOISE_HALF = 256  # taps on either side of the noise's band filter
@@ -140,9 +143,7 @@ class Pulses:
         """Return samples."""
         out = np.zeros(last - first)
         step, length = self._step(sampling_rate), self.pulse.count(sampling_rate)
-        for k in range(
-            max(0, (first - length + 1) // step), min(self.repetitions - 1, (last - 1) // step) + 1
-        ):
+        for k in range(max(0, (first - length + 1) // step), min(self.repetitions - 1, (last - 1) // step) + 1):
             a, b = max(first, k * step), min(last, k * step + length)
             if a < b:
                 out[a - first : b - first] += self.pulse.read(a - k * step, b - k * step, sampling_rate)

@@ -45,15 +45,11 @@ def test_direction_is_met_without_roll(rng):
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, rtol=ROUNDING)
     np.testing.assert_allclose(rotate(quaternions, [1.0, 0.0, 0.0]), unit, atol=ROUNDING)
-    np.testing.assert_allclose(
-        rotate(quaternions, [0.0, 1.0, 0.0])[:, 2], 0.0, atol=ROUNDING
-    )  # level: no roll
+    np.testing.assert_allclose(rotate(quaternions, [0.0, 1.0, 0.0])[:, 2], 0.0, atol=ROUNDING)  # level: no roll
     assert np.all(rotate(quaternions, [0.0, 0.0, 1.0])[:, 2] > 0.0)  # up stays up
 
 
-@pytest.mark.parametrize(
-    "direction", [(0, 0, 1), (0, 0, -1), (-1, 0, 0), (-1, -0.0, 0), (-0.0, -0.0, -1), (1, 0, 0)]
-)
+@pytest.mark.parametrize("direction", [(0, 0, 1), (0, 0, -1), (-1, 0, 0), (-1, -0.0, 0), (-0.0, -0.0, -1), (1, 0, 0)])
 def test_axes_are_met(direction):
     turned = rotate(quaternion_from_direction(direction), [1.0, 0.0, 0.0])
     np.testing.assert_allclose(turned, direction, atol=ROUNDING)
@@ -76,21 +72,15 @@ def test_normalised(rng):
     quaternions = rng.standard_normal((6, 4))
     unit = normalised(quaternions)
     np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1.0, rtol=ROUNDING)
-    np.testing.assert_allclose(
-        unit * np.linalg.norm(quaternions, axis=1)[:, None], quaternions, rtol=ROUNDING
-    )
+    np.testing.assert_allclose(unit * np.linalg.norm(quaternions, axis=1)[:, None], quaternions, rtol=ROUNDING)
     for bad in ([0, 0, 0, 0], [np.nan, 0, 0, 1]):
         with pytest.raises(InputError):
             normalised(bad)
 
 
 def test_signs_follow_the_neighbour(rng):
-    angle = np.linspace(
-        0.0, 6.0 * np.pi, 200
-    )  # three whole turns: the quaternion itself turns one and a half
-    smooth = np.stack(
-        [np.zeros_like(angle), np.zeros_like(angle), np.sin(angle / 2), np.cos(angle / 2)], axis=1
-    )
+    angle = np.linspace(0.0, 6.0 * np.pi, 200)  # three whole turns: the quaternion itself turns one and a half
+    smooth = np.stack([np.zeros_like(angle), np.zeros_like(angle), np.sin(angle / 2), np.cos(angle / 2)], axis=1)
     flipped = smooth * rng.choice([-1.0, 1.0], 200)[:, None]
     flipped[0] = smooth[0]
     np.testing.assert_array_equal(same_hemisphere(flipped), smooth)

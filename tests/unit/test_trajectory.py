@@ -64,9 +64,7 @@ def test_line_begins_and_ends_where_it_is_told():
 
 def test_circle_starts_at_plus_x_and_turns_counterclockwise():
     circle = Trajectory.circle((4, 3, 1.5), radius=2.0, period=4.0, duration=8.0)
-    np.testing.assert_allclose(
-        circle.position([0.0, 1.0, 2.0]), [(6, 3, 1.5), (4, 5, 1.5), (2, 3, 1.5)], atol=1e-14
-    )
+    np.testing.assert_allclose(circle.position([0.0, 1.0, 2.0]), [(6, 3, 1.5), (4, 5, 1.5), (2, 3, 1.5)], atol=1e-14)
     np.testing.assert_allclose(circle.velocity(0.0), (0, 2.0 * TAU / 4.0, 0), atol=1e-14)
 
 
@@ -112,9 +110,7 @@ def test_splines_continue_with_the_end_s_position_velocity_and_acceleration(name
     u = np.array([0.01, 0.03, CONTINUATION])[:, None]
     for end, sign in ((0.0, -1.0), (2.0, 1.0)):
         inside = end - sign * 1e-9
-        expected = (
-            trajectory.position(end) + trajectory.velocity(end) * sign * u + second(inside, nu=2) * u * u / 2
-        )
+        expected = trajectory.position(end) + trajectory.velocity(end) * sign * u + second(inside, nu=2) * u * u / 2
         np.testing.assert_allclose(trajectory.position(end + sign * u[:, 0]), expected, atol=1e-9)
 
 
@@ -126,9 +122,7 @@ def test_everything_stands_still_beyond_the_continuation(name):
     x = trajectory.position(t)
     np.testing.assert_array_equal(x[[0, 2]], x[[1, 3]])
     np.testing.assert_array_equal(x[[0, 3]], trajectory.position([-CONTINUATION, 2.0 + CONTINUATION]))
-    assert np.all(
-        np.linalg.norm(trajectory.velocity([-CONTINUATION + 1e-9, 2.0 + CONTINUATION - 1e-9]), axis=1) > 0.1
-    )
+    assert np.all(np.linalg.norm(trajectory.velocity([-CONTINUATION + 1e-9, 2.0 + CONTINUATION - 1e-9]), axis=1) > 0.1)
 
 
 @pytest.mark.parametrize("name", SMOOTH)
@@ -183,9 +177,7 @@ def test_smooth_waypoints_meet_their_points_with_continuous_acceleration(rng):
 
 
 def test_straight_waypoints_have_breaks_where_the_velocity_changes():
-    trajectory = Trajectory.waypoints(
-        [0, 1, 2, 4], [(0, 0, 0), (1, 0, 0), (2, 0, 0), (2, 3, 0)], smooth=False
-    )
+    trajectory = Trajectory.waypoints([0, 1, 2, 4], [(0, 0, 0), (1, 0, 0), (2, 0, 0), (2, 3, 0)], smooth=False)
     np.testing.assert_array_equal(trajectory.breaks, [2.0])
     np.testing.assert_allclose(trajectory.position([0.5, 3.0]), [(0.5, 0, 0), (2, 1.5, 0)], rtol=1e-15)
     np.testing.assert_allclose(trajectory.velocity([2.0 - 1e-9, 2.0]), [(1, 0, 0), (0, 1.5, 0)], atol=1e-15)
@@ -232,9 +224,7 @@ def test_orientation_is_the_slerp_of_scipy_and_its_sign_never_jumps(rng):
     assert (expected.inv() * Rotation.from_quat(q)).magnitude().max() < 1e-7
     assert np.sum(q[1:] * q[:-1], axis=1).min() > 0.99
     np.testing.assert_array_equal(trajectory.orientation([t[0] - 5.0]), trajectory.orientation([t[0]]))
-    np.testing.assert_allclose(
-        trajectory.orientation([t[-1] + 5.0]), trajectory.orientation([t[-1]]), atol=1e-15
-    )
+    np.testing.assert_allclose(trajectory.orientation([t[-1] + 5.0]), trajectory.orientation([t[-1]]), atol=1e-15)
 
 
 def test_orientation_at_rest_stays_a_unit_quaternion():

@@ -42,10 +42,7 @@ def rows():
 
 @pytest.fixture
 def euroc_rows(rows):
-    return [
-        [1403715524907143168 + 100_000_000 * i, *row[1:4], row[7], *row[4:7], 0.0]
-        for i, row in enumerate(rows)
-    ]
+    return [[1403715524907143168 + 100_000_000 * i, *row[1:4], row[7], *row[4:7], 0.0] for i, row in enumerate(rows)]
 
 
 def by_points(path, form, **more):
@@ -124,9 +121,7 @@ def test_placement_scales_then_turns_then_moves(tmp_path, rows):
     np.testing.assert_allclose(placed.position(t), expected, atol=1e-12)
     axes = Rotation.from_quat(placed.orientation(t)).apply([1.0, 0, 0])
     before = Rotation.from_quat(plain.orientation(t)).apply([1.0, 0, 0])
-    np.testing.assert_allclose(
-        axes, np.stack([-before[:, 1], before[:, 0], before[:, 2]], axis=1), atol=1e-12
-    )
+    np.testing.assert_allclose(axes, np.stack([-before[:, 1], before[:, 0], before[:, 2]], axis=1), atol=1e-12)
 
 
 # Smoothing
@@ -231,9 +226,7 @@ def test_gap_is_refused_allowed_or_bridged(tmp_path, rows):
     assert "line 22: must follow within 0.65 s (max_gap)" in refused(path, max_gap=0.65).problem
     assert len(Trajectory.from_file(path, "csv", max_gap=0.7).notes) == 1
     trajectory = Trajectory.from_file(path, "csv", repair=("gaps",))
-    assert (
-        trajectory.notes[0] == "Bridged 1 gap longer than 0.5 s, the first before line 22, the longest 0.7 s."
-    )
+    assert trajectory.notes[0] == "Bridged 1 gap longer than 0.5 s, the first before line 22, the longest 0.7 s."
     # The cubic across 0.7 s of a unit circle at 1 rad/s: 0.7⁴ / 384 and the ends' share, a few times that.
     t = np.linspace(1.9, 2.6, 30)
     wanted = np.stack([np.sin(t), np.cos(t), 0.1 * t], axis=1)
@@ -421,9 +414,7 @@ def test_drone_trajectory_loads_as_it_is():
     assert np.all((trajectory.residual > 1e-6) & (trajectory.residual < 30e-6))
     np.testing.assert_allclose(trajectory.position(0.0), (0.515356, 1.996773, 0.971104), atol=1e-4)
     # First quaternion, w x y z in the file.
-    np.testing.assert_allclose(
-        trajectory.orientation(0.0), (0.789985, -0.205376, 0.554528, 0.161996), atol=2e-4
-    )
+    np.testing.assert_allclose(trajectory.orientation(0.0), (0.789985, -0.205376, 0.554528, 0.161996), atol=2e-4)
     assert trajectory.peak_speed(0.0, trajectory.end)[0] == pytest.approx(2.19, abs=0.02)
     # The file's own velocities at 41.75 s are those of the curve.
     row = np.loadtxt(EUROC_FILE, delimiter=",", comments="#", skiprows=8000, max_rows=1)

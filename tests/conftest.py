@@ -1,0 +1,26 @@
+"""What all tests share: seeded random numbers, and the engines."""
+
+import numpy as np
+import pytest
+
+from clsim.render.device import list_devices
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20240607)
+
+
+@pytest.fixture(params=["opencl", "reference"])
+def engine(request: pytest.FixtureRequest) -> str:
+    """Each engine in turn; without an OpenCL device its tests are a visible skip."""
+    if request.param == "opencl" and not list_devices():
+        pytest.skip("no OpenCL device on this machine")
+    return str(request.param)
+
+
+@pytest.fixture
+def device() -> None:
+    """Skip visibly without an OpenCL device."""
+    if not list_devices():
+        pytest.skip("no OpenCL device on this machine")

@@ -1,0 +1,98 @@
+"""Images of a shoebox and the path table, against explicit mirroring."""
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.paths.shoebox_images import shoebox_image_count, shoebox_images
+
+SIZE = np.array([8.0, 6.0, 3.0])
+
+
+def mirrored(point: np.ndarray, wall: int) -> np.ndarray:
+    out = point.copy()
+    axis, side = divmod(wall, 2)
+    out[axis] = 2.0 * (SIZE[axis] if side else 0.0) - point[axis]
+    return out
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 5, 10, 30])
+def test_image_count(order: int) -> None:
+    expected = 1 + 2 * order * (2 * order**2 + 3 * order + 4) / 3
+    assert len(shoebox_images(SIZE, order).order) == expected == shoebox_image_count(order)
+
+
+def test_images_are_reached_by_mirroring_in_their_walls() -> None:
+    images = shoebox_images(SIZE, 4)
+    point = np.array([1.3, 4.1, 0.7])
+    for order, walls, matrix, offset in zip(images.order, images.walls, images.matrix, images.offset, strict=True):
+        assert np.count_nonzero(walls >= 0) == order
+        image = point
+        for wall in walls[walls >= 0]:
+            image = mirrored(image, int(wall))
+        np.testing.assert_allclose(matrix @ point + offset, image, atol=1e-12)
+
+
+def test_images_differ() -> None:
+    images = shoebox_images(SIZE, 8)
+    positions = images.matrix @ np.array([1.3, 4.1, 0.7]) + images.offset
+    assert len(np.unique(np.round(positions, 9), axis=0)) == len(positions)
+
+
+@pytest.fixture
+def scene() -> clsim.Scene:
+    room = clsim.Shoebox(SIZE, {"default": clsim.Material.from_reflection(0.8), "z_min": clsim.Material.from_reflection(-0.5)})
+    tone = clsim.Signal.tone(40e3, duration=0.5, sampling_rate=192e3)
+    source = clsim.Source("s", tone, clsim.Trajectory.line((2, 3, 1), (4, 3, 1), duration=1.0))
+    receivers = [clsim.Receiver("a", clsim.Trajectory.fixed((7, 3, 1))), clsim.Receiver("b", clsim.Trajectory.fixed((1, 1, 2)))]
+    return clsim.Scene(room, clsim.Air(speed_of_sound=340.0), [source], receivers)
+
+
+def test_table_of_the_direct_path(scene: clsim.Scene) -> None:
+    table = clsim.find_paths(scene, 1).table([0.25])
+    # Approaching at 2 m/s from 5 m: emitted at te with 340 (t - te) = 5 - 2 te.
+    emitted = (340.0 * 0.25 - 5.0) / 338.0
+    assert table.direct[0]
+    assert table.delay[0, 0] == pytest.approx(0.25 - emitted, abs=1e-14)
+    assert table.doppler[0, 0] == pytest.approx(1.0 / (1.0 - 2.0 / 340.0), rel=1e-12)
+    distance = 340.0 * table.delay[0, 0]
+    absorption = scene.air.absorption(40e3)
+    expected = 10 ** (-absorption * (distance - 1) / 20) / distance / (1 - 2 / 340)
+    assert table.gain[0, 0] == pytest.approx(expected, rel=1e-12)
+    np.testing.assert_allclose(table.departure[0, 0], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(table.arrival[0, 0], [-1, 0, 0], atol=1e-12)
+
+
+def test_reflection_keeps_its_sign_and_directions_mirror(scene: clsim.Scene) -> None:
+    table = clsim.find_paths(scene, 1).table([0.25])
+    floor = next(p for p in range(7) if table.walls[p, 0] == 4)
+    assert table.gain[floor, 0] < 0.0
+    # Down to the floor at the source, and up from it at the receiver: the arrival direction points down.
+    assert table.departure[floor, 0, 2] < 0.0
+    assert table.arrival[floor, 0, 2] == pytest.approx(table.departure[floor, 0, 2], abs=1e-12)
+
+
+def test_order_out_of_range(scene: clsim.Scene) -> None:
+    for order in (-1, 61, 1.5, True, "3"):
+        with pytest.raises(clsim.InputError, match="max_order"):
+            clsim.find_paths(scene, order)  # type: ignore[arg-type]
+    with pytest.raises(clsim.InputError, match="path_limit"):
+        clsim.find_paths(scene, 30, path_limit=1000)
+
+
+def test_scene_refuses_leaving_the_room_and_coming_too_close() -> None:
+    room = clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.8))
+    tone = clsim.Signal.tone(40e3, duration=0.5, sampling_rate=192e3)
+    fixed = clsim.Receiver("r", clsim.Trajectory.fixed((4, 3, 1)))
+
+    def scene(trajectory: clsim.Trajectory) -> None:
+        clsim.Scene(room, clsim.Air(), [clsim.Source("s", tone, trajectory)], [fixed])
+
+    with pytest.raises(clsim.InputError, match=r"sources\[0\].trajectory.*inside the room.*at 0\.5"):
+        scene(clsim.Trajectory.line((6, 3, 2), (10, 3, 2), duration=1.0))
+    with pytest.raises(clsim.InputError, match=r"min_distance.*at 0\.5"):
+        scene(clsim.Trajectory.line((3, 3, 1), (5, 3, 1), duration=1.0))
+    with pytest.raises(clsim.InputError, match="speed of sound"):
+        scene(clsim.Trajectory.line((1, 3, 2), (7, 3, 2), duration=0.51 / 30))
+    with pytest.raises(clsim.InputError, match=r"sources\[0\].trajectory.*as long as the signal"):
+        scene(clsim.Trajectory.line((1, 3, 2), (2, 3, 2), duration=0.25))
