@@ -345,7 +345,7 @@ class _Render(_Model):
 class SceneModel(_Model):
     """A whole scene file."""
 
-    format: Literal[1]
+    format: Annotated[int, Field(ge=1, le=1)]
     min_distance: float = 0.01
     room: _Room
     air: _Air = _Air()

@@ -223,7 +223,7 @@ class Noise:
         a, b = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
         parts = []
         for k in range(a, b):
-            stream = np.random.Philox(key=[self.seed % 2**64, k % 2**64])
+            stream = np.random.Philox(key=np.array([self.seed % 2**64, k % 2**64], dtype=np.uint64))
             parts.append(np.random.Generator(stream).standard_normal(_NOISE_BLOCK))
         return np.concatenate(parts)[first - a * _NOISE_BLOCK : last - a * _NOISE_BLOCK]
 

@@ -1,0 +1,99 @@
+"""Files are whole or absent, and hold what they should."""
+
+import numpy as np
+import pytest
+import soundfile
+
+import clsim
+from clsim.output.atomic import atomic_path
+from clsim.output.plots import echogram, envelope, spectrogram
+from clsim.output.table import read_table, write_table
+from clsim.output.wav import WavWriter
+from clsim.paths.path_table import PathTable
+
+
+@pytest.fixture
+def table() -> PathTable:
+    room = clsim.Shoebox((8, 6, 3), clsim.Material.from_reflection(0.8))
+    tone = clsim.Signal.tone(40e3, duration=0.5, sampling_rate=192e3)
+    source = clsim.Source("s", tone, clsim.Trajectory.line((2, 3, 1), (4, 3, 1), duration=1.0))
+    scene = clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("a", clsim.Trajectory.fixed((7, 3, 1)))])
+    return clsim.find_paths(scene, 2).table([0.0, 0.1, 0.2])
+
+
+def test_wav_keeps_rate_and_samples(tmp_path, rng) -> None:
+    samples = rng.normal(size=(1000, 3)).astype(np.float32)
+    path = tmp_path / "a.wav"
+    with WavWriter(path, 500e3, channels=3) as writer:
+        writer.write(samples[:300])
+        assert not path.exists()
+        writer.write(samples[300:])
+    read, rate = soundfile.read(path, dtype="float32")
+    assert rate == 500_000
+    np.testing.assert_array_equal(read, samples)
+
+
+def test_interrupted_files_leave_nothing(tmp_path) -> None:
+    def interrupted() -> None:
+        with WavWriter(tmp_path / "a.wav", 192e3) as writer:
+            writer.write(np.zeros(10, dtype=np.float32))
+            raise KeyboardInterrupt
+
+    def failed() -> None:
+        with atomic_path(tmp_path / "b.txt") as temporary:
+            temporary.write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    with pytest.raises(RuntimeError):
+        failed()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wav_needs_a_whole_rate_and_a_folder(tmp_path) -> None:
+    with pytest.raises(clsim.InputError, match="whole number of Hz"):
+        WavWriter(tmp_path / "a.wav", 44_100.5)
+    with pytest.raises(OSError, match="cannot write"):
+        WavWriter(tmp_path / "missing" / "a.wav", 44_100)
+
+
+def test_table_survives_npz(tmp_path, table: PathTable) -> None:
+    write_table(table, tmp_path / "t.npz")
+    again = read_table(tmp_path / "t.npz")
+    for name in PathTable.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(again, name), getattr(table, name))
+
+
+def test_table_as_parquet_has_a_row_per_path_and_time(tmp_path, table: PathTable) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    write_table(table, tmp_path / "t.parquet")
+    rows = parquet.read_table(tmp_path / "t.parquet").to_pydict()
+    assert len(rows["delay"]) == 25 * 3
+    p, t = 7, 2
+    i = next(i for i in range(75) if rows["path"][i] == p and rows["time"][i] == table.times[t])
+    assert rows["delay"][i] == table.delay[p, t]
+    assert rows["arrival_z"][i] == table.arrival[p, t, 2]
+    assert rows["walls"][i] == ",".join(table.wall_names[w] for w in table.walls[p] if w >= 0)
+
+
+def test_table_refuses_other_files(tmp_path, table: PathTable) -> None:
+    with pytest.raises(clsim.InputError, match=r"\.npz or \.parquet"):
+        write_table(table, tmp_path / "t.csv")
+    (tmp_path / "no.npz").write_bytes(b"PK")
+    with pytest.raises(clsim.InputError, match="path table"):
+        read_table(tmp_path / "no.npz")
+
+
+def test_pictures_are_drawn(tmp_path, table: PathTable) -> None:
+    tone = np.sin(2 * np.pi * 40e3 * np.arange(20_000) / 192e3)
+    spectrogram(tone, 192e3, tmp_path / "s.png", title="tone", band=(38e3, 42e3))
+    echogram(table, 0, 1, tmp_path / "e.png")
+    envelope(tone, 192e3, tmp_path / "h.png", title="tone", arrivals=[(0.01, "direct", True)])
+    for name in ("s", "e", "h"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_silence_is_drawn(tmp_path) -> None:
+    spectrogram(np.zeros(3), 48e3, tmp_path / "s.png", title="silence")
+    assert (tmp_path / "s.png").exists()

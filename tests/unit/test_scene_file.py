@@ -1,0 +1,189 @@
+"""Scene files: the same words as the constructors, and an error that names the field for everything else."""
+
+import copy
+import math
+import tomllib
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import clsim
+from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
+
+EXAMPLE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [8.0, 6.0, 3.0]
+walls = { default = { reflection = 0.9 }, z_min = { absorption = { frequencies = [1e3, 50e3], coefficients = [0.1, 0.2] } } }
+[air]
+temperature_celsius = 21.0
+[[sources]]
+name = "robot"
+signal = { kind = "tone", frequency = 40e3, duration = 0.05, sampling_rate = 192e3 }
+trajectory = { kind = "circle", center = [4, 3, 1.5], radius = 1.0, period = 1.0, duration = 2.0 }
+directivity = { kind = "piston", radius = 0.0047 }
+aim = [1.0, 0.0, 0.0]
+[[sources]]
+name = "beacon"
+start = 0.01
+signal = { kind = "pulses", pulse = { kind = "chirp", start = 39e3, stop = 41e3, duration = 1e-3, sampling_rate = 192e3 }, period = 0.01, count = 3 }
+trajectory = { kind = "waypoints", times = [0.0, 1.0, 2.0], positions = [[1, 1, 1], [2, 1, 1], [2, 2, 1]] }
+directivity = { kind = "named", name = "MA40S4S" }
+[[receivers]]
+name = "ceiling"
+trajectory = { kind = "fixed", position = [1.0, 1.0, 2.9] }
+directivity = { kind = "cardioid", weight = 0.5 }
+[paths]
+max_order = 2
+[render]
+sampling_rate = 192e3
+interpolator = { kind = "bandlimited", error_db = -90 }
+"""
+CONTENT = tomllib.loads(EXAMPLE)
+
+
+def changed(path: tuple, value: object) -> dict:
+    content = copy.deepcopy(CONTENT)
+    at = content
+    for step in path[:-1]:
+        at = at[step]
+    at[path[-1]] = value
+    return content
+
+
+def leaves(value: object, path: tuple = ()) -> list[tuple]:
+    """Return the path of every field in the example, tables and lists included."""
+    out = [path] if path else []
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return out + [leaf for key, inner in items for leaf in leaves(inner, (*path, key))]
+
+
+LEAVES = leaves(CONTENT)
+
+
+def written(path: tuple) -> str:
+    text = ""
+    for step in path:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+    return text
+
+
+def test_the_file_says_what_the_constructors_say(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(EXAMPLE)
+    file = load_scene(tmp_path / "scene.toml")
+    robot, beacon = file.scene.sources
+    assert file.max_order == 2
+    assert file.render["interpolator"] == clsim.Bandlimited(-90)
+    assert robot.directivity == clsim.Piston(0.0047)
+    assert beacon.start == 0.01
+    np.testing.assert_allclose(robot.trajectory.position(0.25), [4, 4, 1.5], atol=1e-12)
+    np.testing.assert_allclose(file.scene.room.reflections(50e3)[[0, 4]], [0.9, math.sqrt(0.8)])
+
+
+def test_completed_scene_is_the_same_from_another_folder(tmp_path: Path) -> None:
+    rows = "".join(f"{t / 10} {1 + t / 100} 1 1 0 0 0 1\n" for t in range(30))
+    (tmp_path / "walk.txt").write_text(rows)
+    walk = {"kind": "file", "path": "walk.txt", "format": "tum", "smooth": False}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        file = build_scene(changed(("sources", 1, "trajectory"), walk), tmp_path)
+        other = tmp_path / "out" / "deep"
+        other.mkdir(parents=True)
+        (other / "scene.toml").write_text(completed_scene(file, other, duration=0.07))
+        again = load_scene(other / "scene.toml")
+    assert again.render == file.render | {"duration": 0.07}
+    t = np.linspace(0, 2, 7)
+    for a, b in zip(file.scene.sources, again.scene.sources, strict=True):
+        np.testing.assert_array_equal(a.trajectory.position(t), b.trajectory.position(t))
+    completed = tomllib.loads((other / "scene.toml").read_text())
+    assert completed["air"]["relative_humidity"] == 0.5
+    assert completed["render"]["motion"] == "retarded"
+
+
+@pytest.mark.parametrize("path", LEAVES, ids=written)
+@pytest.mark.parametrize("value", [float("nan"), "text", [], {"odd": 1}, True], ids=repr)
+def test_nonsense_anywhere_names_the_field(path: tuple, value: object) -> None:
+    original = CONTENT
+    for step in path:
+        original = original[step]
+    if (isinstance(original, str) and isinstance(value, str)) and path[-1] == "name":
+        return  # any text is a name
+    content = changed(path, value)
+    if value == {"odd": 1} and isinstance(original, dict):
+        match = written(path)
+    else:
+        match = written(path[: -1 if isinstance(path[-1], int) and value == [] else len(path)])
+    with pytest.raises(clsim.InputError) as caught:
+        build_scene(content, Path())
+    assert str(caught.value).startswith(match.rpartition(".kind")[0] or match), str(caught.value)
+
+
+@pytest.mark.parametrize("path", [p for p in LEAVES if not isinstance(p[-1], int)], ids=written)
+def test_unknown_keys_are_errors(path: tuple) -> None:
+    content = copy.deepcopy(CONTENT)
+    at = content
+    for step in path:
+        at = at[step]
+    if not isinstance(at, dict):
+        return
+    at["surprise"] = 1
+    with pytest.raises(clsim.InputError, match="surprise"):
+        build_scene(content, Path())
+
+
+REQUIRED = [
+    ("format",), ("room",), ("sources",), ("receivers",), ("paths",), ("render",), ("room", "kind"), ("room", "size"),
+    ("room", "walls"), ("sources", 0, "name"), ("sources", 0, "signal"), ("sources", 0, "signal", "frequency"),
+    ("sources", 0, "trajectory"), ("sources", 0, "trajectory", "center"), ("receivers", 0, "trajectory", "position"),
+    ("paths", "max_order"), ("render", "sampling_rate"), ("sources", 1, "signal", "pulse"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("path", REQUIRED, ids=written)
+def test_missing_fields_are_errors(path: tuple) -> None:
+    content = copy.deepcopy(CONTENT)
+    at = content
+    for step in path[:-1]:
+        at = at[step]
+    del at[path[-1]]
+    with pytest.raises(clsim.InputError) as caught:
+        build_scene(content, Path())
+    assert str(caught.value).startswith(written(path)), str(caught.value)
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(path=st.sampled_from(LEAVES), value=anything)
+def test_fuzzed_fields_give_an_input_error_or_a_scene(path: tuple, value: object) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            build_scene(changed(path, value), Path())
+        except clsim.InputError as error:
+            assert error.field or error.problem
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(clsim.InputError, match="cannot be read"):
+        load_scene(tmp_path / "missing.toml")
+    for text in (b"format = ", b"\xff\xfe"):
+        (tmp_path / "bad.toml").write_bytes(text)
+        with pytest.raises(clsim.InputError, match="is no TOML file"):
+            load_scene(tmp_path / "bad.toml")
+
+
+def test_schema_names_every_kind() -> None:
+    text = str(scene_schema())
+    for word in ("shoebox", "tone", "waypoints", "bandlimited", "piston"):
+        assert word in text

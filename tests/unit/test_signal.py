@@ -1,0 +1,138 @@
+"""Signals: random access, exactness after long times, and bad input."""
+
+import numpy as np
+import pytest
+import soundfile
+from scipy.signal import correlate
+
+from clsim import InputError, Signal
+from clsim.scene.sequences import binary_sequence
+
+RATE = 192e3
+PULSE = Signal.chirp(39e3, 41e3, 1e-3, RATE, window="hann")
+SIGNALS = {
+    "tone": Signal.tone(40e3, 0.2, RATE, fade=0.01),
+    "linear": Signal.chirp(20e3, 80e3, 0.2, RATE),
+    "exponential": Signal.chirp(20e3, 80e3, 0.2, RATE, method="exponential", window="tukey"),
+    "pulses": Signal.pulses(PULSE, 0.05, 4),
+    "white": Signal.noise(0.2, RATE, seed=3),
+    "band": Signal.noise(0.2, RATE, seed=3, band=(30e3, 50e3)),
+    "sequence": Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, bits=7),
+    "array": Signal.from_array(np.arange(1.0, 9000.0), RATE),
+}
+
+
+@pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
+def test_reads_the_same_however_it_is_cut(signal: Signal, rng: np.random.Generator) -> None:
+    whole = signal.read(-100, signal.count + 100)
+    assert not np.any(whole[:100])
+    assert not np.any(whole[-100:])
+    assert np.any(whole)
+    for _ in range(20):
+        start, stop = np.sort(rng.integers(-100, signal.count + 100, 2))
+        np.testing.assert_array_equal(signal.read(start, stop), whole[start + 100 : stop + 100])
+
+
+def test_tone_keeps_its_phase_after_an_hour() -> None:
+    tone = Signal.tone(40_123.4, 3700.0, RATE)
+    n = int(3600 * RATE) + 17
+    # Whole numbers: 40123.4 / 192000 = 401234 / 1920000 cycles a sample.
+    cycles = (n * 401_234) % 1_920_000 / 1_920_000
+    assert tone.read(n, n + 1)[0] == pytest.approx(np.sin(2 * np.pi * cycles), abs=1e-6)
+
+
+def test_chirp_sweeps_as_stated() -> None:
+    chirp = Signal.chirp(20e3, 80e3, 0.1, 1e6)
+    phase = np.unwrap(np.angle(np.fft.ifft(np.where(np.fft.fftfreq(chirp.count) > 0, 2, 0) * np.fft.fft(chirp.read(0, chirp.count)))))
+    frequency = np.diff(phase) * 1e6 / (2 * np.pi)
+    at = np.arange(20_000, 80_000, 1000)
+    np.testing.assert_allclose(frequency[at], 20e3 + 60e3 * (at + 0.5) / 1e5, rtol=2e-3)
+
+
+def test_pulse_period_must_be_whole_samples() -> None:
+    with pytest.raises(InputError, match=r"period: must be a whole number of samples.*0\.09999"):
+        Signal.pulses(PULSE, 0.1 - 2e-6, 3)
+
+
+def test_noise_has_its_level_band_and_seed() -> None:
+    noise = Signal.noise(1.0, RATE, seed=1, band=(30e3, 50e3), rms=2.0)
+    samples = noise.read(0, noise.count)
+    # 192 000 samples of which a fifth are independent: the deviation of the rms is 0.4 %; five of them.
+    assert np.sqrt(np.mean(samples**2)) == pytest.approx(2.0, rel=0.02)
+    frequencies, energy = noise.energy_spectrum()
+    outside = energy[(frequencies < 28e3) | (frequencies > 52e3)].sum() / energy.sum()
+    assert outside < 1e-6
+    assert not np.array_equal(samples, Signal.noise(1.0, RATE, seed=2, band=(30e3, 50e3), rms=2.0).read(0, noise.count))
+
+
+@pytest.mark.parametrize("bits", [5, 6, 7, 9, 10, 11])
+def test_gold_sequences_have_three_valued_correlations(bits: int) -> None:
+    length = 2**bits - 1
+    bound = 2 ** ((bits + 2) // 2) + 1
+    for a, b in ((0, 1), (2, 7), (3, length + 1)):
+        first, second = binary_sequence("gold", bits, a), binary_sequence("gold", bits, b)
+        cross = np.rint(np.fft.ifft(np.fft.fft(first) * np.conj(np.fft.fft(second))).real)
+        assert set(cross) <= {-1.0, -float(bound), float(bound - 2)}
+
+
+def test_maximum_length_sequence_has_two_valued_autocorrelation() -> None:
+    chips = binary_sequence("mls", 9, 5)
+    auto = np.rint(np.fft.ifft(np.abs(np.fft.fft(chips)) ** 2).real)
+    assert auto[0] == 511
+    assert set(auto[1:]) == {-1.0}
+
+
+def test_sequence_stays_in_its_band_and_correlates_sharply() -> None:
+    signal = Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, bits=9, rolloff=0.5)
+    frequencies, energy = signal.energy_spectrum()
+    assert energy[np.abs(frequencies - 40e3) > 6.3e3].sum() / energy.sum() < 1e-5
+    samples = signal.read(0, signal.count)
+    auto = np.abs(correlate(samples, samples, method="fft"))
+    peak = auto.argmax()
+    far = np.r_[auto[: peak - 200], auto[peak + 200 :]]
+    assert far.max() < 0.15 * auto[peak]  # aperiodic side lobes of 511 chips: below 3 / sqrt(511)
+
+
+def test_resampling_keeps_the_band() -> None:
+    tone = Signal.tone(20e3, 0.2, 250e3, fade=0.02)
+    moved = Signal.from_array(tone.read(0, tone.count), 250e3).at_rate(192e3)
+    expected = Signal.tone(20e3, 0.2, 192e3, fade=0.02).read(0, moved.count)
+    error = moved.read(0, moved.count)[2000:-2000] - expected[2000:-2000]
+    assert np.sqrt(np.mean(error**2)) < 10 ** (-95 / 20)
+
+
+def test_wav(tmp_path, rng: np.random.Generator) -> None:
+    path = tmp_path / "two.wav"
+    samples = rng.uniform(-1, 1, (1000, 2))
+    soundfile.write(path, samples, 250_000, subtype="FLOAT")
+    signal = Signal.from_wav(path, channel=1, scale=3.0)
+    assert signal.sampling_rate == 250e3
+    np.testing.assert_allclose(signal.read(0, 1000), 3.0 * samples[:, 1], rtol=1e-6)
+    with pytest.raises(InputError, match="channel: must be below 2"):
+        Signal.from_wav(path, channel=2)
+    (tmp_path / "no.wav").write_text("nothing")
+    for name in ("no.wav", "missing.wav"):
+        with pytest.raises(InputError, match="path: must be a sound file"):
+            Signal.from_wav(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: Signal.tone(96e3, 1.0, RATE), "frequency"),
+        (lambda: Signal.tone(float("nan"), 1.0, RATE), "frequency"),
+        (lambda: Signal.tone(40e3, 0.0, RATE), "duration"),
+        (lambda: Signal.tone(40e3, 1.0, -1), "sampling_rate"),
+        (lambda: Signal.tone(40e3, 1.0, RATE, fade=0.6), "fade"),
+        (lambda: Signal.chirp(1e3, 2e3, 1.0, RATE, window="box"), "window"),
+        (lambda: Signal.noise(1.0, RATE, seed=-1), "seed"),
+        (lambda: Signal.noise(1.0, RATE, seed=1, band=(5e3, 4e3)), r"band\[1\]"),
+        (lambda: Signal.sequence(carrier=1e3, chip_rate=8e3, sampling_rate=RATE), "carrier"),
+        (lambda: Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, kind="gold", bits=8), "bits"),
+        (lambda: Signal.from_array([1.0, float("inf")], RATE), r"samples\[1\]"),
+        (lambda: Signal.from_array([], RATE), "samples"),
+    ],
+)
+def test_bad_input_names_the_field(make, field: str) -> None:
+    with pytest.raises(InputError, match=f"^{field}"):
+        make()
