@@ -120,10 +120,11 @@ def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
     resource = pytest.importorskip("resource")
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000));"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000));"
         f"from clsim.cli import main; sys.exit(main(['run', {str(scene)!r}, '-o', {str(tmp_path / 'out')!r}]))"
     )
     assert resource
+    scene.write_text(SCENE % "5.0", "utf-8")
     # Kernels are built beforehand: their cache would hit the limit too.
     assert main(["run", str(scene), "-o", str(tmp_path / "warm"), "--no-plots"]) == 0
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

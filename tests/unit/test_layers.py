@@ -36,7 +36,8 @@ def test_imports_point_up(path: Path) -> None:
     late = {
         id(node)
         for function in ast.walk(tree)
-        if isinstance(function, ast.FunctionDef) or (isinstance(function, ast.If) and "TYPE_CHECKING" in ast.dump(function.test))
+        if isinstance(function, ast.FunctionDef)
+        or (isinstance(function, ast.If) and "TYPE_CHECKING" in ast.dump(function.test))
         for node in ast.walk(function)
     }
     for node in ast.walk(tree):

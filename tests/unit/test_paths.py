@@ -41,10 +41,15 @@ def test_images_differ() -> None:
 
 @pytest.fixture
 def scene() -> clsim.Scene:
-    room = clsim.Shoebox(SIZE, {"default": clsim.Material.from_reflection(0.8), "z_min": clsim.Material.from_reflection(-0.5)})
+    room = clsim.Shoebox(
+        SIZE, {"default": clsim.Material.from_reflection(0.8), "z_min": clsim.Material.from_reflection(-0.5)}
+    )
     tone = clsim.Signal.tone(40e3, duration=0.5, sampling_rate=192e3)
     source = clsim.Source("s", tone, clsim.Trajectory.line((2, 3, 1), (4, 3, 1), duration=1.0))
-    receivers = [clsim.Receiver("a", clsim.Trajectory.fixed((7, 3, 1))), clsim.Receiver("b", clsim.Trajectory.fixed((1, 1, 2)))]
+    receivers = [
+        clsim.Receiver("a", clsim.Trajectory.fixed((7, 3, 1))),
+        clsim.Receiver("b", clsim.Trajectory.fixed((1, 1, 2))),
+    ]
     return clsim.Scene(room, clsim.Air(speed_of_sound=340.0), [source], receivers)
 
 

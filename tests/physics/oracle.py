@@ -1,0 +1,113 @@
+"""What must be received, in float64 and by means that the engines do not use.
+
+Images by mirroring point after point, emission times by fixed-point iteration, the emitted signal as a formula.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from clsim.scene.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Wobble:
+    """Sums of sines about a centre: a smooth random motion with a stated peak speed."""
+
+    centre: np.ndarray
+    amplitude: np.ndarray  # (3 sines, 3)
+    rate: np.ndarray  # (3 sines, 3) rad/s
+    phase: np.ndarray
+
+    @classmethod
+    def random(cls, rng: np.random.Generator, centre: object, speed: float) -> "Wobble":
+        rate = 2 * np.pi * rng.uniform(1.0, 2.5, (3, 3))
+        phase = rng.uniform(0, 2 * np.pi, (3, 3))
+        trial = cls(np.array(centre, float), rng.uniform(0.5, 1.0, (3, 3)), rate, phase)
+        peak = np.linalg.norm(trial.velocity(np.linspace(0, 10, 20_001)), axis=1).max()
+        return cls(trial.centre, trial.amplitude * speed / peak, rate, phase)
+
+    def position(self, time: np.ndarray) -> np.ndarray:
+        angle = self.rate * np.asarray(time)[..., None, None] + self.phase
+        return self.centre + np.sum(self.amplitude * np.sin(angle), axis=-2)
+
+    def velocity(self, time: np.ndarray) -> np.ndarray:
+        angle = self.rate * np.asarray(time)[..., None, None] + self.phase
+        return np.sum(self.amplitude * self.rate * np.cos(angle), axis=-2)
+
+    def trajectory(self, end: float = 1000.0) -> Trajectory:
+        return Trajectory(self, 0.0, end)
+
+
+def mirror_sequences(order: int) -> list[tuple[int, ...]]:
+    """Return one wall sequence for each image of a shoebox up to an order: those that mirror to new places."""
+    found: dict[tuple[float, ...], tuple[int, ...]] = {}
+    point, size = np.array([0.123, 0.234, 0.345]), np.array([1.0, 1.1, 1.2])
+    front = [((), point)]
+    found[tuple(point)] = ()
+    for _ in range(order):
+        nxt = []
+        for walls, at in front:
+            for wall in range(6):
+                image = mirror(at, wall, size)
+                key = tuple(np.round(image, 9))
+                if key not in found:
+                    found[key] = (*walls, wall)
+                    nxt.append(((*walls, wall), image))
+        front = nxt
+    return list(found.values())
+
+
+def mirror(point: np.ndarray, wall: int, size: np.ndarray) -> np.ndarray:
+    axis, side = divmod(wall, 2)
+    out = np.array(point)
+    out[..., axis] = 2.0 * (size[axis] if side else 0.0) - out[..., axis]
+    return out
+
+
+def received(
+    emitted: Callable[[np.ndarray], np.ndarray],
+    source: object,
+    receiver: object,
+    size: np.ndarray,
+    order: int,
+    times: np.ndarray,
+    *,
+    speed_of_sound: float,
+    absorption: float,
+    reflection: float,
+) -> np.ndarray:
+    """Return the exact pressure at `times`."""
+    c = speed_of_sound
+    at = receiver.position(times)
+    total = np.zeros(len(times))
+    for walls in mirror_sequences(order):
+
+        def image(t: np.ndarray, walls: tuple[int, ...] = walls) -> np.ndarray:
+            x = source.position(t)
+            for wall in walls:
+                x = mirror(x, wall, size)
+            return x
+
+        delay = np.linalg.norm(at - image(times), axis=1) / c
+        for _ in range(16):  # contracts by the Mach number, at most 0.03
+            delay = np.linalg.norm(at - image(times - delay), axis=1) / c
+        distance = c * delay
+        velocity = source.velocity(times - delay)
+        for wall in walls:
+            velocity[:, wall // 2] *= -1.0
+        mach = np.sum((at - image(times - delay)) * velocity, axis=1) / (distance * c)
+        gain = reflection ** len(walls) * 10 ** (-absorption * (distance - 1) / 20) / (distance * (1 - mach))
+        total += gain * emitted(times - delay)
+    return total
+
+
+def rise(t: np.ndarray, fade: float) -> np.ndarray:
+    """Return the raised cosine with which signals begin."""
+    return np.sin(0.5 * np.pi * np.clip(t / fade, 0.0, 1.0)) ** 2
+
+
+def error_db(got: np.ndarray, exact: np.ndarray) -> float:
+    """Return the error's RMS over the signal's, dB."""
+    return float(20 * np.log10(np.linalg.norm(got - exact) / np.linalg.norm(exact)))
