@@ -2,37 +2,34 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from clsim.output.atomic import atomic_path
+from clsim.output.levels import levels
 
 if TYPE_CHECKING:
     import os
 
+    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.output.levels import Readable
     from clsim.paths.path_table import PathTable
 
-_COLUMNS = 1200  # of a spectrogram's raster
-_RANGE_DB = 75.0
-_DPI = 110
-_DIRECT = "#d62728"
+_RANGE_DB = 75.0  # shown below the loudest
+_DPI = 130
+_DIRECT = "#c1272d"
 _REFLECTED = "#1f77b4"
-
-
-class Readable(Protocol):
-    """Samples that can be cut: an array, or a sound file behind one."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, part: slice) -> NDArray[Any]: ...
+# Of many paths the first orders matter most: dark, and the last light but still seen on white.
+_ORDERS = LinearSegmentedColormap.from_list("orders", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 64)))
 
 
 def spectrogram(
@@ -65,23 +62,28 @@ def spectrogram(
         Samples of a window; chosen from the band when left out.
     """
     low, high = band or (0.0, 0.5 * sampling_rate)
-    if segment is None:
-        segment = _segment(len(pressure), sampling_rate, high - low)
-    level, first, step = _levels(pressure, segment, sampling_rate, low, high)
-    peak = float(level.max()) if level.size else 0.0
-    figure = Figure(figsize=(10, 5), layout="constrained")
-    axes = figure.add_subplot()
-    edges = (0.0, len(pressure) / sampling_rate, first / 1e3, (first + step * level.shape[0]) / 1e3)
+    raster = levels(pressure, sampling_rate, (low, high), segment)
+    peak = float(raster.level.max())
+    figure, axes = _figure(5.0)
+    axes.grid(visible=False)
+    kilo = 1e3 if high >= 2e3 else 1.0
+    milli = 1e3 if raster.duration < 0.5 else 1.0
     shown = axes.imshow(
-        level, origin="lower", aspect="auto", extent=edges, cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
-        interpolation="nearest",
+        raster.level, origin="lower", aspect="auto", cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
+        extent=(0.0, raster.duration * milli, raster.low / kilo, raster.high / kilo),
     )  # fmt: skip
     for times, frequencies, label in overlay or []:
-        axes.plot(times, np.asarray(frequencies) / 1e3, "--", color="white", linewidth=0.9, alpha=0.8, label=label)
+        axes.plot(
+            np.asarray(times) * milli, np.asarray(frequencies) / kilo, "--", color="white", linewidth=1.3, label=label,
+            path_effects=[withStroke(linewidth=3.0, foreground="black")],
+        )  # fmt: skip
     if overlay:
-        axes.legend(loc="upper right", framealpha=0.4, facecolor="black", labelcolor="white")
-    axes.set(xlabel="time (s)", ylabel="frequency (kHz)", title=title, xlim=edges[:2], ylim=(low / 1e3, high / 1e3))
-    figure.colorbar(shown, label="level (dB re 20 µPa in a window)")
+        axes.legend(loc="upper right", framealpha=0.7, facecolor="black", edgecolor="none", labelcolor="white")
+    axes.set(
+        xlabel="time (ms)" if milli > 1.0 else "time (s)", ylabel="frequency (kHz)" if kilo > 1.0 else "frequency (Hz)",
+        title=title, xlim=(0.0, raster.duration * milli), ylim=(low / kilo, high / kilo),
+    )  # fmt: skip
+    figure.colorbar(shown, pad=0.015, aspect=30).set_label("level (dB re 20 µPa)", fontsize=12)
     _save(figure, path)
 
 
@@ -97,26 +99,29 @@ def echogram(table: PathTable, receiver: int, index: int, path: str | os.PathLik
     path : path-like
         Of the PNG.
     """
-    rows = np.flatnonzero((table.receiver == receiver) & np.isfinite(table.delay[:, index]))
-    figure = Figure(figsize=(10, 4.5), layout="constrained")
-    axes = figure.add_subplot()
-    gain = np.abs(table.gain[rows, index])
-    if len(rows) and gain.max() > 0.0:
-        level = 20 * np.log10(np.maximum(gain, 1e-12))
-        floor = max(level.max() - 100.0, level.min()) - 5.0
-        delay = table.delay[rows, index] * 1e3
-        order = table.order[rows]
-        colours = matplotlib.colormaps["viridis"](order / max(1, order.max()))
-        axes.vlines(delay, floor, np.maximum(level, floor), colors=colours, linewidth=1.0)
-        dots = axes.scatter(delay, np.maximum(level, floor), c=order, cmap="viridis", s=14, zorder=3)
-        axes.set_ylim(floor, level.max() + 5.0)
-        if order.max() > 0:
-            figure.colorbar(dots, label="order (number of reflections)")
+    heard = np.flatnonzero((table.receiver == receiver) & np.isfinite(table.delay[:, index]))
+    level = 20.0 * np.log10(np.maximum(np.abs(table.gain[heard, index]), 1e-15))
+    top = float(level.max(initial=-300.0))
+    shown = level > top - _RANGE_DB
+    rows, level = heard[shown], level[shown]
+    figure, axes = _figure(4.5)
+    if len(rows):
+        floor = float(level.min()) - 4.0
+        _stems(figure, axes, table.delay[rows, index] * 1e3, level, table.order[rows], floor)
+        direct = table.direct[rows]
+        axes.plot(
+            table.delay[rows[direct], index] * 1e3, level[direct], "D", color=_DIRECT, markersize=7, zorder=5,
+            label="direct path",
+        )  # fmt: skip
+        axes.set(xlim=(0.0, None), ylim=(floor, top + 4.0))
+        if direct.any():
+            axes.legend(loc="upper right")
+    left_out = len(heard) - len(rows)
+    note = f" ({left_out} more than {_RANGE_DB:.0f} dB below the loudest not shown)" if left_out else ""
     axes.set(
         xlabel="delay (ms)", ylabel="gain (dB re 1 m from the source)",
-        title=f"{table.receiver_names[receiver]}: {len(rows)} paths at {table.times[index]:.4g} s",
+        title=f"{table.receiver_names[receiver]}: {len(heard)} paths at {table.times[index]:.4g} s{note}",
     )  # fmt: skip
-    axes.grid(alpha=0.3)
     _save(figure, path)
 
 
@@ -143,52 +148,48 @@ def envelope(
     arrivals : list of (time, label, direct)
         Predicted times, s.
     """
+    from scipy.fft import next_fast_len
     from scipy.signal import hilbert
 
-    figure = Figure(figsize=(10, 4.5), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = _figure(4.5)
     times = np.arange(len(pressure)) / sampling_rate * 1e3
-    axes.plot(times, np.abs(hilbert(np.asarray(pressure, dtype=np.float64))), color="black", linewidth=0.9)
+    analytic: Any = hilbert(np.asarray(pressure, dtype=np.float64), next_fast_len(len(pressure)))
+    axes.plot(times, np.abs(analytic[: len(pressure)]), color="black", linewidth=1.0, zorder=3)
     seen = set()
     for time, label, direct in arrivals:
         axes.axvline(
-            time * 1e3, color=_DIRECT if direct else _REFLECTED, linewidth=1.0, alpha=0.8,
+            time * 1e3, color=_DIRECT if direct else _REFLECTED, linewidth=1.3, zorder=2,
             linestyle="-" if direct else "--", label=label if label not in seen else None,
         )  # fmt: skip
         seen.add(label)
     axes.set(xlabel="time (ms)", ylabel="envelope (Pa)", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
-    axes.grid(alpha=0.3)
     if arrivals:
-        axes.legend(loc="upper right")
+        axes.legend(loc="upper right", framealpha=0.9)
     _save(figure, path)
 
 
-def _segment(count: int, sampling_rate: float, width: float) -> int:
-    """Return a window's length: about as many bins across the band as columns over time, a power of two."""
-    fine = 2.0 * math.sqrt(max(count, 1) * sampling_rate / max(width, 1.0))
-    return int(min(max(2 ** round(math.log2(max(fine, 64.0))), 128), 65536))
+def _figure(height: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(10.0, height), layout="constrained")
+    axes = figure.add_subplot()
+    axes.title.set_fontsize(13)
+    axes.xaxis.label.set_fontsize(12)
+    axes.yaxis.label.set_fontsize(12)
+    axes.grid(alpha=0.25, linewidth=0.6)
+    axes.set_axisbelow(True)
+    return figure, axes
 
 
-def _levels(
-    pressure: Readable, segment: int, sampling_rate: float, low: float, high: float
-) -> tuple[Floats, float, float]:
-    """Return levels (bins, columns) in dB, the lower edge of the first bin and the bins' width in Hz."""
-    count = len(pressure)
-    columns = int(min(_COLUMNS, max(1, math.ceil(4 * count / segment))))
-    window = np.hanning(segment)
-    scale = math.sqrt(2.0) / window.sum() / 20e-6
-    step = sampling_rate / segment
-    bins = slice(max(0, int(low / step)), min(segment // 2, math.ceil(high / step)) + 1)
-    centres = (np.arange(columns) + 0.5) * count / columns
-    level = np.empty((bins.stop - bins.start, columns))
-    for i, centre in enumerate(centres):
-        first = round(centre) - segment // 2
-        part = np.zeros(segment)
-        a, b = max(0, first), min(count, first + segment)
-        part[a - first : b - first] = pressure[a:b]
-        spectrum = np.abs(np.fft.rfft(part * window)[bins]) * scale
-        level[:, i] = 20 * np.log10(np.maximum(spectrum, 1e-9))
-    return level, (bins.start - 0.5) * step, step
+def _stems(figure: Figure, axes: Axes, delay: Floats, level: Floats, order: NDArray[np.int32], floor: float) -> None:
+    """Draw a stem per path, low orders in front, with a key of the orders."""
+    draw = np.argsort(-order, kind="stable")
+    last = int(order.max())
+    norm = BoundaryNorm(np.arange(last + 2) - 0.5, _ORDERS.N)
+    delay, level, order = delay[draw], level[draw], order[draw]
+    axes.vlines(delay, floor, level, colors=_ORDERS(norm(order)), linewidth=0.7, alpha=0.6)
+    dots = axes.scatter(delay, level, c=order, cmap=_ORDERS, norm=norm, s=16, zorder=3)
+    if last > 0:
+        ticks = np.arange(0, last + 1, max(1, -(-last // 12)))
+        figure.colorbar(dots, ticks=ticks, pad=0.015, aspect=30).set_label("order (reflections)", fontsize=12)
 
 
 def _save(figure: Figure, path: str | os.PathLike[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,13 @@ _ROW_GROUP = 1_000_000  # rows of a Parquet file written at a time
 
 def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
     """Write a path table as ``.npz`` (arrays as in `PathTable`) or ``.parquet`` (a row per path and time).
+
+    Parameters
+    ----------
+    table : PathTable
+        The paths.
+    path : path-like
+        Of the file; its suffix says which it is.
 
     Raises
     ------
@@ -44,15 +52,20 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
 def read_table(path: str | os.PathLike[str]) -> PathTable:
     """Read a path table that `write_table` wrote as ``.npz``.
 
+    Parameters
+    ----------
+    path : path-like
+        Of the file.
+
     Raises
     ------
     InputError
         If the file is none.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             columns = {f.name: file[f.name] for f in dataclasses.fields(PathTable)}
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError("path", f"must be a path table (.npz), but {error}") from error
     arguments: dict[str, Any] = {k: tuple(map(str, v)) if k in _NAMES else v for k, v in columns.items()}
     return PathTable(**arguments)
@@ -69,7 +82,7 @@ def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
     with atomic_path(path) as temporary:
         writer = None
         try:
-            for first in range(0, len(table.source), step):
+            for first in range(0, max(1, len(table.source)), step):
                 rows = range(first, min(first + step, len(table.source)))
                 piece = pa.table(_long(table, rows, walls))
                 writer = writer or parquet.ParquetWriter(temporary, piece.schema)
@@ -85,16 +98,16 @@ def _long(table: PathTable, rows: range, walls: list[str]) -> dict[str, Any]:
     count = len(table.times)
     heard = np.isfinite(table.delay[part]).ravel()
 
-    def per_path(values: Any) -> Any:
-        return np.repeat(np.asarray(values), count)[heard]
+    def per_path(values: Any, dtype: Any = None) -> Any:
+        return np.repeat(np.asarray(values, dtype=dtype), count)[heard]
 
     columns = {
         "time": np.tile(table.times, len(rows))[heard],
         "path": per_path(np.arange(rows.start, rows.stop)),
-        "source": per_path([table.source_names[s] for s in table.source[part]]),
-        "receiver": per_path([table.receiver_names[r] for r in table.receiver[part]]),
+        "source": per_path([table.source_names[s] for s in table.source[part]], np.str_),
+        "receiver": per_path([table.receiver_names[r] for r in table.receiver[part]], np.str_),
         "order": per_path(table.order[part]),
-        "walls": per_path([walls[p] for p in rows]),
+        "walls": per_path([walls[p] for p in rows], np.str_),
         "direct": per_path(table.direct[part]),
     }
     for name in ("delay", "doppler", "gain"):

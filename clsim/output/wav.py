@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.arrays import as_number
 from clsim.errors import InputError
 from clsim.output.atomic import temporary_path
 
@@ -59,17 +60,17 @@ class WavWriter:
     ) -> None:
         import soundfile
 
-        if sampling_rate != round(sampling_rate):
-            raise InputError(
-                "sampling_rate", f"must be a whole number of Hz for a WAV file, but is {sampling_rate!r} Hz"
-            )
+        rate = as_number("sampling_rate", sampling_rate, at_least=1.0, below=2.0**31, unit="Hz")
+        if not rate.is_integer():
+            raise InputError("sampling_rate", f"must be a whole number of Hz for a WAV file, but is {rate!r} Hz")
         self._path = Path(path)
         self._temporary = temporary_path(self._path)
-        large = samples is not None and 4 * channels * samples > _LARGEST_WAV
+        self._frame_bytes = 4 * channels
+        self._large = samples is not None and self._frame_bytes * samples > _LARGEST_WAV
         try:
             self._file = soundfile.SoundFile(
-                self._temporary, "w", samplerate=int(sampling_rate), channels=channels, subtype="FLOAT",
-                format="RF64" if large else "WAV",
+                self._temporary, "w", samplerate=int(rate), channels=channels, subtype="FLOAT",
+                format="RF64" if self._large else "WAV",
             )  # fmt: skip
         except soundfile.LibsndfileError as error:
             raise OSError(f"cannot write {self._path}: {error}") from error
@@ -80,9 +81,11 @@ class WavWriter:
         Raises
         ------
         OSError
-            If they do not fit on the disk.
+            If they do not fit on the disk, or not into a WAV file whose length was not announced.
         """
         before = self._file.frames
+        if not self._large and self._frame_bytes * (before + len(samples)) > _LARGEST_WAV:
+            raise OSError(f"cannot write {self._path}: above 4 GiB, the number of samples must be given beforehand")
         try:
             self._file.write(np.ascontiguousarray(samples, dtype=np.float32))
         except (RuntimeError, AssertionError) as error:  # libsndfile reports a full disk as a short write

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.acoustics.geometry import rotate
+from clsim.scene.directivity import Omni
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
@@ -16,11 +17,12 @@ if TYPE_CHECKING:
 KNOT_COLUMNS = 24  # cubics of the position and of the axis: [power][3] each
 _RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 _AXIS = np.array([1.0, 0.0, 0.0])
+_AXIS_TOLERANCE = 1e-5  # rad
 _SLICE = 20_000  # knots looked at at a time
 
 
 def knot_rate(source: Source, end: float, tolerance: float) -> float:
-    """Return knots per second such that positions between them are right within a tolerance.
+    """Return knots per second such that positions, and the axis of a beam, are right between them.
 
     Parameters
     ----------
@@ -30,10 +32,15 @@ def knot_rate(source: Source, end: float, tolerance: float) -> float:
         Last emission time that matters, s.
     tolerance : float
         Largest error of a position, m.
+
+    Notes
+    -----
+    Orientations between waypoints turn at constant rates that jump; there the largest rate is taken, and what remains
+    is an error of the axis over one knot.
     """
     if math.isinf(source.trajectory.end):
         return 1.0
-    return next((rate for rate in _RATES if _largest_error(source, end, rate) <= tolerance), _RATES[-1])
+    return next((rate for rate in _RATES if _largest_error(source, end, rate, tolerance) <= tolerance), _RATES[-1])
 
 
 def motion_knots(source: Source, start: float, end: float, rate: float) -> tuple[Floats, float]:
@@ -71,8 +78,8 @@ def _hermite(values: Floats, slopes: Floats) -> list[Floats]:
     return [v0, s0, 3 * (v1 - v0) - 2 * s0 - s1, s0 + s1 - 2 * (v1 - v0)]
 
 
-def _largest_error(source: Source, end: float, rate: float) -> float:
-    """Return the largest error of the cubics in the middle between knots, m."""
+def _largest_error(source: Source, end: float, rate: float, tolerance: float) -> float:
+    """Return the largest error of the cubics in the middle between knots, m; that of the axis on the same scale."""
     largest = 0.0
     trajectory = source.trajectory
     for first in range(0, math.ceil(end * rate) + 1, _SLICE):
@@ -83,4 +90,16 @@ def _largest_error(source: Source, end: float, rate: float) -> float:
         middle = sum(c * 0.5**power for power, c in enumerate(cubic))
         error = np.linalg.norm(middle - trajectory.position(times[:-1] + 0.5 / rate), axis=1)
         largest = max(largest, float(error.max()))
+        if not isinstance(source.directivity, Omni):
+            largest = max(largest, _axis_error(source, times, 0.5 / rate) * tolerance / _AXIS_TOLERANCE)
     return largest
+
+
+def _axis_error(source: Source, times: Floats, half: float) -> float:
+    """Return the largest error of the axis in the middle between knots, rad."""
+    wide = np.concatenate([[times[0] - 2 * half], times, [times[-1] + 2 * half]])
+    axis = rotate(source.orientation(wide), _AXIS)
+    cubic = _hermite(axis, np.gradient(axis, axis=0))
+    middle = sum(c * 0.5**power for power, c in enumerate(cubic))
+    error = np.linalg.norm(middle - rotate(source.orientation(wide[:-1] + half), _AXIS), axis=1)
+    return float(error[1:-1].max())

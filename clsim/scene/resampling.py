@@ -3,49 +3,96 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import read_only
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
 
 _STOP_DB = 110.0
 _PASS = 0.9  # of the lower Nyquist frequency
 _LARGEST_FACTOR = 10_000
 
 
-def resample(samples: NDArray[Any], old: float, new: float) -> NDArray[Any]:
-    """Return samples at another rate, by a polyphase filter.
-
-    Parameters
-    ----------
-    samples : ndarray (n,)
-        At the rate `old`, Hz.
-    old, new : float
-        Hz; their ratio must be that of whole numbers up to 10 000.
-
-    Raises
-    ------
-    InputError
-        If the ratio is not.
+@dataclass(frozen=True, slots=True)
+class Resampler:
+    """A polyphase filter from one sampling rate to another, ``up / down`` times as fast.
 
     Notes
     -----
     A Kaiser window design with 110 dB stop band; flat to 0.9 of the lower of both Nyquist frequencies.
     """
-    from scipy.signal import firwin, kaiserord, resample_poly
 
-    ratio = Fraction(new / old).limit_denominator(_LARGEST_FACTOR)
-    if ratio.numerator > _LARGEST_FACTOR or abs(float(ratio) * old - new) > 1e-9 * new:
-        raise InputError("sampling_rate", f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz")
-    up, down = ratio.numerator, ratio.denominator
+    up: int
+    down: int
+
+    @classmethod
+    def between(cls, old: float, new: float) -> Resampler:
+        """Return the filter from the rate `old` to the rate `new`, Hz.
+
+        Raises
+        ------
+        InputError
+            If their ratio is not that of whole numbers up to 10 000.
+
+        Examples
+        --------
+        >>> Resampler.between(44_100.0, 192_000.0)
+        Resampler(up=640, down=147)
+        """
+        ratio = Fraction(new / old).limit_denominator(_LARGEST_FACTOR)
+        if not 0 < ratio.numerator <= _LARGEST_FACTOR or abs(float(ratio) * old - new) > 1e-9 * new:
+            raise InputError(
+                "sampling_rate", f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz"
+            )
+        return cls(ratio.numerator, ratio.denominator)
+
+    def count(self, samples: int) -> int:
+        """Return how many samples that many become."""
+        return -(-samples * self.up // self.down)
+
+    def read(self, samples: NDArray[Any], first: int, last: int) -> Floats:
+        """Return resampled samples `first` to `last`, from those that the filter reaches.
+
+        Parameters
+        ----------
+        samples : ndarray (n,)
+            All samples at the old rate; zero is taken before and after them.
+        first, last : int
+            Indices at the new rate.
+        """
+        from scipy.signal import upfirdn
+
+        taps = _taps(self.up, self.down)
+        half = len(taps) // 2  # a multiple of `down`, so that all filtered samples wanted lie on its grid
+        # The first old sample used is a multiple of `down` as well: then it lies on the new grid.
+        start = ((first * self.down - half) // self.up) // self.down * self.down
+        stop = ((last - 1) * self.down + half) // self.up + 1
+        part = np.zeros(stop - start)
+        a, b = max(start, 0), min(stop, len(samples))
+        part[a - start : b - start] = samples[a:b]
+        skipped = first + half // self.down - start // self.down * self.up
+        filtered: Any = upfirdn(taps, part, self.up, self.down)
+        return np.asarray(filtered[skipped : skipped + last - first])
+
+
+@lru_cache(maxsize=8)
+def _taps(up: int, down: int) -> Floats:
+    """Return the filter at ``up`` times the old rate; its half length is a multiple of `down`."""
+    from scipy.signal import firwin, kaiserord
+
     widest = max(up, down)
+    if up == down:
+        return np.ones(1)
     count, beta = kaiserord(_STOP_DB, (1.0 - _PASS) / widest)
-    taps = firwin(2 * math.ceil(count / 2) + 1, 0.5 * (1.0 + _PASS) / widest, window=("kaiser", beta))
-    resampled: Any = resample_poly(samples, up, down, window=taps)  # type: ignore[call-overload]
-    return read_only(np.asarray(resampled))
+    half = math.ceil(count / 2)
+    taps = up * firwin(2 * half + 1, 0.5 * (1.0 + _PASS) / widest, window=("kaiser", beta))
+    return np.pad(taps, -half % down)

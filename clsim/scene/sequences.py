@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import Floats, as_count
+from clsim.arrays import Floats, as_count, read_only
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,18 +41,28 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
     code : int
         For "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by k.
         For "mls" the number of chips by which it is rotated.
+
+    Raises
+    ------
+    InputError
+        If there is no such sequence.
+
+    Examples
+    --------
+    >>> binary_sequence("mls", 3, 0)
+    array([-1., -1., -1.,  1., -1.,  1.,  1.])
     """
     from scipy.signal import max_len_seq
 
-    length = 2**bits - 1 if isinstance(bits, int) else 0
+    bits = as_count("bits", bits, at_least=2, at_most=16)
+    length = 2**bits - 1
     if kind == "mls":
-        bits = as_count("bits", bits, at_least=2, at_most=16)
         code = as_count("code", code, at_least=0, at_most=length - 1)
         return np.asarray(np.roll(1.0 - 2.0 * max_len_seq(bits)[0], code))
     if bits not in _PREFERRED:
         raise InputError(
             "bits",
-            f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits!r:.80}",
+            f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits}",
         )
     code = as_count("code", code, at_least=0, at_most=length + 1)
     first, second = (1.0 - 2.0 * max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
@@ -60,7 +71,8 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
     return np.asarray(first * np.roll(second, code - 2))
 
 
-def raised_cosine_sequence(
+@lru_cache(maxsize=4)
+def shaped_sequence(
     kind: str,
     bits: int,
     code: int,
@@ -70,7 +82,9 @@ def raised_cosine_sequence(
     rolloff: float,
     sampling_rate: float,
 ) -> Floats:
-    """Return a sequence on a carrier, (n,), its chips shaped by a raised cosine; the first chip is centred 16 chips in.
+    """Return a sequence on a carrier, (n,), its chips shaped by a raised cosine.
+
+    The first chip is centred 16 chips after the beginning, so that its pulse, of level 1, begins from nothing.
 
     References
     ----------
@@ -86,7 +100,7 @@ def raised_cosine_sequence(
         k = nearest + offset
         inside = (k >= 0) & (k < len(chips))
         base[inside] += chips[k[inside]] * _pulse(place[inside] - k[inside], rolloff)
-    return np.asarray(base * np.cos(2.0 * math.pi * np.mod(n * (carrier / sampling_rate), 1.0)))
+    return read_only(base * np.cos(2.0 * math.pi * np.mod(n * (carrier / sampling_rate), 1.0)))
 
 
 def _pulse(x: Floats, rolloff: float) -> Floats:

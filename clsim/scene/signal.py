@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError
-from clsim.scene.sequences import SEQUENCES, raised_cosine_sequence
-from clsim.scene.waveforms import Chirp, Noise, Pulses, Samples, Tone, Waveform
+from clsim.scene.sequences import SEQUENCES, binary_sequence
+from clsim.scene.waveforms import Chirp, Noise, Pulses, Samples, Sequence, Tone, Waveform
 
 if TYPE_CHECKING:
-    from os import PathLike
+    from numpy.typing import NDArray
 
 _SPECTRUM_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
@@ -49,11 +51,7 @@ class Signal:
     def centre_frequency(self) -> float:
         """Frequency at which air, walls and beams are taken, Hz: the carrier, the mean, or the centroid of energy."""
         known = self.waveform.centre_frequency
-        if known is not None:
-            return known
-        frequencies, energy = self.energy_spectrum()
-        total = float(energy.sum())
-        return float(frequencies @ energy) / total if total > 0.0 else 0.25 * self.sampling_rate
+        return 0.25 * self.sampling_rate if known is None else known
 
     def read(self, start: int, stop: int) -> Floats:
         """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut."""
@@ -79,13 +77,16 @@ class Signal:
         """Return frequencies (n,) in Hz and the signal's energy at each (n,), in Pa² times samples.
 
         Hann-windowed segments with half overlap, from before the onset to after the end. Of long signals the
-        first and last segments and evenly spaced ones between them are taken, which stand for the rest.
+        first and last segments and, from equal stretches between them, one each are taken, which stand for the rest.
         """
         length, hop = _SPECTRUM_LENGTH, _SPECTRUM_LENGTH // 2
         last = -(-self.count // hop)
         picked = np.arange(-1, last)
         if len(picked) > _ALL_SEGMENTS:
-            inner = np.unique(np.linspace(8, last - 9, _ALL_SEGMENTS // 2).astype(np.int64))
+            stretch = np.arange(_ALL_SEGMENTS // 2)
+            # Anywhere in its stretch: an even step could always meet a train's pauses.
+            place = (stretch + np.random.default_rng(0).random(len(stretch))) / len(stretch)
+            inner = np.unique(8 + (place * (last - 16)).astype(np.int64))
             picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
         weight = np.gradient(picked.astype(np.float64)) if len(picked) > _ALL_SEGMENTS // 2 else np.ones(len(picked))
         window = np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2
@@ -277,8 +278,9 @@ class Signal:
         half = 0.5 * chip_rate * (1.0 + rolloff)
         carrier = as_number("carrier", carrier, at_least=half, at_most=0.5 * rate - half, unit="Hz")
         repeats = as_count("repeats", repeats, at_least=1)
-        samples = raised_cosine_sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, rate)
-        return cls(Samples(read_only(as_number("amplitude", amplitude) * samples), carrier), rate)
+        binary_sequence(kind, bits, code)  # refuses what there is not
+        amplitude = as_number("amplitude", amplitude)
+        return cls(Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, amplitude), rate)
 
     @classmethod
     def from_array(cls, samples: Any, sampling_rate: float) -> Signal:
@@ -289,7 +291,8 @@ class Signal:
         >>> Signal.from_array([0.0, 1.0, 0.0], 48e3).read(-1, 2)
         array([0., 0., 1.])
         """
-        return cls(Samples(as_floats("samples", samples, (None,)), None), _rate(sampling_rate))
+        rate = _rate(sampling_rate)
+        return cls(_with_centroid(as_floats("samples", samples, (None,)), rate), rate)
 
     @classmethod
     def from_wav(cls, path: str | PathLike[str], *, channel: int = 0, scale: float = 1.0) -> Signal:
@@ -300,27 +303,44 @@ class Signal:
         InputError
             If the file is missing or no sound file, has no such channel, or holds NaN.
         """
-        import soundfile
-
         channel = as_count("channel", channel, at_least=0)
         scale = as_number("scale", scale)
-        try:
-            with soundfile.SoundFile(path) as file:
-                if channel >= file.channels:
-                    raise InputError("channel", f"must be below {file.channels}, the file's channels, but is {channel}")
-                rate = float(file.samplerate)
-                parts = [block[:, channel] for block in file.blocks(65536, dtype="float32", always_2d=True)]
-        except (OSError, RuntimeError) as error:
-            raise InputError("path", f"must be a sound file, but {error}") from error
-        samples = np.concatenate(parts) if parts else np.empty(0, dtype=np.float32)
-        if not len(samples):
-            raise InputError("path", f"must hold sound, but {path} is empty")
-        if not np.all(np.isfinite(samples)):
-            raise InputError(
-                "path", f"must hold finite samples, but [{np.argmin(np.isfinite(samples))}] of {path} is not"
-            )
+        samples, rate = _sound_file(path, channel)
+        bad = np.flatnonzero(~np.isfinite(samples))
+        if len(bad):
+            raise InputError("path", f"must hold finite samples, but [{bad[0]}] of {path} is {samples[bad[0]]}")
         samples *= scale
-        return cls(Samples(read_only(samples), None), _rate(rate))
+        return cls(_with_centroid(read_only(samples), _rate(rate)), rate)
+
+
+def _sound_file(path: str | PathLike[str], channel: int) -> tuple[NDArray[np.float32], float]:
+    """Return one channel of a sound file, (n,), and its sampling rate in Hz."""
+    import soundfile
+
+    if not isinstance(path, str | PathLike):
+        raise InputError("path", f"must be a path, but is {path!r:.80}")
+    if not Path(path).is_file():
+        raise InputError("path", f"must be a sound file, but there is no file {str(path)!r}")
+    try:
+        with soundfile.SoundFile(path) as file:
+            if channel >= file.channels:
+                raise InputError("channel", f"must be below {file.channels}, the file's channels, but is {channel}")
+            if not file.frames:
+                raise InputError("path", f"must hold sound, but {path} is empty")
+            samples, filled = np.empty(file.frames, dtype=np.float32), 0
+            for block in file.blocks(65536, dtype="float32", always_2d=True):
+                samples[filled : filled + len(block)] = block[:, channel]
+                filled += len(block)
+            return samples[:filled], float(file.samplerate)
+    except (OSError, RuntimeError) as error:
+        raise InputError("path", f"must be a sound file, but {error}") from error
+
+
+def _with_centroid(samples: NDArray[Any], rate: float) -> Samples:
+    """Return samples with the centroid of their energy as centre frequency; silence has none."""
+    frequencies, energy = Signal(Samples(samples, rate, None), rate).energy_spectrum()
+    total = float(energy.sum())
+    return Samples(samples, rate, float(frequencies @ energy) / total if total > 0.0 else None)
 
 
 def _rate(sampling_rate: float) -> float:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.scene.resampling import resample
+from clsim.scene.resampling import Resampler
+from clsim.scene.sequences import shaped_sequence
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
 
+_TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
 _NOISE_HALF = 256  # taps on either side of the noise's band filter
 
@@ -26,7 +29,7 @@ class Waveform(Protocol):
 
     @property
     def centre_frequency(self) -> float | None:
-        """Frequency that stands for all, Hz; None where only the spectrum tells."""
+        """Frequency that stands for all, Hz; None for all frequencies alike."""
         ...
 
     def count(self, sampling_rate: float) -> int:
@@ -62,16 +65,22 @@ class Tone:
         return _count(self.duration, sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        """Return samples; whole cycles are removed before the sine, so that late ones are as exact as the first."""
-        n = np.arange(first, last, dtype=np.float64)
-        per_sample = self.frequency / sampling_rate
-        # n splits into 2^16 steps and a rest, so that no product loses the fraction of a cycle.
-        high = np.floor(n / 65536.0)
-        cycles = high * math.fmod(65536.0 * per_sample, 1.0) + (n - 65536.0 * high) * per_sample
-        out = self.amplitude * np.sin(2.0 * math.pi * (cycles - np.floor(cycles)) + self.phase)
+        """Return samples.
+
+        Every block's phase is a fraction of whole numbers, so that late samples are as exact as the first; inside
+        a block ``sin(a + b) = sin a cos b + cos a sin b`` with a table of the angles `b`.
+        """
+        cosine, sine = _block_angles(self.frequency, sampling_rate)
+        per_sample = Fraction(self.frequency) / Fraction(sampling_rate)
+        p, q = per_sample.numerator * _TONE_BLOCK, per_sample.denominator
+        start = first // _TONE_BLOCK
+        blocks = range(start, -(-last // _TONE_BLOCK))
+        begin = 2.0 * math.pi * np.array([k * p % q / q for k in blocks]) + self.phase
+        whole = np.multiply.outer(self.amplitude * np.sin(begin), cosine)
+        whole += np.multiply.outer(self.amplitude * np.cos(begin), sine)
+        out = whole.ravel()[first - start * _TONE_BLOCK : last - start * _TONE_BLOCK]
         if self.fade > 0.0:
-            edge = np.minimum(n, self.count(sampling_rate) - 1 - n) / (sampling_rate * self.fade)
-            out *= np.sin(0.5 * math.pi * np.clip(edge, 0.0, 1.0)) ** 2
+            _taper(out, first, sampling_rate, self.duration, self.fade)
         return np.asarray(out)
 
     def at_rate(self, old: float, new: float) -> Tone:
@@ -110,8 +119,7 @@ class Chirp:
             cycles = self.start * np.expm1(growth * t) / growth
         out = self.amplitude * np.sin(2.0 * math.pi * (cycles - np.floor(cycles)))
         if self.taper > 0.0:
-            edge = np.minimum(t, self.duration - t) / (self.taper * self.duration)
-            out *= np.sin(0.5 * math.pi * np.clip(edge, 0.0, 1.0)) ** 2
+            _taper(out, first, sampling_rate, self.duration, self.taper * self.duration)
         return np.asarray(out)
 
     def at_rate(self, old: float, new: float) -> Chirp:
@@ -143,10 +151,15 @@ class Pulses:
         """Return samples."""
         out = np.zeros(last - first)
         step, length = self._step(sampling_rate), self.pulse.count(sampling_rate)
-        for k in range(max(0, (first - length + 1) // step), min(self.repetitions - 1, (last - 1) // step) + 1):
+        heard = range(max(0, (first - length) // step + 1), min(self.repetitions - 1, (last - 1) // step) + 1)
+        # Several pulses: made once, since they are no longer than the block.
+        pulse = self.pulse.read(0, length, sampling_rate) if len(heard) > 2 else None
+        for k in heard:
             a, b = max(first, k * step), min(last, k * step + length)
-            if a < b:
-                out[a - first : b - first] += self.pulse.read(a - k * step, b - k * step, sampling_rate)
+            part = slice(a - k * step, b - k * step)
+            out[a - first : b - first] += (
+                self.pulse.read(part.start, part.stop, sampling_rate) if pulse is None else pulse[part]
+            )
         return out
 
     def at_rate(self, old: float, new: float) -> Pulses:
@@ -197,21 +210,18 @@ class Noise:
         """Return samples."""
         if self.band is None:
             return self.rms * self._white(first, last)
-        from scipy.signal import oaconvolve
+        from scipy.fft import irfft, rfft
 
-        taps = _band_taps(*self.band, sampling_rate)
-        # Blocks aligned to whole generator blocks: the rounding of the convolution is the same however one reads.
-        a, b = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
-        parts = [
-            oaconvolve(
-                self._white(k * _NOISE_BLOCK - _NOISE_HALF, (k + 1) * _NOISE_BLOCK + _NOISE_HALF),
-                taps,
-                mode="valid",
-            )
-            for k in range(a, b)
-        ]
-        start = a * _NOISE_BLOCK
-        return np.asarray(self.rms * np.concatenate(parts)[first - start : last - start])
+        # Overlap-save with the generator's own blocks, one by one: the rounding is the same however one reads.
+        response = _band_response(*self.band, sampling_rate)
+        start, stop = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
+        white = self._white(start * _NOISE_BLOCK - _NOISE_HALF, stop * _NOISE_BLOCK + _NOISE_HALF)
+        length = _NOISE_BLOCK + 2 * _NOISE_HALF
+        out = np.empty((stop - start, _NOISE_BLOCK))
+        for k, row in enumerate(out):
+            part = rfft(white[k * _NOISE_BLOCK : k * _NOISE_BLOCK + length])
+            row[:] = irfft(part * response, length)[2 * _NOISE_HALF :]
+        return np.asarray(self.rms * out.ravel()[first - start * _NOISE_BLOCK : last - start * _NOISE_BLOCK])
 
     def at_rate(self, old: float, new: float) -> Noise:
         """Return noise of the same seed and band; its samples are others, since each is drawn by itself."""
@@ -228,35 +238,99 @@ class Noise:
         return np.concatenate(parts)[first - a * _NOISE_BLOCK : last - a * _NOISE_BLOCK]
 
 
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """A binary sequence on a carrier."""
+
+    kind: str
+    bits: int
+    code: int
+    repeats: int
+    chip_rate: float
+    carrier: float
+    rolloff: float
+    amplitude: float
+
+    @property
+    def centre_frequency(self) -> float:
+        """The carrier, Hz."""
+        return self.carrier
+
+    def count(self, sampling_rate: float) -> int:
+        """Return the number of samples."""
+        return len(self._samples(sampling_rate))
+
+    def read(self, first: int, last: int, sampling_rate: float) -> Floats:
+        """Return samples."""
+        return self.amplitude * self._samples(sampling_rate)[first:last]
+
+    def at_rate(self, old: float, new: float) -> Sequence:
+        """Return itself, if its band fits."""
+        _fits("carrier", self.carrier + 0.5 * self.chip_rate * (1.0 + self.rolloff), new)
+        return self
+
+    def _samples(self, sampling_rate: float) -> Floats:
+        return shaped_sequence(
+            self.kind, self.bits, self.code, self.repeats, self.chip_rate, self.carrier, self.rolloff, sampling_rate
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Samples in memory."""
+    """Samples in memory, at the rate `recorded` (Hz); read at another rate, they pass through a polyphase filter."""
 
     values: NDArray[Any]
+    recorded: float
     centre_frequency: float | None
 
     def count(self, sampling_rate: float) -> int:
         """Return the number of samples."""
-        return len(self.values)
+        return self._resampler(sampling_rate).count(len(self.values))
 
     def read(self, first: int, last: int, sampling_rate: float) -> NDArray[Any]:
         """Return samples."""
-        return self.values[first:last]
+        if sampling_rate == self.recorded:
+            return self.values[first:last]
+        return self._resampler(sampling_rate).read(self.values, first, last)
 
     def at_rate(self, old: float, new: float) -> Samples:
-        """Return resampled samples."""
-        return Samples(resample(self.values, old, new), self.centre_frequency)
+        """Return itself, if the rates are in a simple ratio."""
+        self._resampler(new)
+        return self
+
+    def _resampler(self, sampling_rate: float) -> Resampler:
+        return Resampler.between(self.recorded, sampling_rate)
 
 
 @lru_cache(maxsize=16)
-def _band_taps(low: float, high: float, sampling_rate: float) -> Floats:
-    """Return a linear-phase band filter of unit noise gain."""
+def _block_angles(frequency: float, sampling_rate: float) -> tuple[Floats, Floats]:
+    """Return the cosine and sine of a tone's phase over one block."""
+    cycles = np.arange(_TONE_BLOCK) * (frequency / sampling_rate)
+    angle = 2.0 * math.pi * (cycles - np.floor(cycles))
+    return np.cos(angle), np.sin(angle)
+
+
+@lru_cache(maxsize=16)
+def _band_response(low: float, high: float, sampling_rate: float) -> NDArray[np.complex128]:
+    """Return the spectrum, over one block, of a linear-phase band filter of unit noise gain."""
+    from scipy.fft import rfft
     from scipy.signal import firwin
 
     count = 2 * _NOISE_HALF + 1
     edges, pass_zero = ([low, high], False) if low > 0.0 else ([high], True)
     taps = firwin(count, edges, window=("kaiser", 8.0), pass_zero=pass_zero, fs=sampling_rate)
-    return np.asarray(taps / np.linalg.norm(taps))
+    return np.asarray(rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
+
+
+def _taper(out: Floats, first: int, sampling_rate: float, duration: float, fade: float) -> None:
+    """Apply a raised-cosine rise and fall, each `fade` long (s), to samples from `first` on, in place."""
+    reach = math.ceil(fade * sampling_rate) + 1
+    rise = slice(0, max(0, reach - first))
+    fall = slice(max(rise.stop, math.floor((duration - fade) * sampling_rate) - first), None)
+    for part in (rise, fall):
+        t = (np.arange(len(out))[part] + first) / sampling_rate
+        edge = np.minimum(t, duration - t) / fade
+        out[part] *= np.sin(0.5 * math.pi * np.clip(edge, 0.0, 1.0)) ** 2
 
 
 def _count(duration: float, sampling_rate: float) -> int:

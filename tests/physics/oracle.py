@@ -36,7 +36,7 @@ class Wobble:
         angle = self.rate * np.asarray(time)[..., None, None] + self.phase
         return np.sum(self.amplitude * self.rate * np.cos(angle), axis=-2)
 
-    def trajectory(self, end: float = 1000.0) -> Trajectory:
+    def trajectory(self, end: float = 2.0) -> Trajectory:
         return Trajectory(self, 0.0, end)
 
 

@@ -14,14 +14,14 @@ REFLECTION = 0.9
 AIR = clsim.Air()
 
 
-def moving_scene(rng: np.random.Generator, signal: clsim.Signal, speed: float = 10.0):
+def moving_scene(rng: np.random.Generator, signal: clsim.Signal, speed: float = 10.0, end: float = 2.0):
     source = oracle.Wobble.random(rng, [2.0, 2.5, 2.0], speed)
     receiver = oracle.Wobble.random(rng, [4.2, 2.4, 2.1], speed)
     scene = clsim.Scene(
         clsim.Shoebox(SIZE, clsim.Material.from_reflection(REFLECTION)),
         AIR,
-        [clsim.Source("s", signal, source.trajectory())],
-        [clsim.Receiver("r", receiver.trajectory())],
+        [clsim.Source("s", signal, source.trajectory(end))],
+        [clsim.Receiver("r", receiver.trajectory(end))],
     )
     return scene, source, receiver
 
@@ -78,7 +78,7 @@ def test_chirps(engine: str, rng, rate: float, duration: float) -> None:
 def test_ten_minutes_later(engine: str, rng) -> None:
     rate = 192e3
     signal, formula = tone_and_formula(0.8 * rate / 2, rate, 0.01, 601.0)
-    scene, source, receiver = moving_scene(rng, signal)
+    scene, source, receiver = moving_scene(rng, signal, end=602.0)
     plan = plan_render(scene, clsim.find_paths(scene, 3), rate, engine=engine, duration=600.5)
     start = int(600.0 * rate) // SEGMENT * SEGMENT
     stop = start + (SEGMENT if engine == "opencl" else 4096)
@@ -105,7 +105,7 @@ def test_lagrange_reaches_its_own_error(engine: str, rng) -> None:
     w = 2 * np.pi * frequency / rate
     off = np.abs(np.exp(-1j * w * nodes) @ taps - np.exp(-1j * w * fractions))
     mean, worst = 20 * np.log10(np.sqrt(np.mean(off**2))), 20 * np.log10(off.max())
-    assert worst == pytest.approx(-66.5, abs=0.1)
+    assert worst == pytest.approx(-67.3, abs=0.1)
     # Every path has another fraction, but in 0.1 s each passes only a few samples: between the two, and 3 dB.
     assert mean - 3.0 < oracle.error_db(pressure[some], wanted) < worst + 1.0
 
@@ -124,6 +124,7 @@ def test_fly_by(engine: str) -> None:
     assert oracle.error_db(pressure, wanted) < -80.0
 
 
+@pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")  # a tone that begins sharply
 def test_silent_before_the_first_arrival(engine: str) -> None:
     rate = 192e3
     signal = clsim.Signal.tone(40e3, 0.05, rate)

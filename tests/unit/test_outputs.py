@@ -1,5 +1,7 @@
 """Files are whole or absent, and hold what they should."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import soundfile
@@ -58,6 +60,21 @@ def test_wav_needs_a_whole_rate_and_a_folder(tmp_path) -> None:
         WavWriter(tmp_path / "missing" / "a.wav", 44_100)
 
 
+def test_wav_grows_beyond_4_gib_only_when_announced(tmp_path) -> None:
+    with WavWriter(tmp_path / "large.wav", 192e3, samples=2**31) as writer:
+        writer.write(np.ones(3, dtype=np.float32))
+    assert soundfile.info(tmp_path / "large.wav").format == "RF64"
+    np.testing.assert_array_equal(soundfile.read(tmp_path / "large.wav")[0], np.ones(3))
+
+    def unannounced() -> None:
+        with WavWriter(tmp_path / "small.wav", 192e3) as writer:
+            writer.write(np.broadcast_to(np.float32(0.0), (2**30,)))
+
+    with pytest.raises(OSError, match="above 4 GiB"):
+        unannounced()
+    assert not (tmp_path / "small.wav").exists()
+
+
 def test_table_survives_npz(tmp_path, table: PathTable) -> None:
     write_table(table, tmp_path / "t.npz")
     again = read_table(tmp_path / "t.npz")
@@ -80,9 +97,27 @@ def test_table_as_parquet_has_a_row_per_path_and_time(tmp_path, table: PathTable
 def test_table_refuses_other_files(tmp_path, table: PathTable) -> None:
     with pytest.raises(clsim.InputError, match=r"\.npz or \.parquet"):
         write_table(table, tmp_path / "t.csv")
-    (tmp_path / "no.npz").write_bytes(b"PK")
+    for content in (b"PK", b"PK\x03\x04", b"", b"PK\x03\x04" + bytes(100)):
+        (tmp_path / "no.npz").write_bytes(content)
+        with pytest.raises(clsim.InputError, match="path table"):
+            read_table(tmp_path / "no.npz")
+    np.save(tmp_path / "array.npy", np.ones(3))
     with pytest.raises(clsim.InputError, match="path table"):
-        read_table(tmp_path / "no.npz")
+        read_table(tmp_path / "array.npy")
+
+
+def test_table_without_paths_is_written(tmp_path, table: PathTable) -> None:
+    rows = ("source", "receiver", "order", "walls", "direct", "delay", "doppler", "gain", "departure", "arrival")
+    empty = replace(table, **{name: getattr(table, name)[:0] for name in rows})
+    write_table(empty, tmp_path / "t.npz")
+    assert read_table(tmp_path / "t.npz").delay.shape == (0, 3)
+    echogram(empty, 0, 0, tmp_path / "e.png")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    write_table(empty, tmp_path / "t.parquet")
+    write_table(table, tmp_path / "full.parquet")
+    read = parquet.read_table(tmp_path / "t.parquet")
+    assert read.num_rows == 0
+    assert read.schema == parquet.read_table(tmp_path / "full.parquet").schema
 
 
 def test_pictures_are_drawn(tmp_path, table: PathTable) -> None:

@@ -1,9 +1,11 @@
 """Signals: random access, exactness after long times, and bad input."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import soundfile
-from scipy.signal import correlate
+from scipy.signal import correlate, firwin
 
 from clsim import InputError, Signal
 from clsim.scene.sequences import binary_sequence
@@ -19,6 +21,8 @@ SIGNALS = {
     "band": Signal.noise(0.2, RATE, seed=3, band=(30e3, 50e3)),
     "sequence": Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, bits=7),
     "array": Signal.from_array(np.arange(1.0, 9000.0), RATE),
+    "faster": Signal.from_array(np.arange(1.0, 9000.0), 44_100).at_rate(RATE),
+    "slower": Signal.from_array(np.arange(1.0, 9000.0), 250e3).at_rate(RATE),
 }
 
 
@@ -33,12 +37,12 @@ def test_reads_the_same_however_it_is_cut(signal: Signal, rng: np.random.Generat
         np.testing.assert_array_equal(signal.read(start, stop), whole[start + 100 : stop + 100])
 
 
-def test_tone_keeps_its_phase_after_an_hour() -> None:
-    tone = Signal.tone(40_123.4, 3700.0, RATE)
-    n = int(3600 * RATE) + 17
-    # Whole numbers: 40123.4 / 192000 = 401234 / 1920000 cycles a sample.
-    cycles = (n * 401_234) % 1_920_000 / 1_920_000
-    assert tone.read(n, n + 1)[0] == pytest.approx(np.sin(2 * np.pi * cycles), abs=1e-6)
+@pytest.mark.parametrize("n", [0, 4095, 1_000_000_007])
+def test_tone_keeps_its_phase_after_hours(n: int) -> None:
+    tone = Signal.tone(40_123.4, 6000.0, RATE, phase=0.3)
+    cycles = float(n * Fraction(40_123.4) / 192_000 % 1)
+    # A block of 4096 samples counts its own cycles: 4096 * 0.21 of them, each rounded to 2^-53, times 2 pi: 6e-13.
+    assert tone.read(n, n + 1)[0] == pytest.approx(np.sin(2 * np.pi * cycles + 0.3), abs=1e-12)
 
 
 def test_chirp_sweeps_as_stated() -> None:
@@ -63,9 +67,70 @@ def test_noise_has_its_level_band_and_seed() -> None:
     assert np.sqrt(np.mean(samples**2)) == pytest.approx(2.0, rel=0.02)
     frequencies, energy = noise.energy_spectrum()
     outside = energy[(frequencies < 28e3) | (frequencies > 52e3)].sum() / energy.sum()
-    # Beginning and end are cut sharply: each spreads 1 / (4 pi^2 * 2 kHz * 1 s) of the energy beyond 2 kHz, to both sides.
+    # Beginning and end are cut sharply: each spreads 1 / (4 pi^2 * 2 kHz * 1 s) of the energy beyond 2 kHz, twice.
     assert outside < 2 * 2 / (4 * np.pi**2 * 2e3)
     assert not np.array_equal(samples, Signal.noise(1.0, RATE, seed=2, band=(30e3, 50e3), rms=2.0).read(0, noise.count))
+
+
+def test_band_noise_is_its_filter_applied_to_white_noise() -> None:
+    low, high = 30e3, 50e3
+    white, band = (Signal.noise(0.1, RATE, seed=5, band=b) for b in (None, (low, high)))
+    taps = firwin(513, [low, high], window=("kaiser", 8.0), pass_zero=False, fs=RATE)
+    expected = np.convolve(white.read(0, white.count), taps / np.linalg.norm(taps), mode="valid")
+    # Two ways of summing 513 products of order one in float64.
+    np.testing.assert_allclose(band.read(256, band.count - 256), expected, atol=1e-13)
+
+
+def test_spectrum_of_a_long_train_holds_its_energy() -> None:
+    train = Signal.pulses(PULSE, 0.1, 6000)
+    _, energy = train.energy_spectrum()
+    # Hann windows at half overlap: squares sum to 3/4; half of the spectrum is negative frequencies.
+    expected = 0.5 * 0.75 * 6000 * np.sum(PULSE.read(0, PULSE.count) ** 2)
+    # 200 of the segments, of which 0.43 meet a pulse: a deviation of 10 %.
+    assert energy.sum() == pytest.approx(expected, rel=0.3)
+
+
+def test_spectrum_of_a_short_pulse_holds_its_energy() -> None:
+    _, energy = PULSE.energy_spectrum()
+    expected = 0.5 * 0.75 * np.sum(PULSE.read(0, PULSE.count) ** 2)
+    # cos^4 + sin^4 of a short pulse's place in the windows is 3/4 on average, at least 1/2 and at most 1.
+    assert expected / 1.5 < energy.sum() < expected / 0.75 * 1.001
+
+
+def test_centre_frequency() -> None:
+    assert SIGNALS["tone"].centre_frequency == 40e3
+    assert SIGNALS["linear"].centre_frequency == 50e3
+    assert SIGNALS["pulses"].centre_frequency == 40e3
+    assert SIGNALS["band"].centre_frequency == 40e3
+    assert SIGNALS["sequence"].centre_frequency == 40e3
+    tone = Signal.tone(30e3, 0.2, RATE, fade=0.05)
+    copied = Signal.from_array(tone.read(0, tone.count), RATE)
+    assert copied.centre_frequency == pytest.approx(30e3, rel=1e-6)
+    assert copied.at_rate(96e3).centre_frequency == copied.centre_frequency
+    assert Signal.from_array(np.zeros(10), RATE).centre_frequency == 0.25 * RATE
+
+
+@pytest.mark.parametrize("name", ["tone", "linear", "exponential", "pulses"])
+def test_another_rate_evaluates_the_formula_anew(name: str) -> None:
+    signal = SIGNALS[name]
+    doubled = signal.at_rate(2 * RATE)
+    assert doubled.sampling_rate == 2 * RATE
+    # The phase at the same time, rounded: up to 0.2 s * 80 kHz cycles of 2^-53 each, a few times.
+    np.testing.assert_allclose(doubled.read(0, doubled.count)[::2], signal.read(0, signal.count), atol=1e-10)
+
+
+def test_sequence_at_another_rate_is_the_sequence_made_there() -> None:
+    there = Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=500e3, bits=7)
+    moved = SIGNALS["sequence"].at_rate(500e3)
+    np.testing.assert_array_equal(moved.read(0, moved.count), there.read(0, there.count))
+
+
+def test_rates_that_do_not_fit_are_refused() -> None:
+    for name in ("tone", "linear", "pulses", "band", "sequence"):
+        with pytest.raises(InputError, match="below half the sampling rate"):
+            SIGNALS[name].at_rate(48e3)
+    with pytest.raises(InputError, match="simple multiple"):
+        SIGNALS["array"].at_rate(192e3 * np.pi / 3)
 
 
 @pytest.mark.parametrize("bits", [5, 6, 7, 9, 10, 11])
@@ -114,9 +179,20 @@ def test_wav(tmp_path, rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match="channel: must be below 2"):
         Signal.from_wav(path, channel=2)
     (tmp_path / "no.wav").write_text("nothing")
-    for name in ("no.wav", "missing.wav"):
+    for name in ("no.wav", "missing.wav", "."):
         with pytest.raises(InputError, match="path: must be a sound file"):
             Signal.from_wav(tmp_path / name)
+    with pytest.raises(InputError, match="path: must be a path"):
+        Signal.from_wav(3)  # not an open file's number
+
+
+def test_wav_with_nan_or_nothing_is_refused(tmp_path) -> None:
+    soundfile.write(tmp_path / "nan.wav", np.array([0.0, 0.0, np.nan]), 48_000, subtype="FLOAT")
+    with pytest.raises(InputError, match=r"path: must hold finite samples, but \[2\]"):
+        Signal.from_wav(tmp_path / "nan.wav")
+    soundfile.write(tmp_path / "empty.wav", np.empty(0), 48_000, subtype="FLOAT")
+    with pytest.raises(InputError, match="path: must hold sound"):
+        Signal.from_wav(tmp_path / "empty.wav")
 
 
 @pytest.mark.parametrize(
@@ -132,6 +208,12 @@ def test_wav(tmp_path, rng: np.random.Generator) -> None:
         (lambda: Signal.noise(1.0, RATE, seed=1, band=(5e3, 4e3)), r"band\[1\]"),
         (lambda: Signal.sequence(carrier=1e3, chip_rate=8e3, sampling_rate=RATE), "carrier"),
         (lambda: Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, kind="gold", bits=8), "bits"),
+        (lambda: Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, kind="gold", bits=[5]), "bits"),
+        (lambda: Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, bits=10**12), "bits"),
+        (lambda: Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, bits=5, code=31), "code"),
+        (lambda: Signal.pulses(PULSE, 0.5e-3, 3), "period"),
+        (lambda: Signal.pulses(PULSE, 0.1, 0), "count"),
+        (lambda: Signal.pulses(Signal.pulses(PULSE, 0.1, 2), 1.0, 2), "pulse"),
         (lambda: Signal.from_array([1.0, float("inf")], RATE), r"samples\[1\]"),
         (lambda: Signal.from_array([], RATE), "samples"),
     ],

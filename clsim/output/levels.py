@@ -1,0 +1,109 @@
+"""Level over time and frequency, as a raster of bounded size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_COLUMNS = 1200
+_ROWS = 600
+_OVERLAP = 16  # columns that share a sample, where time is spread out
+_PADDING = 4  # of a window with zeros, where frequency is spread out
+_BUDGET = 2**26  # samples transformed; of longer sound, a part of the windows is taken
+_FLOOR = 1e-18  # pressure squared below which there is silence, Pa²
+_REFERENCE = 20e-6  # Pa
+
+
+class Readable(Protocol):
+    """Samples that can be cut: an array, or a sound file behind one."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice) -> NDArray[Any]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """Level (rows, columns) in dB re 20 µPa; rows and columns cover `low` to `high` (Hz) and `duration` (s) evenly."""
+
+    level: NDArray[np.float32]
+    low: float
+    high: float
+    duration: float
+
+
+def levels(pressure: Readable, sampling_rate: float, band: tuple[float, float], segment: int | None = None) -> Levels:
+    """Return the level of sound over time and frequency.
+
+    Parameters
+    ----------
+    pressure : array (n,)
+        Anything that can be cut, Pa; it is read piece by piece.
+    sampling_rate : float
+        Hz.
+    band : (low, high)
+        Hz.
+    segment : int, optional
+        Samples of a window. When left out, time and frequency are resolved to the same share of the picture.
+
+    Notes
+    -----
+    A sine of root mean square `p` has the level ``20 log10(p / 20 µPa)``, whatever the window. A pixel is the mean
+    over the windows inside it and the largest of the frequencies inside it, so that neither moves a line's level.
+    """
+    count = len(pressure)
+    width = max(band[1] - band[0], 1e-3)
+    if segment is None:
+        segment = _segment(count, sampling_rate, width)
+    padded = segment
+    while padded < _PADDING * segment and width / sampling_rate * padded < _ROWS:
+        padded *= 2
+    step = sampling_rate / padded
+    first = max(0, math.floor(band[0] / step))
+    bins = slice(first, max(first, min(padded // 2, math.ceil(band[1] / step))) + 1)
+    pool = math.ceil((bins.stop - bins.start) / _ROWS)
+    columns = max(1, min(_COLUMNS, math.ceil(_OVERLAP * count / segment)))
+    window = np.hanning(segment).astype(np.float32)
+    scale = 2.0 / (float(window.sum()) * _REFERENCE) ** 2
+    rows = -(-(bins.stop - bins.start) // pool)
+    level = np.empty((rows, columns), dtype=np.float32)
+    for column in range(columns):
+        power = _power(pressure, window, (column * count / columns, (column + 1) * count / columns), padded)
+        peaks = np.maximum.reduceat(power[bins], np.arange(0, bins.stop - bins.start, pool))
+        level[:, column] = 10.0 * np.log10(np.maximum(scale * peaks, _FLOOR / _REFERENCE**2))
+    low = (bins.start - 0.5) * step
+    return Levels(level, low, low + rows * pool * step, count / sampling_rate)
+
+
+def _power(
+    pressure: Readable, window: NDArray[np.float32], span: tuple[float, float], padded: int
+) -> NDArray[np.float64]:
+    """Return the mean power spectrum of the windows centred in a span of samples."""
+    from scipy.fft import rfft
+
+    segment, count = len(window), len(pressure)
+    most = max(1, _BUDGET // (_COLUMNS * padded))
+    number = min(most, max(1, round(2.0 * (span[1] - span[0]) / segment)))
+    centres = span[0] + (np.arange(number) + 0.5) * (span[1] - span[0]) / number
+    # Windows stay inside the sound: its cut ends are no part of it.
+    starts = np.clip(np.rint(centres - 0.5 * segment).astype(np.int64), 0, max(0, count - segment))
+    total = np.zeros(padded // 2 + 1)
+    for start in starts.tolist():
+        part = np.asarray(pressure[start : start + segment], dtype=np.float32)
+        part = np.pad(part, (0, segment - len(part))) * window
+        spectrum: Any = rfft(part, padded)
+        total += np.square(spectrum.real) + np.square(spectrum.imag)
+    return total / number
+
+
+def _segment(count: int, sampling_rate: float, width: float) -> int:
+    """Return a window's length, a power of two: as many resolved steps over time as over frequency, or a row each."""
+    even = math.sqrt(max(count, 1) * sampling_rate / width)
+    enough = 2.0 * _ROWS * sampling_rate / width
+    return int(min(max(2 ** round(math.log2(max(min(1.5 * even, enough), 1.0))), 128), 65536))
