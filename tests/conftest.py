@@ -1,5 +1,7 @@
 """What all tests share: seeded random numbers, and the engines."""
 
+import zlib
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,9 @@ from clsim.render.device import list_devices
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
-    return np.random.default_rng(20240607)
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Random numbers that are another sequence for every test, and the same in every run."""
+    return np.random.default_rng(zlib.crc32(request.node.name.encode()))
 
 
 @pytest.fixture(params=["opencl", "reference"])

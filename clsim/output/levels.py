@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -16,7 +17,8 @@ _ROWS = 600
 _OVERLAP = 16  # columns that share a sample, where time is spread out
 _PADDING = 4  # of a window with zeros, where frequency is spread out
 _BUDGET = 2**26  # samples transformed; of longer sound, a part of the windows is taken
-_FLOOR = 1e-18  # pressure squared below which there is silence, Pa²
+_SHORTEST = 8  # of a window at an end of the sound, as a part of the others
+_FLOOR = 1e-18  # mean square below which there is silence, Pa²
 _REFERENCE = 20e-6  # Pa
 
 
@@ -69,37 +71,41 @@ def levels(pressure: Readable, sampling_rate: float, band: tuple[float, float], 
     bins = slice(first, max(first, min(padded // 2, math.ceil(band[1] / step))) + 1)
     pool = math.ceil((bins.stop - bins.start) / _ROWS)
     columns = max(1, min(_COLUMNS, math.ceil(_OVERLAP * count / segment)))
-    window = np.hanning(segment).astype(np.float32)
-    scale = 2.0 / (float(window.sum()) * _REFERENCE) ** 2
     rows = -(-(bins.stop - bins.start) // pool)
     level = np.empty((rows, columns), dtype=np.float32)
     for column in range(columns):
-        power = _power(pressure, window, (column * count / columns, (column + 1) * count / columns), padded)
+        span = (column * count / columns, (column + 1) * count / columns)
+        power = _power(pressure, segment, span, padded)
         peaks = np.maximum.reduceat(power[bins], np.arange(0, bins.stop - bins.start, pool))
-        level[:, column] = 10.0 * np.log10(np.maximum(scale * peaks, _FLOOR / _REFERENCE**2))
+        level[:, column] = 10.0 * np.log10(np.maximum(peaks, _FLOOR) / _REFERENCE**2)
     low = (bins.start - 0.5) * step
     return Levels(level, low, low + rows * pool * step, count / sampling_rate)
 
 
-def _power(
-    pressure: Readable, window: NDArray[np.float32], span: tuple[float, float], padded: int
-) -> NDArray[np.float64]:
-    """Return the mean power spectrum of the windows centred in a span of samples."""
+def _power(pressure: Readable, segment: int, span: tuple[float, float], padded: int) -> NDArray[np.float64]:
+    """Return the mean power spectrum, Pa² of a sine in each bin, of the windows centred in a span of samples."""
     from scipy.fft import rfft
 
-    segment, count = len(window), len(pressure)
+    count = len(pressure)
     most = max(1, _BUDGET // (_COLUMNS * padded))
     number = min(most, max(1, round(2.0 * (span[1] - span[0]) / segment)))
-    centres = span[0] + (np.arange(number) + 0.5) * (span[1] - span[0]) / number
-    # Windows stay inside the sound: its cut ends are no part of it.
-    starts = np.clip(np.rint(centres - 0.5 * segment).astype(np.int64), 0, max(0, count - segment))
     total = np.zeros(padded // 2 + 1)
-    for start in starts.tolist():
-        part = np.asarray(pressure[start : start + segment], dtype=np.float32)
-        part = np.pad(part, (0, segment - len(part))) * window
-        spectrum: Any = rfft(part, padded)
-        total += np.square(spectrum.real) + np.square(spectrum.imag)
+    for k in range(number):
+        centre = span[0] + (k + 0.5) * (span[1] - span[0]) / number
+        # Near the ends windows are shorter: they stay about their centre, and inside the sound.
+        length = min(segment, max(int(2.0 * min(centre, count - centre)), segment // _SHORTEST, 1))
+        start = min(max(0, round(centre - 0.5 * length)), max(0, count - length))
+        window = _window(length)
+        part = np.asarray(pressure[start : start + length], dtype=np.float32)
+        spectrum: Any = rfft(part * window[: len(part)], padded)
+        total += (np.square(spectrum.real) + np.square(spectrum.imag)) * (2.0 / float(window.sum()) ** 2)
     return total / number
+
+
+@lru_cache(maxsize=4)
+def _window(length: int) -> NDArray[np.float32]:
+    """Return a Hann window without its zeros."""
+    return np.asarray(np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2, dtype=np.float32)
 
 
 def _segment(count: int, sampling_rate: float, width: float) -> int:

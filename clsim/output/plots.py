@@ -28,6 +28,7 @@ _RANGE_DB = 75.0  # shown below the loudest
 _DPI = 130
 _DIRECT = "#c1272d"
 _REFLECTED = "#1f77b4"
+_OVERLAYS = ("#ffffff", "#4dd0e1", "#a5e887", "#8ab4ff", "#ffe680")  # seen on magma, black below them
 # Of many paths the first orders matter most: dark, and the last light but still seen on white.
 _ORDERS = LinearSegmentedColormap.from_list("orders", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 64)))
 
@@ -72,13 +73,13 @@ def spectrogram(
         raster.level, origin="lower", aspect="auto", cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
         extent=(0.0, raster.duration * milli, raster.low / kilo, raster.high / kilo),
     )  # fmt: skip
-    for times, frequencies, label in overlay or []:
+    for k, (times, frequencies, label) in enumerate(overlay or []):
         axes.plot(
-            np.asarray(times) * milli, np.asarray(frequencies) / kilo, "--", color="white", linewidth=1.3, label=label,
-            path_effects=[withStroke(linewidth=3.0, foreground="black")],
+            np.asarray(times) * milli, np.asarray(frequencies) / kilo, "--", linewidth=1.4, label=label,
+            color=_OVERLAYS[k % len(_OVERLAYS)], path_effects=[withStroke(linewidth=3.0, foreground="black")],
         )  # fmt: skip
     if overlay:
-        axes.legend(loc="upper right", framealpha=0.7, facecolor="black", edgecolor="none", labelcolor="white")
+        figure.legend(loc="outside lower center", ncols=8, framealpha=1.0, facecolor="#222222", labelcolor="white")
     axes.set(
         xlabel="time (ms)" if milli > 1.0 else "time (s)", ylabel="frequency (kHz)" if kilo > 1.0 else "frequency (Hz)",
         title=title, xlim=(0.0, raster.duration * milli), ylim=(low / kilo, high / kilo),
