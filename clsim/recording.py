@@ -54,5 +54,6 @@ class Recording:
         """
         from clsim.output.wav import WavWriter
 
-        with WavWriter(path, self.sampling_rate, channels=len(self.pressure)) as writer:
+        channels, samples = self.pressure.shape
+        with WavWriter(path, self.sampling_rate, channels, samples) as writer:
             writer.write(self.pressure.T)

@@ -88,7 +88,7 @@ def render(
     >>> ceiling = clsim.Receiver("ceiling", clsim.Trajectory.fixed((1.0, 1.0, 2.9)))
     >>> scene = clsim.Scene(room, clsim.Air(), [robot], [ceiling])
     >>> paths = clsim.find_paths(scene, max_order=1)
-    >>> clsim.render(scene, paths, 192e3, engine="reference", duration=0.02).pressure.shape
+    >>> render(scene, paths, 192e3, engine="reference", duration=0.02).pressure.shape
     (1, 3840)
     """
     plan = plan_render(
