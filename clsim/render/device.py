@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import uuid
 import warnings
 from dataclasses import dataclass
 from typing import Any
@@ -128,11 +129,11 @@ class Compiler:
                 try:
                     return getattr(cl.Program(self._context, text).build(options=options), program)
                 except (cl.Error, AttributeError):
-                    # A process that died while building can leave a broken entry in the cache: build without it.
-                    return getattr(
-                        cl.Program(self._context, text).build(options=options, cache_dir=False),  # type: ignore[arg-type]
-                        program,
-                    )
+                    # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the
+                    # driver: with a constant that nothing uses, the program is another one and is built anew.
+                    anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
+                    fresh = cl.Program(self._context, text)
+                    return getattr(fresh.build(options=anew, cache_dir=False), program)  # type: ignore[arg-type]
             except (cl.Error, AttributeError) as error:
                 device = self._context.devices[0].name.strip()
                 raise DeviceError(

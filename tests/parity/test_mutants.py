@@ -1,0 +1,138 @@
+"""Kernels with one thing wrong: the parity check at its own tolerance must see each of them."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import clsim
+from clsim.paths.path_set import PathSet
+from clsim.render import device as device_module
+from clsim.render.opencl import OpenclEngine
+from clsim.render.plan import plan_render
+from clsim.render.reference import ReferenceEngine
+
+pytestmark = pytest.mark.usefixtures("device")
+RATE = 192e3
+FIRST, LAST = 6000, 9000  # samples that are compared: 25 paths are in
+TOLERANCE_DB = -100.0  # as in test_engines.py
+
+
+def _paths(turned: bool) -> PathSet:
+    """Return a scene's paths: all ends moving, signed walls, beams; or turned, so that no matrix is diagonal."""
+    factors = np.array([0.9, -0.8, 0.7, 0.6, -0.5, 0.8])
+    tone = clsim.Signal.tone(40e3, 0.1, RATE, fade=0.004)
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix() if turned else np.eye(3)
+    shift = np.full(3, 10.0 if turned else 0.0)
+
+    def trajectory(centre: np.ndarray, phase: float) -> clsim.Trajectory:
+        def place(t: np.ndarray) -> np.ndarray:
+            angle = 2 * np.pi * np.array([2.0, 1.7, 1.3]) * t[:, None] + phase
+            return (centre + 0.4 * np.sin(angle)) @ turn.T + shift
+
+        return clsim.Trajectory.sampled(place, 0.2, 500.0)
+
+    scene = clsim.Scene(
+        clsim.Shoebox(np.full(3, 25.0) if turned else (6, 5, 4), [clsim.Material.from_reflection(f) for f in factors]),
+        clsim.Air(),
+        [clsim.Source("s", tone, trajectory(np.array([2.0, 2.5, 2.0]), 0.3), clsim.Piston(0.004), aim=turn @ (1, 0.3, -0.2))],
+        [clsim.Receiver("r", trajectory(np.array([4.2, 2.4, 2.1]), 1.9), clsim.Cardioid(0.4), aim=turn @ (-0.8, 0.1, 0.4))],
+    )  # fmt: skip
+    if not turned:
+        return clsim.find_paths(scene, 2)
+    # One image that turns: matrix and inverse differ.
+    one = clsim.find_paths(scene, 0)
+    matrix = Rotation.from_rotvec([0.2, 0.1, -0.3]).as_matrix()
+    offset = (0.3, 0.2, -0.1) + (shift - matrix @ shift)
+    return PathSet(
+        scene, one.source, one.receiver, one.order, one.walls, matrix[None], offset[None], one.start, one.end
+    )
+
+
+@pytest.fixture(scope="module")
+def difference_db() -> Callable[[bool], float]:
+    """Return what renders a scene by OpenCL, as the kernels are now, and compares it with the reference."""
+    plans = {turned: _plan(turned) for turned in (False, True)}
+    wanted = {turned: ReferenceEngine(plan).render(FIRST, LAST)[0] for turned, plan in plans.items()}
+
+    def compare(turned: bool) -> float:
+        try:
+            got = OpenclEngine(plans[turned]).render(0, LAST)[0, FIRST:]
+        except clsim.ClsimError as error:  # the engine itself found that delays are out of bounds
+            assert "lie outside the bounds" in str(error)
+            return np.inf
+        if not np.all(np.isfinite(got)):
+            return np.inf
+        return float(20 * np.log10(np.linalg.norm(got - wanted[turned]) / np.linalg.norm(wanted[turned])))
+
+    return compare
+
+
+def _plan(turned: bool):
+    paths = _paths(turned)
+    return plan_render(paths.scene, paths, RATE, duration=LAST / RATE)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_kernels_as_they_are_pass(difference_db, turned: bool) -> None:
+    assert difference_db(turned) < TOLERANCE_DB
+
+
+NEWTON = "newton_step(&path, position, velocity, time, &a);\n        }"
+MUTANTS = {
+    "one tap further": ("branches", "TAPS - 1 - k]", "TAPS - 1 - (k + 1) % TAPS]"),
+    "tap order": ("branches", "row * TAPS + TAPS - 1 - k", "row * TAPS + k"),
+    "row of the bank": ("render", "(BRANCHES - 1) * stride - paths", "(BRANCHES - 2) * stride - paths"),
+    "a sample late": ("render", "stride - paths->whole[p]", "stride - 1 - paths->whole[p]"),
+    "rate's sign": ("render", "curve[p] + paths->rate[p])", "curve[p] - paths->rate[p])"),
+    "curve dropped": ("render", "sample[j] * paths->curve[p] + ", ""),
+    "gain slope's sign": ("render", "(sample[j] * paths->slope[k][p]", "(-sample[j] * paths->slope[k][p]"),
+    "fraction's sign": ("render", "out->fraction + p) = at - whole", "out->fraction + p) = whole - at"),
+    "group's centre": ("render", "- 0.5f * (GROUP - 1)", "- 0.5f * GROUP"),
+    "block's centre": ("render", "GROUP + GROUP - 1)", "GROUP + GROUP)"),
+    "cubic term of the delay": ("render", "t * (c2 + t * c3)", "t * (c2 + t * c2)"),
+    "square term of the gain": ("render", "g1 + t * (g2 + t * g3)", "g1 - t * (g2 + t * g3)"),
+    "gain slope dropped": ("render", "sample[j] * paths->slope[k][p] + ", ""),
+    "rate of the delay": ("render", "per_sample * (c1 + t * (2.0f * c2", "per_sample * (c1 - t * (2.0f * c2"),
+    "sign in Horner's scheme": ("render", "value[j] * mu[j] + LOAD", "-value[j] * mu[j] + LOAD"),
+    "a branch skipped": ("render", "for (int q = 1; q < BRANCHES", "for (int q = 2; q < BRANCHES"),
+    "another block's row": ("render", "const int row = first_block + block", "const int row = first_block"),
+    "reflection's sign": ("tracks", "factor = reflection[slot]", "factor = reflection[slot] * reflection[slot]"),
+    "another path's walls": ("tracks", "factor = reflection[slot]", "factor = reflection[slot ^ 1]"),
+    "Newton step dropped": ("tracks", NEWTON, "arrival b = a; " + NEWTON[:-1] + "    a.delay = b.delay;\n }"),
+    "half a Newton step": ("tracks", "(quasi_static - a->delay) * a->stretch", "0.5 * (quasi_static - a->delay)"),
+    "Doppler's sign": ("tracks", "(receding - mach) * a->stretch", "(receding + mach) * a->stretch"),
+    "curvature of the delay": ("tracks", "c[2 * slots] = (float)(0.25 * (e1", "c[2 * slots] = (float)(0.2 * (e1"),
+    "absorption from 0 m": ("tracks", "(distance - 1.0f)", "distance"),
+    "emission at reception": ("tracks", "RETARDED ? time - a->delay : time", "time"),
+    "Mach exponent": ("tracks", "#if MACH_EXPONENT >= 1", "#if MACH_EXPONENT >= 2"),
+    "Mach exponent twice": ("tracks", "#if MACH_EXPONENT >= 2", "#if MACH_EXPONENT >= 1"),
+    "rate without stretch": ("tracks", "(receding - mach) * a->stretch", "(receding - mach)"),
+    "source's speed": ("tracks", "c[3] + u * (2 * c[6]", "c[3] + u * (c[6]"),
+    "receiver's speed dropped": ("tracks", "= path->slowness * inner(departure, receiver_velocity)", "= 0.0"),
+    "transposed image": (
+        "tracks", "m[0] * v.x + m[3 * slots] * v.y + m[6 * slots] * v.z", "m[0] * v.x + m[slots] * v.y + m[2 * slots] * v.z"
+    ),
+    "slope of the gain": ("tracks", "s0 = 0.25f", "s0 = -0.25f"),
+    "slope of the delay": ("tracks", "e1 = node->rate[2]", "e1 = node->rate[1]"),
+    "absorption twice": ("tracks", "nepers * (distance - 1.0f)", "nepers * (distance + distance - 1.0f)"),
+    "source beam's sign": ("tracks", "beam(source_beam, inner(", "beam(source_beam, -inner("),
+    "receiver beam's sign": ("tracks", "beam(receiver_beam, -inner(", "beam(receiver_beam, inner("),
+    "beam's place": ("tracks", "u = place - (float)cell", "u = place - (float)cell + 0.5f"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_mutants_are_caught(name: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
+    program, old, new = MUTANTS[name]
+    original = device_module.kernel_source
+    assert original(program).count(old) == 1
+
+    def mutated(wanted: str) -> str:
+        text = original(wanted)
+        return text.replace(old, new) if wanted == program else text
+
+    monkeypatch.setattr(device_module, "kernel_source", mutated)
+    # The smallest, the curve of a group of 32 samples, leaves -90 dB.
+    assert difference_db(name == "transposed image") > TOLERANCE_DB + 6.0
