@@ -83,7 +83,7 @@ def render(
     --------
     >>> import clsim
     >>> room = clsim.Shoebox(size=(8.0, 6.0, 3.0), walls=clsim.Material.from_reflection(0.9))
-    >>> tone = clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3)
+    >>> tone = clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3, fade=0.002)
     >>> robot = clsim.Source("robot", tone, clsim.Trajectory.fixed((4.0, 3.0, 1.5)))
     >>> ceiling = clsim.Receiver("ceiling", clsim.Trajectory.fixed((1.0, 1.0, 2.9)))
     >>> scene = clsim.Scene(room, clsim.Air(), [robot], [ceiling])
