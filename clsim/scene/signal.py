@@ -67,10 +67,8 @@ class Signal:
         Raises
         ------
         InputError
-            If a formula's frequencies do not fit below half the new rate, a train's period is no whole number of its
-            samples, or the rates of recorded samples are in no simple ratio.
+            If a formula's frequencies do not fit below half the new rate.
         """
-        sampling_rate = _rate(sampling_rate)
         if sampling_rate == self.sampling_rate:
             return self
         return Signal(self.waveform.at_rate(self.sampling_rate, sampling_rate), sampling_rate)
@@ -105,6 +103,7 @@ class Signal:
         frequency: float,
         duration: float,
         sampling_rate: float,
+        *,
         amplitude: float = 1.0,
         phase: float = 0.0,
         fade: float = 0.0,
@@ -120,12 +119,7 @@ class Signal:
         amplitude, phase : float
             Pa, rad.
         fade : float
-            Length of a raised-cosine rise and fall, s; at most half the duration.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
+            Length of a raised-cosine rise and fall, s.
 
         Examples
         --------
@@ -150,6 +144,7 @@ class Signal:
         stop: float,
         duration: float,
         sampling_rate: float,
+        *,
         method: str = "linear",
         window: str = "none",
         amplitude: float = 1.0,
@@ -168,21 +163,6 @@ class Signal:
             Envelope; ``"tukey"`` rises and falls within a tenth of the duration each.
         amplitude : float
             Pa.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
-
-        Notes
-        -----
-        With T the duration and k = stop / start, the phase is ``2 pi (start t + (stop - start) t² / 2T)`` or
-        ``2 pi start T (k^(t/T) - 1) / ln k``.
-
-        Examples
-        --------
-        >>> Signal.chirp(20e3, 60e3, duration=0.01, sampling_rate=192e3).centre_frequency
-        40000.0
         """
         rate = _rate(sampling_rate)
         as_choice("method", method, ("linear", "exponential"))
@@ -207,16 +187,6 @@ class Signal:
             From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
         count : int
             At least 1.
-
-        Raises
-        ------
-        InputError
-            If the pulse is a train itself or the period does not fit; the message names the nearest that do.
-
-        Examples
-        --------
-        >>> Signal.pulses(Signal.tone(40e3, 0.001, 192e3), period=0.1, count=3).duration
-        0.201
         """
         if not isinstance(pulse, Signal):
             raise InputError("pulse", f"must be a Signal, but is {pulse!r:.80}")
@@ -236,6 +206,7 @@ class Signal:
         duration: float,
         sampling_rate: float,
         seed: int,
+        *,
         band: tuple[float, float] | None = None,
         rms: float = 1.0,
     ) -> Signal:
@@ -246,27 +217,11 @@ class Signal:
         duration, sampling_rate : float
             s, Hz.
         seed : int
-            From 0 to 2^64 - 1.
+            At least 0.
         band : (low, high), optional
             Pass band, Hz; white up to half the sampling rate when left out.
         rms : float
             Root mean square, Pa.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
-
-        Notes
-        -----
-        The band's edges are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
-        sampling rate; a narrower band than a hundredth becomes as wide as the filter can be. At another sampling
-        rate the same seed gives other samples.
-
-        Examples
-        --------
-        >>> Signal.noise(1.0, 192e3, seed=1, band=(30e3, 50e3)).centre_frequency
-        40000.0
         """
         rate = _rate(sampling_rate)
         edges = None
@@ -277,7 +232,7 @@ class Signal:
             edges = (float(low), float(high))
         return cls(
             Noise(
-                _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), edges,
+                _duration(duration, rate), as_count("seed", seed, at_least=0), edges,
                 as_number("rms", rms, at_least=0.0, unit="Pa"),
             ),
             rate,
@@ -314,17 +269,7 @@ class Signal:
         rolloff : float
             From 0.05 to 1.
         amplitude : float
-            Level of a chip at its centre, Pa; between chips it overshoots, to 1.5 times at a rolloff of 0.5.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds, or the band leaves 0 to half the sampling rate.
-
-        Examples
-        --------
-        >>> Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=192e3, bits=5).count
-        1489
+            Pa.
         """
         rate = _rate(sampling_rate)
         as_choice("kind", kind, SEQUENCES)
@@ -350,7 +295,7 @@ class Signal:
         return cls(_with_centroid(as_floats("samples", samples, (None,)), rate), rate)
 
     @classmethod
-    def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0) -> Signal:
+    def from_wav(cls, path: str | PathLike[str], *, channel: int = 0, scale: float = 1.0) -> Signal:
         """Return one channel of a sound file; full scale (1.0) becomes `scale` Pa.
 
         Raises
