@@ -92,7 +92,7 @@ MUTANTS = {
     "group's centre": ("render", "- 0.5f * (GROUP - 1)", "- 0.5f * GROUP"),
     "block's centre": ("render", "GROUP + GROUP - 1)", "GROUP + GROUP)"),
     "cubic term of the delay": ("render", "t * (c2 + t * c3)", "t * (c2 + t * c2)"),
-    "square term of the gain": ("render", "g1 + t * (g2 + t * g3)", "g1 - t * (g2 + t * g3)"),
+    "gain in its block": ("render", "LOAD(g) + t * (g1", "LOAD(g) - t * (g1"),
     "gain slope dropped": ("render", "sample[j] * paths->slope[k][p] + ", ""),
     "rate of the delay": ("render", "per_sample * (c1 + t * (2.0f * c2", "per_sample * (c1 - t * (2.0f * c2"),
     "sign in Horner's scheme": ("render", "value[j] * mu[j] + LOAD", "-value[j] * mu[j] + LOAD"),
