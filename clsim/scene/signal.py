@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +11,12 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.sequences import SEQUENCES, binary_sequence
+from clsim.scene.sound_files import read_sound_file
 from clsim.scene.waveforms import Chirp, Noise, Pulses, Samples, Sequence, Tone, Waveform
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from numpy.typing import NDArray
 
 _SPECTRUM_LENGTH = 8192  # samples of a segment
@@ -67,8 +68,10 @@ class Signal:
         Raises
         ------
         InputError
-            If a formula's frequencies do not fit below half the new rate.
+            If a formula's frequencies do not fit below half the new rate, a train's period is no whole number of its
+            samples, or the rates of recorded samples are in no simple ratio.
         """
+        sampling_rate = _rate(sampling_rate)
         if sampling_rate == self.sampling_rate:
             return self
         return Signal(self.waveform.at_rate(self.sampling_rate, sampling_rate), sampling_rate)
@@ -103,7 +106,6 @@ class Signal:
         frequency: float,
         duration: float,
         sampling_rate: float,
-        *,
         amplitude: float = 1.0,
         phase: float = 0.0,
         fade: float = 0.0,
@@ -119,7 +121,12 @@ class Signal:
         amplitude, phase : float
             Pa, rad.
         fade : float
-            Length of a raised-cosine rise and fall, s.
+            Length of a raised-cosine rise and fall, s; at most half the duration.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds.
 
         Examples
         --------
@@ -144,7 +151,6 @@ class Signal:
         stop: float,
         duration: float,
         sampling_rate: float,
-        *,
         method: str = "linear",
         window: str = "none",
         amplitude: float = 1.0,
@@ -163,6 +169,21 @@ class Signal:
             Envelope; ``"tukey"`` rises and falls within a tenth of the duration each.
         amplitude : float
             Pa.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds.
+
+        Notes
+        -----
+        With T the duration and k = stop / start, the phase is ``2 pi (start t + (stop - start) t² / 2T)`` or
+        ``2 pi start T (k^(t/T) - 1) / ln k``.
+
+        Examples
+        --------
+        >>> Signal.chirp(20e3, 60e3, duration=0.01, sampling_rate=192e3).centre_frequency
+        40000.0
         """
         rate = _rate(sampling_rate)
         as_choice("method", method, ("linear", "exponential"))
@@ -187,6 +208,16 @@ class Signal:
             From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
         count : int
             At least 1.
+
+        Raises
+        ------
+        InputError
+            If the pulse is a train itself or the period does not fit; the message names the nearest that do.
+
+        Examples
+        --------
+        >>> Signal.pulses(Signal.tone(40e3, 0.001, 192e3), period=0.1, count=3).duration
+        0.201
         """
         if not isinstance(pulse, Signal):
             raise InputError("pulse", f"must be a Signal, but is {pulse!r:.80}")
@@ -206,7 +237,6 @@ class Signal:
         duration: float,
         sampling_rate: float,
         seed: int,
-        *,
         band: tuple[float, float] | None = None,
         rms: float = 1.0,
     ) -> Signal:
@@ -217,11 +247,27 @@ class Signal:
         duration, sampling_rate : float
             s, Hz.
         seed : int
-            At least 0.
+            From 0 to 2^64 - 1.
         band : (low, high), optional
             Pass band, Hz; white up to half the sampling rate when left out.
         rms : float
             Root mean square, Pa.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds.
+
+        Notes
+        -----
+        The band's edges are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
+        sampling rate; a narrower band than a hundredth becomes as wide as the filter can be. At another sampling
+        rate the same seed gives other samples.
+
+        Examples
+        --------
+        >>> Signal.noise(1.0, 192e3, seed=1, band=(30e3, 50e3)).centre_frequency
+        40000.0
         """
         rate = _rate(sampling_rate)
         edges = None
@@ -232,7 +278,7 @@ class Signal:
             edges = (float(low), float(high))
         return cls(
             Noise(
-                _duration(duration, rate), as_count("seed", seed, at_least=0), edges,
+                _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), edges,
                 as_number("rms", rms, at_least=0.0, unit="Pa"),
             ),
             rate,
@@ -269,7 +315,17 @@ class Signal:
         rolloff : float
             From 0.05 to 1.
         amplitude : float
-            Pa.
+            Level of a chip at its centre, Pa; between chips it overshoots, to 1.5 times at a rolloff of 0.5.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds, or the band leaves 0 to half the sampling rate.
+
+        Examples
+        --------
+        >>> Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=192e3, bits=5).count
+        1489
         """
         rate = _rate(sampling_rate)
         as_choice("kind", kind, SEQUENCES)
@@ -295,7 +351,7 @@ class Signal:
         return cls(_with_centroid(as_floats("samples", samples, (None,)), rate), rate)
 
     @classmethod
-    def from_wav(cls, path: str | PathLike[str], *, channel: int = 0, scale: float = 1.0) -> Signal:
+    def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0) -> Signal:
         """Return one channel of a sound file; full scale (1.0) becomes `scale` Pa.
 
         Raises
@@ -305,35 +361,12 @@ class Signal:
         """
         channel = as_count("channel", channel, at_least=0)
         scale = as_number("scale", scale)
-        samples, rate = _sound_file(path, channel)
+        samples, rate = read_sound_file(path, channel)
         bad = np.flatnonzero(~np.isfinite(samples))
         if len(bad):
             raise InputError("path", f"must hold finite samples, but [{bad[0]}] of {path} is {samples[bad[0]]}")
         samples *= scale
         return cls(_with_centroid(read_only(samples), _rate(rate)), rate)
-
-
-def _sound_file(path: str | PathLike[str], channel: int) -> tuple[NDArray[np.float32], float]:
-    """Return one channel of a sound file, (n,), and its sampling rate in Hz."""
-    import soundfile
-
-    if not isinstance(path, str | PathLike):
-        raise InputError("path", f"must be a path, but is {path!r:.80}")
-    if not Path(path).is_file():
-        raise InputError("path", f"must be a sound file, but there is no file {str(path)!r}")
-    try:
-        with soundfile.SoundFile(path) as file:
-            if channel >= file.channels:
-                raise InputError("channel", f"must be below {file.channels}, the file's channels, but is {channel}")
-            if not file.frames:
-                raise InputError("path", f"must hold sound, but {path} is empty")
-            samples, filled = np.empty(file.frames, dtype=np.float32), 0
-            for block in file.blocks(65536, dtype="float32", always_2d=True):
-                samples[filled : filled + len(block)] = block[:, channel]
-                filled += len(block)
-            return samples[:filled], float(file.samplerate)
-    except (OSError, RuntimeError) as error:
-        raise InputError("path", f"must be a sound file, but {error}") from error
 
 
 def _with_centroid(samples: NDArray[Any], rate: float) -> Samples:
