@@ -439,7 +439,7 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
     """
     import tomli_w
 
-    content = file.model.model_dump(exclude_none=True)
+    content = file.model.model_dump(exclude_none=True, warnings=False)
     content["render"] |= resolved
     for end in [*content["sources"], *content["receivers"]]:
         for part in (end["trajectory"], end.get("signal", {}), end.get("signal", {}).get("pulse", {})):

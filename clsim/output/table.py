@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     import os
 
 _NAMES = ("source_names", "receiver_names", "wall_names")
-_ROW_GROUP = 1_000_000  # rows of a Parquet file written at a time
+_ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more
+_REPEATING = ["time", "path", "source", "receiver", "order", "walls"]  # columns worth a dictionary
 
 
 def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
@@ -77,7 +78,7 @@ def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
         from pyarrow import parquet
     except ImportError as error:
         raise InputError("table", 'Parquet needs pyarrow: pip install "clsim[parquet]"') from error
-    step = max(1, _ROW_GROUP // len(table.times))
+    step = max(1, _ROW_GROUP // max(1, len(table.times)))
     walls = [",".join(table.wall_names[w] for w in row if w >= 0) for row in table.walls]
     with atomic_path(path) as temporary:
         writer = None
@@ -85,7 +86,7 @@ def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
             for first in range(0, max(1, len(table.source)), step):
                 rows = range(first, min(first + step, len(table.source)))
                 piece = pa.table(_long(table, rows, walls))
-                writer = writer or parquet.ParquetWriter(temporary, piece.schema)
+                writer = writer or parquet.ParquetWriter(temporary, piece.schema, use_dictionary=_REPEATING)
                 writer.write_table(piece)
         finally:
             if writer is not None:
@@ -94,20 +95,26 @@ def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
 
 def _long(table: PathTable, rows: range, walls: list[str]) -> dict[str, Any]:
     """Return the columns of some paths, a row per path and time at which it is heard."""
+    import pyarrow as pa
+
     part = slice(rows.start, rows.stop)
     count = len(table.times)
     heard = np.isfinite(table.delay[part]).ravel()
 
-    def per_path(values: Any, dtype: Any = None) -> Any:
-        return np.repeat(np.asarray(values, dtype=dtype), count)[heard]
+    def per_path(values: Any) -> Any:
+        return np.repeat(np.asarray(values), count)[heard]
+
+    def words(texts: Any, which: Any) -> Any:
+        # Not NumPy's text, where every row is as wide as the longest and four bytes a character.
+        return pa.array(texts, pa.string()).take(pa.array(per_path(which), pa.int64()))
 
     columns = {
         "time": np.tile(table.times, len(rows))[heard],
         "path": per_path(np.arange(rows.start, rows.stop)),
-        "source": per_path([table.source_names[s] for s in table.source[part]], np.str_),
-        "receiver": per_path([table.receiver_names[r] for r in table.receiver[part]], np.str_),
+        "source": words(table.source_names, table.source[part]),
+        "receiver": words(table.receiver_names, table.receiver[part]),
         "order": per_path(table.order[part]),
-        "walls": per_path([walls[p] for p in rows], np.str_),
+        "walls": words(walls[part], np.arange(len(rows))),
         "direct": per_path(table.direct[part]),
     }
     for name in ("delay", "doppler", "gain"):
