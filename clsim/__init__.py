@@ -18,6 +18,7 @@ from clsim.render.tracks import Tracks, track
 from clsim.scene.air import Air
 from clsim.scene.directivity import Cardioid, Omni, Piston, named_directivity
 from clsim.scene.material import Material
+from clsim.scene.mesh_room import MeshRoom
 from clsim.scene.room import Shoebox
 from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene.signal import Signal
@@ -35,6 +36,7 @@ __all__ = [
     "InputError",
     "Lagrange",
     "Material",
+    "MeshRoom",
     "Omni",
     "PathSet",
     "Piston",

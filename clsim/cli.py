@@ -158,7 +158,7 @@ def _paths(options: argparse.Namespace) -> int:
 
 def _devices(options: argparse.Namespace) -> int:
     from clsim.errors import DeviceError
-    from clsim.render.device import INSTALL, list_devices
+    from clsim.opencl.device import INSTALL, list_devices
 
     found = list_devices()
     if not found:

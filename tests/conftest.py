@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 import pytest
 
-from clsim.render.device import list_devices
+from clsim.opencl.device import list_devices
 
 
 @pytest.fixture

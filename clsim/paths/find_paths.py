@@ -2,19 +2,41 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from clsim.arrays import as_count, read_only
+from clsim.arrays import as_choice, as_count, as_number, read_only
 from clsim.errors import InputError
+from clsim.paths.mesh_paths import FINDERS, MeshSearch, image_isometries, report
 from clsim.paths.path_set import PathSet
 from clsim.paths.shoebox_images import shoebox_image_count, shoebox_images
+from clsim.scene.room import Shoebox
 from clsim.scene.scene import Scene
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from clsim.scene.mesh_room import MeshRoom
+
 LARGEST_ORDER = 60
+LARGEST_MESH_ORDER = 20
 DEFAULT_PATH_LIMIT = 20_000_000
+ENGINES = ("opencl", "reference")
 
 
-def find_paths(scene: Scene, max_order: int, *, path_limit: int = DEFAULT_PATH_LIMIT) -> PathSet:
+def find_paths(
+    scene: Scene,
+    max_order: int,
+    *,
+    path_limit: int = DEFAULT_PATH_LIMIT,
+    finder: str = "auto",
+    resolution: float | None = None,
+    engine: str = "opencl",
+    device: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> PathSet:
     """Return every path of a scene up to an order.
 
     Parameters
@@ -24,17 +46,31 @@ def find_paths(scene: Scene, max_order: int, *, path_limit: int = DEFAULT_PATH_L
     max_order : int
         Largest number of reflections, 0 for the direct sound alone.
     path_limit : int
-        Number of paths above which the search is refused rather than begun.
+        Number of paths above which the search is refused or given up.
+    finder : {"auto", "beam-tree", "shooting"}
+        How wall sequences are found in a mesh: by a tree of beams, which misses none, or by rays, which can miss small
+        walls and needs embreex; "auto" shoots only where the tree would be far too large, with a warning.
+    resolution : float, optional
+        To which ends of intervals are found in a mesh, s; one sample of the fastest sampled signal when left out.
+    engine : {"opencl", "reference"}
+        What validates paths in a mesh: a device with float64, or NumPy, also taken (with a warning) where there is no
+        such device.
+    device : str, optional
+        As in `render`.
+    progress : callable, optional
+        Called now and then with the share of the work that is done, 0 to 1.
 
     Returns
     -------
     PathSet
-        Paths sorted by source, receiver and order. In a shoebox every image is heard all the time.
+        Paths sorted by source, receiver and order. In a shoebox every image is heard all the time; in a mesh a path has
+        one row for every interval in which it is heard, and emission times decide.
 
     Raises
     ------
     InputError
-        If the order is out of range or the paths would be more than `path_limit`.
+        If the order is out of range, the paths would be more than `path_limit`, or their search would take too long;
+        the message says what to change.
 
     Examples
     --------
@@ -48,7 +84,19 @@ def find_paths(scene: Scene, max_order: int, *, path_limit: int = DEFAULT_PATH_L
     """
     if not isinstance(scene, Scene):
         raise InputError("scene", f"must be a Scene, but is {scene!r:.80}")
-    order = as_count("max_order", max_order, at_least=0, at_most=LARGEST_ORDER)
+    as_choice("finder", finder, FINDERS)
+    as_choice("engine", engine, ENGINES)
+    if resolution is not None:
+        resolution = as_number("resolution", resolution, at_least=1e-9, unit="s")
+    limit = as_count("path_limit", path_limit, at_least=1)
+    if isinstance(scene.room, Shoebox):
+        return _shoebox_paths(scene, scene.room, as_count("max_order", max_order, at_most=LARGEST_ORDER), limit)
+    order = as_count("max_order", max_order, at_most=LARGEST_MESH_ORDER)
+    search = MeshSearch(order, finder, resolution, limit, engine, device)
+    return _mesh_paths(scene, scene.room, search, progress or (lambda share: None))
+
+
+def _shoebox_paths(scene: Scene, room: Shoebox, order: int, path_limit: int) -> PathSet:
     pairs = len(scene.sources) * len(scene.receivers)
     images = shoebox_image_count(order)
     if images * pairs > path_limit:
@@ -57,7 +105,7 @@ def find_paths(scene: Scene, max_order: int, *, path_limit: int = DEFAULT_PATH_L
             f"must give at most {path_limit} paths (path_limit), but {order} gives {images} images "
             f"for each of {pairs} pairs of source and receiver",
         )
-    found = shoebox_images(scene.room.size, order)
+    found = shoebox_images(room.size, order)
     source, receiver = np.divmod(np.repeat(np.arange(pairs), images), len(scene.receivers))
     return PathSet(
         scene=scene,
@@ -69,4 +117,27 @@ def find_paths(scene: Scene, max_order: int, *, path_limit: int = DEFAULT_PATH_L
         image_offset=read_only(np.tile(found.offset, (pairs, 1))),
         start=read_only(np.full(images * pairs, -np.inf)),
         end=read_only(np.full(images * pairs, np.inf)),
+    )
+
+
+def _mesh_paths(scene: Scene, room: MeshRoom, search: MeshSearch, progress: Callable[[float], None]) -> PathSet:
+    count = len(scene.sources)
+    found = [
+        search.paths(scene, source, partial(report, progress, i / count, (i + 1) / count))
+        for i, source in enumerate(scene.sources)
+    ]
+    walls = np.concatenate([f.walls for f in found])
+    if len(walls) > search.path_limit:
+        raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
+    matrix, offset = image_isometries(room.walls, walls)
+    return PathSet(
+        scene=scene,
+        source=read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])),
+        receiver=read_only(np.concatenate([f.receiver for f in found]).astype(np.int32)),
+        order=read_only(np.concatenate([f.order for f in found]).astype(np.int32)),
+        walls=read_only(walls),
+        image_matrix=read_only(matrix),
+        image_offset=read_only(offset),
+        start=read_only(np.concatenate([f.begin for f in found])),
+        end=read_only(np.concatenate([f.end for f in found])),
     )

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
+from clsim.paths.corners import path_corners
 from clsim.paths.path_table import PathTable
-from clsim.scene.room import WALLS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +31,7 @@ class PathSet:
         The scene in which they are.
     source, receiver, order : ndarray (paths,) int
         Indices in the scene, and number of reflections.
-    walls : ndarray (paths, max_order) int8
+    walls : ndarray (paths, max_order) int
         Walls from the source's side, filled up with -1.
     image_matrix, image_offset : ndarray (paths, 3, 3), (paths, 3)
         The image of the source is at ``image_matrix @ x + image_offset``.
@@ -43,7 +43,7 @@ class PathSet:
     source: NDArray[np.int32]
     receiver: NDArray[np.int32]
     order: NDArray[np.int32]
-    walls: NDArray[np.int8]
+    walls: NDArray[np.signedinteger[Any]]
     image_matrix: Floats
     image_offset: Floats
     start: Floats
@@ -54,10 +54,14 @@ class PathSet:
 
     def groups(self) -> Iterator[tuple[NDArray[np.int64], PathGroup]]:
         """Yield the rows of every (source, receiver) that has paths, and what they are."""
+        pair = self.source.astype(np.int64) * len(self.scene.receivers) + self.receiver
+        order = np.argsort(pair, kind="stable")
+        bounds = np.searchsorted(pair[order], np.arange(len(self.scene.sources) * len(self.scene.receivers) + 1))
         for s in range(len(self.scene.sources)):
             reflection = self._reflections(s)
             for r in range(len(self.scene.receivers)):
-                rows = np.flatnonzero((self.source == s) & (self.receiver == r))
+                first = s * len(self.scene.receivers) + r
+                rows = order[bounds[first] : bounds[first + 1]]
                 if len(rows):
                     yield (
                         rows,
@@ -103,8 +107,35 @@ class PathSet:
         return PathTable(
             times, self.source, self.receiver, self.order, self.walls, self.order == 0,
             delay, doppler, gain, departure, arrival,
-            tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers), WALLS,
+            tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers),
+            self.scene.room.wall_names,
         )  # fmt: skip
+
+    def corners(self, time: float, motion: str = "retarded") -> Floats:
+        """Return where every path leaves, is reflected and arrives, as it is heard at a time.
+
+        Parameters
+        ----------
+        time : float
+            Time of reception, s.
+        motion : {"retarded", "quasi-static"}
+            As in `render`.
+
+        Returns
+        -------
+        ndarray (paths, max_order + 2, 3)
+            Source, points of reflection and receiver, m; NaN behind the receiver of paths of fewer reflections, and for
+            paths that are not heard at that time.
+        """
+        now = np.array([time])
+        source, receiver = np.empty((len(self), 3)), np.empty((len(self), 3))
+        for rows, group in self.groups():
+            delay = 0.0 if motion == "quasi-static" else arrivals(self.scene, group, now, motion).delay[:, 0]
+            source[rows] = self.scene.sources[group.source].trajectory.position(np.full(len(rows), time) - delay)
+            receiver[rows] = self.scene.receivers[group.receiver].trajectory.position(now)
+        corners = path_corners(self.scene.room.planes, self.walls, source, receiver)
+        corners[~((self.start <= time) & (time < self.end))] = np.nan
+        return corners
 
     def __post_init__(self) -> None:
         count = len(self.source)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,7 +22,7 @@ class PathTable:
         Times of reception, s.
     source, receiver, order : ndarray (P,) int
         Indices in the scene, and number of reflections.
-    walls : ndarray (P, max_order) int8
+    walls : ndarray (P, max_order) int
         Walls from the source's side, filled up with -1.
     direct : ndarray (P,) bool
         Whether it is the direct path.
@@ -42,7 +42,7 @@ class PathTable:
     source: NDArray[np.int32]
     receiver: NDArray[np.int32]
     order: NDArray[np.int32]
-    walls: NDArray[np.int8]
+    walls: NDArray[np.signedinteger[Any]]
     direct: NDArray[np.bool_]
     delay: Floats
     doppler: Floats

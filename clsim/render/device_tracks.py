@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.acoustics.geometry import rotate
 from clsim.paths.arrivals import MACH_EXPONENT
-from clsim.render.motion_knots import KNOT_COLUMNS, knot_rate, motion_knots
+from clsim.paths.motion_knots import KNOT_COLUMNS, knot_rate, motion_knots
 from clsim.render.plan import SEGMENT, Plan, node_times
 from clsim.scene.directivity import Directivity, Omni
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.render.device import Compiler
+    from clsim.opencl.device import Compiler
     from clsim.render.slots import Slots
     from clsim.render.tracks import SceneTracks
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, DeviceError
-from clsim.render.device import Compiler, find_device
+from clsim.opencl.device import Compiler, find_device
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.host_tracks import HostTracks
 from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan, moving_scene

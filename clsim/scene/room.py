@@ -60,6 +60,16 @@ class Shoebox:
         return self.walls
 
     @property
+    def planes(self) -> tuple[Floats, Floats]:
+        """Unit normals (6, 3) and offsets (6,) of the walls: ``normal @ x = offset``, m."""
+        return np.repeat(np.eye(3), 2, axis=0), np.stack([np.zeros(3), self.size], axis=1).ravel()
+
+    @property
+    def wall_names(self) -> tuple[str, ...]:
+        """Names of the six walls."""
+        return WALLS
+
+    @property
     def extent(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner, (3,) m each."""
         return read_only(np.zeros(3)), self.size

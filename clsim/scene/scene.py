@@ -14,6 +14,8 @@ from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError
 from clsim.scene.air import Air
 from clsim.scene.directivity import Directivity, Omni
+from clsim.scene.mesh_contact import NEAREST, first_contact
+from clsim.scene.mesh_room import MeshRoom
 from clsim.scene.room import Shoebox
 from clsim.scene.trajectory import Trajectory
 
@@ -100,7 +102,7 @@ class Scene:
 
     Parameters
     ----------
-    room : Shoebox
+    room : Shoebox or MeshRoom
         The room.
     air : Air
         The air in it.
@@ -116,7 +118,7 @@ class Scene:
         the speed of sound; the message gives time and place.
     """
 
-    room: Shoebox
+    room: Shoebox | MeshRoom
     air: Air
     sources: Sequence[Source]
     receivers: Sequence[Receiver]
@@ -127,11 +129,12 @@ class Scene:
         object.__setattr__(self, "receivers", _checked_list("receivers", self.receivers, Receiver))
         distance = as_number("min_distance", self.min_distance, above=0.0, unit="m")
         object.__setattr__(self, "min_distance", distance)
-        for kind, value, cls in (("room", self.room, Shoebox), ("air", self.air, Air)):
-            if not isinstance(value, cls):
-                raise InputError(kind, f"must be a {cls.__name__}, but is {value!r:.80}")
+        if not isinstance(self.room, Shoebox | MeshRoom):
+            raise InputError("room", f"must be a Shoebox or a MeshRoom, but is {self.room!r:.80}")
+        if not isinstance(self.air, Air):
+            raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
         for field_name, item in self.named_ends():
-            _check_inside(self, field_name, item)
+            _check_motion(self, field_name, item)
         for i, source in enumerate(self.sources):
             for receiver in self.receivers:
                 _check_distance(self, i, source, receiver)
@@ -206,19 +209,15 @@ def _checked_list(name: str, values: Any, kind: type[Source] | type[Receiver]) -
     return tuple(values)
 
 
-def _check_inside(scene: Scene, field_name: str, item: Source | Receiver) -> None:
-    """Refuse a trajectory that leaves the room, or is as fast as sound, with time and place."""
+def _check_motion(scene: Scene, field_name: str, item: Source | Receiver) -> None:
+    """Refuse a trajectory that leaves the room, meets a wall, or is as fast as sound, with time and place."""
     speed_of_sound = scene.air.sound_speed
+    before = np.empty((0, 3))
     for times in scan_times(*scene.span(item)):
         positions = item.trajectory.position(times)
-        outside = np.flatnonzero(~scene.room.contains(positions))
-        if len(outside):
-            i = int(outside[0])
-            where = ", ".join(f"{x:.6g}" for x in positions[i])
-            raise InputError(
-                f"{field_name}.trajectory",
-                f"must stay inside the room, but {item.name!r} is at ({where}) m at {times[i]:.6g} s",
-            )
+        check = _check_inside if isinstance(scene.room, Shoebox) else _check_walls
+        check(scene, field_name, item.name, np.concatenate([before, positions]), times)
+        before = positions[-1:]
         speed = np.linalg.norm(item.trajectory.velocity(times), axis=1)
         i = int(np.argmax(speed))
         if speed[i] >= speed_of_sound:
@@ -227,6 +226,34 @@ def _check_inside(scene: Scene, field_name: str, item: Source | Receiver) -> Non
                 f"must stay below the speed of sound, {speed_of_sound:.6g} m/s, "
                 f"but {item.name!r} moves at {speed[i]:.6g} m/s at {times[i]:.6g} s",
             )
+
+
+def _check_inside(scene: Scene, field_name: str, name: str, positions: Floats, times: Floats) -> None:
+    """Refuse positions outside a shoebox; the last ones are those at `times`."""
+    outside = np.flatnonzero(~scene.room.contains(positions))
+    if len(outside):
+        raise InputError(
+            f"{field_name}.trajectory",
+            f"must stay inside the room, but {name!r} is at {_place(positions, times, int(outside[0]))}",
+        )
+
+
+def _check_walls(scene: Scene, field_name: str, name: str, positions: Floats, times: Floats) -> None:
+    """Refuse positions on a wall of a mesh, and motions through one; the last positions are those at `times`."""
+    assert isinstance(scene.room, MeshRoom)
+    contact = first_contact(scene.room.walls, positions)
+    if contact is not None:
+        i, wall = contact
+        raise InputError(
+            f"{field_name}.trajectory",
+            f"must stay {NEAREST:g} m away from every wall and walk through none, but {name!r} meets the wall "
+            f"{scene.room.wall_names[wall]!r} at {_place(positions, times, i)}",
+        )
+
+
+def _place(positions: Floats, times: Floats, i: int) -> str:
+    where = ", ".join(f"{x:.6g}" for x in positions[i])
+    return f"({where}) m at {times[max(i - len(positions) + len(times), 0)]:.6g} s"
 
 
 def _check_distance(scene: Scene, index: int, source: Source, receiver: Receiver) -> None:

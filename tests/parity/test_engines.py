@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.render import device as device_module
+from clsim.opencl import device as device_module
 from clsim.render import opencl as opencl_module
 from clsim.render.opencl import GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import SEGMENT, Plan, plan_render

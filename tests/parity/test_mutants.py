@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import clsim
+from clsim.opencl import device as device_module
 from clsim.paths.path_set import PathSet
-from clsim.render import device as device_module
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import plan_render
 from clsim.render.reference import ReferenceEngine

@@ -11,8 +11,8 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.render import device as device_module
-from clsim.render.device import find_device, list_devices
+from clsim.opencl import device as device_module
+from clsim.opencl.device import find_device, list_devices
 
 TONE = clsim.Signal.tone(40e3, 0.01, 192e3, fade=0.002)
 

@@ -14,6 +14,7 @@ LAYERS = [
     ("errors", "arrays"),
     ("acoustics",),
     ("scene",),
+    ("opencl",),
     ("paths",),
     ("render",),
     ("recording",),

@@ -68,12 +68,12 @@ def motion_knots(source: Source, start: float, end: float, rate: float) -> tuple
     axis = rotate(source.orientation(times), _AXIS)
     turning = np.gradient(axis, axis=0)
     inner = slice(1, -1)
-    columns = [*_hermite(position[inner], velocity[inner]), *_hermite(axis[inner], turning[inner])]
+    columns = [*cubics_between(position[inner], velocity[inner]), *cubics_between(axis[inner], turning[inner])]
     return np.ascontiguousarray(np.concatenate(columns, axis=1)), first / rate
 
 
-def _hermite(values: Floats, slopes: Floats) -> list[Floats]:
-    """Return the coefficients of the cubics between neighbouring values, lowest power first."""
+def cubics_between(values: Floats, slopes: Floats) -> list[Floats]:
+    """Return the coefficients of the cubics between neighbouring values, lowest power first, from slopes per step."""
     v0, v1, s0, s1 = values[:-1], values[1:], slopes[:-1], slopes[1:]
     return [v0, s0, 3 * (v1 - v0) - 2 * s0 - s1, s0 + s1 - 2 * (v1 - v0)]
 
@@ -86,7 +86,7 @@ def _largest_error(source: Source, end: float, rate: float, tolerance: float) ->
         times = np.arange(first, min(first + _SLICE, math.ceil(end * rate)) + 1, dtype=np.float64) / rate
         if len(times) < 2:
             break
-        cubic = _hermite(trajectory.position(times), trajectory.velocity(times) / rate)
+        cubic = cubics_between(trajectory.position(times), trajectory.velocity(times) / rate)
         middle = sum(c * 0.5**power for power, c in enumerate(cubic))
         error = np.linalg.norm(middle - trajectory.position(times[:-1] + 0.5 / rate), axis=1)
         largest = max(largest, float(error.max()))
@@ -99,7 +99,7 @@ def _axis_error(source: Source, times: Floats, half: float) -> float:
     """Return the largest error of the axis in the middle between knots, rad."""
     wide = np.concatenate([[times[0] - 2 * half], times, [times[-1] + 2 * half]])
     axis = rotate(source.orientation(wide), _AXIS)
-    cubic = _hermite(axis, np.gradient(axis, axis=0))
+    cubic = cubics_between(axis, np.gradient(axis, axis=0))
     middle = sum(c * 0.5**power for power, c in enumerate(cubic))
     error = np.linalg.norm(middle - rotate(source.orientation(wide[:-1] + half), _AXIS), axis=1)
     return float(error[1:-1].max())

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clsim.errors import DeviceError
-from clsim.render.kernel_source import kernel_source
+from clsim.opencl.kernel_source import kernel_source
 
 INSTALL = (
     "install a driver: `pip install pocl-binary-distribution` (Linux x86-64), "

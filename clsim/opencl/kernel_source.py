@@ -9,6 +9,7 @@ from clsim.errors import ClsimError
 PROGRAMS = {
     "branches": ("vector.h", "branches.cl"),
     "tracks": ("motion.h", "delay.h", "gain.h", "block.h", "tracks.cl"),
+    "intervals": ("motion.h", "delay.h", "walls.h", "validity.h", "intervals.cl"),
     "render": ("vector.h", "group.h", "farrow.h", "render.cl"),
 }
 

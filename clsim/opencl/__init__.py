@@ -1,0 +1,1 @@
+"""OpenCL devices and the programs that run on them."""

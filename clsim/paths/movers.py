@@ -1,0 +1,150 @@
+"""Where the ends of paths are and how fast they can be, as tables that a device and NumPy read alike."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.paths.motion_knots import cubics_between
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.motion import Motion
+
+NUDGES = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
+_TOLERANCE = 1e-8  # m, of a position between knots
+_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
+_MOST_KNOTS = 2_000_000
+_MOST_STEPS = 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Movers:
+    """Trajectories of one source (row 0) and of receivers (rows 1, 2, …).
+
+    Attributes
+    ----------
+    places : ndarray (rows, 3) int64
+        First knot, first speed and number of knots of each.
+    scales : ndarray (rows, 3)
+        Time of the first knot (s), knots per second, largest speed (m/s).
+    knots : ndarray (knots, 12)
+        Coefficients [power][xyz] of the cubic from each knot to the next, m.
+    speeds : ndarray (speeds,)
+        Bounds of the speed from each knot to the next, of pairs of them, and so on, m/s.
+    """
+
+    places: NDArray[np.int64]
+    scales: Floats
+    knots: Floats
+    speeds: Floats
+
+    def position(self, row: NDArray[np.int64], time: Floats) -> Floats:
+        """Return positions (n, 3) at times (n,), m; before the first and after the last knot those at them."""
+        first, count = self.places[row, 0], self.places[row, 2]
+        place = (time - self.scales[row, 0]) * self.scales[row, 1]
+        knot = np.clip(place, 0.0, count - 1.0).astype(np.int64)
+        u = np.clip(place - knot, 0.0, 1.0)[:, None]
+        c = self.knots[first + knot].reshape(-1, 4, 3)
+        return np.asarray(c[:, 0] + u * (c[:, 1] + u * (c[:, 2] + u * c[:, 3])))
+
+    def speed_over(self, row: NDArray[np.int64], begin: Floats, end: Floats) -> Floats:
+        """Return a bound of the speed between two times (n,), m/s."""
+        start, rate, last = self.scales[row, 0], self.scales[row, 1], self.places[row, 2] - 1
+        a, b = (np.clip((t - start) * rate, 0.0, last).astype(np.int64) for t in (begin, end))
+        level, count = self.places[row, 1].copy(), last + 1
+        while np.any(wide := b - a > 1):
+            level = np.where(wide, level + count, level)
+            count = np.where(wide, (count + 1) // 2, count)
+            a, b = np.where(wide, a // 2, a), np.where(wide, b // 2, b)
+        return np.maximum(self.speeds[level + a], self.speeds[level + b])
+
+    def delay(self, mirrored: Floats, time: Floats, speed_of_sound: float) -> Floats:
+        """Return the delays (n,) from the source to places (n, 3) in its own room, s."""
+        source = np.zeros(len(time), dtype=np.int64)
+        delay: Floats = np.zeros(len(time))
+        for _ in range(_MOST_STEPS):  # each a contraction by the Mach number
+            distance = np.linalg.norm(mirrored - self.position(source, time - delay), axis=1)
+            step = distance / speed_of_sound - delay
+            delay = delay + step
+            if not np.any(np.abs(step) > 1e-13):
+                break
+        return delay
+
+
+def movers(source: Motion, receivers: Sequence[Motion]) -> Movers:
+    """Return the tables of one source and its receivers, from time 0 to the end of each."""
+    tables = [_knots(motion) for motion in (source, *receivers)]
+    levels = [_speeds(knots, rate) for knots, _, rate in tables]
+    counts = np.array([len(knots) for knots, _, _ in tables])
+    places = np.stack(
+        [
+            np.concatenate([[0], np.cumsum(counts)[:-1]]),
+            np.concatenate([[0], np.cumsum([len(level) for level in levels])[:-1]]),
+            counts,
+        ],
+        axis=1,
+    ).astype(np.int64)
+    scales = np.array([[first, rate, level.max()] for (_, first, rate), level in zip(tables, levels, strict=True)])
+    knots = np.concatenate([knots for knots, _, _ in tables])
+    return Movers(read_only(places), read_only(scales), read_only(knots), read_only(np.concatenate(levels)))
+
+
+def bounding_ball(motion: Motion, begin: float = 0.0, end: float = math.inf) -> tuple[Floats, float]:
+    """Return centre and radius of a ball that holds a trajectory between two times, from 0 to its end at most, m."""
+    knots, _, rate = _knots(motion)
+    first, last = (min(max(t * rate, 0.0), len(knots) - 1.0) for t in (begin, end))
+    c = knots[math.floor(first) : math.floor(last) + 1].reshape(-1, 4, 3)
+    # Bézier points of each cubic: it stays within their hull.
+    hull = np.concatenate([c[:, 0], c[:, 0] + c[:, 1] / 3, c[:, 0] + (2 * c[:, 1] + c[:, 2]) / 3, c.sum(axis=1)])
+    centre = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
+    for _ in range(64):  # Ritter's steps towards the farthest point shrink the ball
+        away = hull - centre
+        distance = np.linalg.norm(away, axis=1)
+        i = int(np.argmax(distance))
+        better = centre + 0.05 * away[i]
+        if np.linalg.norm(hull - better, axis=1).max() >= distance[i]:
+            break
+        centre = better
+    return centre, float(np.linalg.norm(hull - centre, axis=1).max())
+
+
+def _knots(motion: Motion) -> tuple[Floats, float, float]:
+    """Return cubics (n, 12), time of the first knot and knots per second."""
+    if math.isinf(motion.end):
+        still = np.zeros((1, 12))
+        still[0, :3] = motion.position(0.0)
+        return still, 0.0, 1.0
+    length = max(motion.end, 1e-3)
+    for rate in _RATES:
+        count = min(max(1, math.ceil(length * rate)), _MOST_KNOTS)
+        times = np.linspace(0.0, length, 2 * count + 1)
+        position = motion.position(times)
+        velocity = motion.velocity(times[::2]) * (length / count)
+        cubics = cubics_between(position[::2], velocity)
+        middle = sum(c * 0.5**power for power, c in enumerate(cubics))
+        error = float(np.abs(middle - position[1::2]).max())
+        if error <= _TOLERANCE or count == _MOST_KNOTS:
+            break
+    return np.concatenate(cubics, axis=1), 0.0, count / length
+
+
+def _speeds(knots: Floats, rate: float) -> Floats:
+    """Return bounds of the speed on each cubic, on pairs of them and so on, in a row."""
+    c = knots.reshape(-1, 4, 3)
+    # Bézier points of the derivative.
+    points = np.stack([c[:, 1], c[:, 1] + c[:, 2], c[:, 1] + 2.0 * c[:, 2] + 3.0 * c[:, 3]])
+    level = np.linalg.norm(points, axis=2).max(axis=0) * rate
+    levels = [level]
+    while len(level) > 1:
+        level = np.maximum(level[::2], np.append(level[1::2], 0.0) if len(level) % 2 else level[1::2])
+        levels.append(level)
+    return np.concatenate(levels)

@@ -1,0 +1,132 @@
+"""Triangles as they come out of files, made fit for geometry: welded, without degenerate or doubled ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+
+WELD = 1e-6  # m; vertices nearer than this are one
+SMALLEST_AREA = 1e-12  # m²
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanMesh:
+    """Triangles on shared vertices.
+
+    Attributes
+    ----------
+    vertices : ndarray (V, 3)
+        m, each used by a triangle.
+    triangles : ndarray (T, 3) int
+        Indices of corners.
+    kept : ndarray (T,) int
+        Row of each triangle before cleaning.
+    notes : tuple of str
+        What was repaired.
+    """
+
+    vertices: Floats
+    triangles: NDArray[np.int64]
+    kept: NDArray[np.int64]
+    notes: tuple[str, ...]
+
+
+def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
+    """Weld vertices by position and drop triangles without area and copies of others.
+
+    Parameters
+    ----------
+    vertices : ndarray (V, 3)
+        m.
+    triangles : ndarray (T, 3) int
+        Indices of corners.
+
+    Raises
+    ------
+    InputError
+        If no triangle is left.
+    """
+    unique, first = np.unique(vertices, axis=0, return_inverse=True)
+    vertex, welded = _weld(unique)
+    corners = vertex[first.ravel()][triangles]
+    notes = []
+    area = 0.5 * np.linalg.norm(
+        np.cross(welded[corners[:, 1]] - welded[corners[:, 0]], welded[corners[:, 2]] - welded[corners[:, 0]]), axis=1
+    )
+    flat = area <= SMALLEST_AREA
+    if flat.any():
+        notes.append(f"{flat.sum()} triangles without area were dropped, the first is face {np.flatnonzero(flat)[0]}")
+    kept = np.flatnonzero(~flat)
+    if not len(kept):
+        raise InputError("triangles", f"must have an area, but all {len(triangles)} have none")
+    _, once = np.unique(np.sort(corners[kept], axis=1), axis=0, return_index=True)
+    if len(once) < len(kept):
+        notes.append(f"{len(kept) - len(once)} triangles that lay on others were dropped")
+    kept = kept[np.sort(once)]
+    used, corners = np.unique(corners[kept], return_inverse=True)
+    return CleanMesh(welded[used], corners.reshape(-1, 3).astype(np.int64), kept, tuple(notes))
+
+
+def _weld(points: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return the index of each point's cluster, and one place per cluster."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(points).query_pairs(WELD, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    count, cluster = connected_components(graph, directed=False)
+    places = np.empty((count, 3))
+    places[cluster[::-1]] = points[::-1]
+    return cluster.astype(np.int64), places
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshShape:
+    """How the triangles of a mesh hang together.
+
+    Attributes
+    ----------
+    open_edges : ndarray (n, 2, 3)
+        Edges of one triangle only, m.
+    crowded_edges : int
+        Edges of three triangles or more.
+    flipped_edges : int
+        Edges whose two triangles run in the same direction: one of them is flipped.
+    volume : float
+        Enclosed by the mesh, signed by its winding, m³; meaningless where edges are open.
+    """
+
+    open_edges: Floats
+    crowded_edges: int
+    flipped_edges: int
+    volume: float
+
+    @property
+    def watertight(self) -> bool:
+        """Whether every edge belongs to an even number of triangles."""
+        return len(self.open_edges) == 0
+
+
+def mesh_shape(vertices: Floats, triangles: NDArray[np.int64]) -> MeshShape:
+    """Return how triangles on welded vertices hang together."""
+    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, which, uses = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    forward = np.bincount(which.ravel(), weights=directed[:, 0] < directed[:, 1], minlength=len(edges))
+    corners = vertices[triangles]
+    volume = float(np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
+    return MeshShape(
+        vertices[edges[uses % 2 == 1]],
+        int(np.sum(uses > 2)),
+        int(np.sum((uses == 2) & (forward != 1))),
+        volume,
+    )

@@ -1,0 +1,274 @@
+"""Rooms of any shape: walls made of triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import Floats, as_floats, as_number, read_only
+from clsim.errors import InputError
+from clsim.scene.material import Material
+from clsim.scene.mesh_cleaning import MeshShape, clean_mesh, mesh_shape
+from clsim.scene.mesh_walls import FLATNESS, Walls, build_walls
+from clsim.scene.room import WALLS, Shoebox
+
+if TYPE_CHECKING:
+    import os
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from clsim.scene.mesh_reading import MeshFile
+
+Materials = Material | Mapping[str, Material] | Sequence[Material]
+_RAY = np.array([0.36, 0.48, 0.80])  # a direction that no wall is likely to lie along
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshRoom:
+    """A room, or things in it, made of triangles; it may be open, and its walls are two-sided.
+
+    Parameters
+    ----------
+    vertices : array_like (V, 3)
+        m, z up.
+    triangles : array_like (T, 3) of int
+        Indices of corners; the winding does not matter.
+    materials : Material or sequence of Material
+        One for all, or one per triangle; kept as one per triangle.
+    flatness : float
+        Neighbours of one material whose corners lie this near to each other's planes are one wall, m.
+    labels : sequence of str, optional
+        What each triangle belongs to; walls are called after it.
+
+    Attributes
+    ----------
+    walls : Walls
+        The triangles merged into flat walls.
+    wall_names : tuple of str
+        A name for each wall.
+    notes : tuple of str
+        What was repaired.
+
+    Raises
+    ------
+    InputError
+        If there is no triangle with an area, an index is out of range, or a material is missing.
+
+    Examples
+    --------
+    >>> corners = [(0, 0, 0), (2, 0, 0), (2, 0, 1), (0, 0, 1)]
+    >>> screen = MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], Material.from_reflection(0.95))
+    >>> len(screen.walls), screen.shape.watertight
+    (1, False)
+    """
+
+    vertices: Floats
+    triangles: NDArray[np.int64]
+    materials: Materials
+    flatness: float = FLATNESS
+    labels: Sequence[str] | None = None
+    notes: tuple[str, ...] = ()
+    walls: Walls = field(init=False)
+    wall_names: tuple[str, ...] = field(init=False)
+    shape: MeshShape = field(init=False)
+    wall_materials: tuple[Material, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        vertices = as_floats("vertices", self.vertices, (None, 3))
+        triangles = _checked_triangles(self.triangles, len(vertices))
+        materials = _per_triangle("materials", self.materials, len(triangles))
+        labels = ("",) * len(triangles) if self.labels is None else tuple(self.labels)
+        if len(labels) != len(triangles):
+            raise InputError("labels", f"must be one per triangle, {len(triangles)}, but are {len(labels)}")
+        flatness = as_number("flatness", self.flatness, at_least=0.0, unit="m")
+        clean = clean_mesh(vertices, triangles)
+        kept = [materials[i] for i in clean.kept]
+        kinds = {id(m): i for i, m in enumerate({id(m): m for m in kept}.values())}
+        walls = build_walls(clean.vertices, clean.triangles, np.array([kinds[id(m)] for m in kept]), flatness)
+        first = np.unique(walls.of_triangle, return_index=True)[1]
+        values: dict[str, Any] = {
+            "vertices": read_only(clean.vertices),
+            "triangles": read_only(clean.triangles),
+            "materials": tuple(kept),
+            "flatness": flatness,
+            "labels": tuple(labels[i] for i in clean.kept),
+            "notes": (*self.notes, *clean.notes),
+            "walls": walls,
+            "wall_names": _wall_names([labels[clean.kept[i]] for i in first]),
+            "shape": mesh_shape(clean.vertices, clean.triangles),
+            "wall_materials": tuple(kept[i] for i in first),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @staticmethod
+    def from_file(
+        path: str | os.PathLike[str],
+        scale: float = 1.0,
+        up: str = "z",
+        materials: Material | Mapping[str, Material] | None = None,
+        *,
+        flatness: float = FLATNESS,
+    ) -> MeshRoom:
+        """Return a room from a file that trimesh reads: OBJ, STL, PLY, GLB, OFF and more.
+
+        Parameters
+        ----------
+        path : path-like
+            The file.
+        scale : float
+            Metres per unit of the file: 0.001 for millimetres.
+        up : {"x", "y", "z"}
+            Which axis of the file points up.
+        materials : Material or mapping
+            One for all walls, or materials by the file's own names (``usemtl`` groups of OBJ files), where
+            ``"default"`` stands for those not named.
+        flatness : float
+            As in `MeshRoom`; raise it for files with rounded coordinates.
+
+        Raises
+        ------
+        InputError
+            If the file is no mesh, has no faces or NaN, or a group has no material; the message lists the groups.
+        """
+        from clsim.scene.mesh_reading import read_mesh
+
+        mesh = read_mesh(path, scale=scale, up=up)  # type: ignore[arg-type]
+        by_group = _by_group(mesh, Path(path).name, materials)
+        stem = Path(path).stem
+        labels = [f"{stem} {mesh.groups[g]}".strip() for g in mesh.group]
+        return MeshRoom(mesh.vertices, mesh.triangles, [by_group[g] for g in mesh.group], flatness, labels, mesh.notes)
+
+    @staticmethod
+    def joined(parts: Sequence[MeshRoom | Shoebox]) -> MeshRoom:
+        """Return one room made of several: a room and what stands in it.
+
+        Parameters
+        ----------
+        parts : sequence of MeshRoom or Shoebox
+            Room, furniture, screens.
+
+        Raises
+        ------
+        InputError
+            If there is none, or one is no room.
+
+        Examples
+        --------
+        >>> wall = Material.from_reflection(0.9)
+        >>> corners = [(2, 2, 0), (4, 2, 0), (4, 2, 1), (2, 2, 1)]
+        >>> screen = MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], wall)
+        >>> len(MeshRoom.joined([Shoebox((8.0, 6.0, 3.0), wall), screen]).walls)
+        7
+        """
+        if not parts:
+            raise InputError("parts", "must hold at least one room, but is empty")
+        vertices, triangles, labels, notes = [], [], [], []
+        materials: list[Material] = []
+        flatness, count = 0.0, 0
+        for i, part in enumerate(parts):
+            if isinstance(part, Shoebox):
+                part = _as_mesh(part)
+            if not isinstance(part, MeshRoom):
+                raise InputError(f"parts[{i}]", f"must be a MeshRoom or Shoebox, but is {part!r:.80}")
+            vertices.append(part.vertices)
+            triangles.append(part.triangles + count)
+            materials += part.materials  # type: ignore[arg-type]
+            labels += list(part.labels or ())
+            notes += list(part.notes)
+            flatness, count = max(flatness, part.flatness), count + len(part.vertices)
+        return MeshRoom(np.concatenate(vertices), np.concatenate(triangles), materials, flatness, labels, tuple(notes))
+
+    @property
+    def extent(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corner, (3,) m each."""
+        return self.vertices.min(axis=0), self.vertices.max(axis=0)
+
+    @property
+    def planes(self) -> tuple[Floats, Floats]:
+        """Unit normals (W, 3) and offsets (W,) of the walls: ``normal @ x = offset``, m."""
+        return self.walls.normal, self.walls.offset
+
+    def reflections(self, frequency: float) -> Floats:
+        """Return the reflection factor of sound pressure of every wall, (walls,), at a frequency in Hz."""
+        factors = {id(m): m.reflection_at(frequency) for m in {id(m): m for m in self.wall_materials}.values()}
+        return np.array([factors[id(m)] for m in self.wall_materials])
+
+    def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) lie inside: a ray from them meets the walls an odd number of times.
+
+        Of use for watertight rooms only.
+        """
+        x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        count = np.zeros(len(x), dtype=int)
+        walls = self.walls
+        for w in range(len(walls)):
+            away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ _RAY)
+            ahead = np.flatnonzero(away > 0.0)
+            count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * _RAY)
+        return np.asarray(count % 2 == 1)
+
+
+def _as_mesh(box: Shoebox) -> MeshRoom:
+    """Return a shoebox as twelve triangles."""
+    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * box.size
+    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]  # as in WALLS
+    triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
+    materials = [m for m in box.materials for _ in range(2)]
+    return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
+
+
+def _checked_triangles(value: object, count: int) -> NDArray[np.int64]:
+    triangles = np.asarray(value)
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or not len(triangles) or triangles.dtype.kind not in "iu":
+        raise InputError("triangles", f"must be n x 3 whole numbers, but have {triangles.shape} {triangles.dtype}")
+    bad = np.flatnonzero(np.any((triangles < 0) | (triangles >= count), axis=1))
+    if len(bad):
+        at = triangles[bad[0]].tolist()
+        raise InputError(f"triangles[{bad[0]}]", f"must be indices of {count} vertices, but is {at}")
+    return triangles.astype(np.int64)
+
+
+def _per_triangle(name: str, materials: object, count: int) -> list[Material]:
+    if isinstance(materials, Material):
+        return [materials] * count
+    if not isinstance(materials, Sequence) or isinstance(materials, str):
+        raise InputError(name, f"must be a Material or one per triangle, but is {materials!r:.80}")
+    if len(materials) != count:
+        raise InputError(name, f"must be one per triangle, {count}, but are {len(materials)}")
+    for i, material in enumerate(materials):
+        if not isinstance(material, Material):
+            raise InputError(f"{name}[{i}]", f"must be a Material, but is {material!r:.80}")
+    return list(materials)
+
+
+def _by_group(mesh: MeshFile, name: str, materials: object) -> list[Material]:
+    """Return the material of each of a file's groups."""
+    if isinstance(materials, Material):
+        return [materials] * len(mesh.groups)
+    if not isinstance(materials, Mapping) or not materials:
+        raise InputError("materials", f"must be a Material or materials by group, but is {materials!r:.80}")
+    listed = ", ".join(repr(g) for g in mesh.groups)
+    for key, material in materials.items():
+        if key != "default" and key not in mesh.groups:
+            raise InputError(f"materials.{key}", f"is no group of {name}, whose groups are {listed}")
+        if not isinstance(material, Material):
+            raise InputError(f"materials.{key}", f"must be a Material, but is {material!r:.80}")
+    missing = [g for g in mesh.groups if g not in materials]
+    if missing and "default" not in materials:
+        raise InputError("materials", f"must name the group {missing[0]!r} of {name} or a default")
+    return [materials[g] if g in materials else materials["default"] for g in mesh.groups]
+
+
+def _wall_names(labels: list[str]) -> tuple[str, ...]:
+    """Return a name for each wall: its label, numbered where several have the same."""
+    names, seen = [], dict.fromkeys(labels, 0)
+    for label in labels:
+        seen[label] += 1
+        alone = bool(label) and labels.count(label) == 1
+        names.append(label if alone else f"{label or 'wall'} {seen[label]}")
+    return tuple(names)

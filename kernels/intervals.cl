@@ -1,0 +1,147 @@
+// Intervals in which paths are valid, by certified subdivision of time. Work-item: one path (a wall sequence and a
+// receiver), which goes on from where its last launch stopped. It takes a span from its stack and looks at its middle:
+// if the clearance exceeds what the ends can move within the span, the span is done; else the part that the clearance
+// covers is, and the rests on both sides go back on the stack. Spans come off it in the order of time.
+
+typedef struct {
+    double begin, end;
+    int known, valid;  // whether the span is done, and how
+} span;
+
+typedef struct {
+    double begin, end;  // of the interval that is being put together; none if begin > end
+    int depth, looks;   // spans on the stack, and evaluations so far
+    span stack[DEPTH];
+} progress;
+
+typedef struct {
+    double begin, end;
+    int path, unused;
+} interval;
+
+// A trajectory: cubics between knots, and the largest speed in each, in pairs of them, and so on.
+typedef struct {
+    motion path;
+    __global const double* speeds;
+    double fastest;  // m/s
+} mover;
+
+static double speed_over(const mover* end, double begin, double until)
+{
+    const int last = end->path.count - 1;
+    int a = (int)fmin(fmax((begin - end->path.first) * end->path.rate, 0.0), (double)last);
+    int b = (int)fmin(fmax((until - end->path.first) * end->path.rate, 0.0), (double)last);
+    __global const double* level = end->speeds;
+    for (int count = last + 1; b - a > 1; count = (count + 1) / 2, a /= 2, b /= 2) level += count;
+    return fmax(level[a], level[b]);
+}
+
+static mover mover_at(__global const long* places, __global const double* scales, __global const double* knots,
+                      __global const double* speeds, double speed_of_sound, int row)
+{
+    const mover out = {{knots + places[3 * row] * KNOT_COLUMNS, (int)places[3 * row + 2], scales[3 * row],
+                        scales[3 * row + 1], 1.0 / speed_of_sound}, speeds + places[3 * row + 1], scales[3 * row + 2]};
+    return out;
+}
+
+typedef struct {
+    room walls;
+    mover source, receiver;
+    __global const int* sequence;
+} search;
+
+// Status at an instant, while both ends move as they can for `within` before and after (s); `reach` is how far that is.
+static int look(const search* s, double time, double within, double* clear, double* reach)
+{
+    const triple nudge = {6.1e-8, -3.7e-8, 7.0e-8}, other_nudge = {-2.9e-8, 8.3e-8, 4.7e-8}, still = {0.0, 0.0, 0.0};
+    arrival a;
+    locate(&s->receiver.path, time, &a);
+    const triple receiver = cubic(a.knot, a.u);
+    triple image = receiver;
+    for (int k = ORDER; k > 0; k--) image = mirrored(s->walls.plane[s->sequence[k - 1]], image);
+    settle(&s->source.path, image, still, time, &a);
+    const double emitted = time - a.delay;
+    locate(&s->source.path, emitted, &a);
+    const double slowness = s->source.path.slowness;
+    const double stretch = (1.0 + s->receiver.fastest * slowness) / (1.0 - s->source.fastest * slowness);
+    *reach = within * fmax(stretch * speed_over(&s->source, emitted - stretch * within, emitted + stretch * within),
+                         speed_over(&s->receiver, time - within, time + within));
+    return path_status(&s->walls, s->sequence, sum(cubic(a.knot, a.u), nudge), sum(receiver, other_nudge), *reach,
+                       clear);
+}
+
+static void push(__global progress* p, double begin, double end, int known, int valid)
+{
+    if (!(end > begin)) return;
+    const span s = {begin, end, known, valid};
+    p->stack[p->depth++] = s;
+}
+
+static void put(__global progress* p, double begin, double end, int path, __global interval* found,
+                __global int* count)
+{
+    if (begin == p->end) {
+        p->end = end;
+        return;
+    }
+    if (p->begin < p->end) {
+        const interval done = {p->begin, p->end, path, 0};
+        found[atomic_inc(count)] = done;
+    }
+    p->begin = begin;
+    p->end = end;
+}
+
+__kernel void intervals(int walls, double tolerance, __global const double4* plane, __global const double4* ball,
+                        __global const int* same, __global const int* first_edge, __global const int* first_piece,
+                        __global const int* first_line, __global const int* first_twin, __global const double* edge,
+                        __global const double4* line, __global const int* twin,
+                        __global const long* places,    // [ends][3]: first knot, first speed, knots; the source first
+                        __global const double* scales,  // [ends][3]: time of the first knot, knots per second, speed
+                        __global const double* knots, __global const double* speeds, double speed_of_sound,
+                        __global const int* sequences, __global const int* receiver_of,  // [paths][ORDER], [paths]
+                        __global const int* active, int active_count,  // paths that are not done
+                        double resolution,              // s, to which ends are found
+                        double smallest,                // m, moves that are none
+                        double graze,                   // m, clearance below which a path runs along an edge
+                        int budget,                     // evaluations of each path in this launch
+                        __global progress* states,      // [paths]
+                        __global interval* found, __global int* found_count)
+{
+    if (get_global_id(0) >= active_count) return;
+    const int path = active[get_global_id(0)];
+    const search s = {{walls, tolerance, plane, ball, same, first_edge, first_piece, first_line, first_twin, edge, line,
+                       twin}, mover_at(places, scales, knots, speeds, speed_of_sound, 0),
+                      mover_at(places, scales, knots, speeds, speed_of_sound, 1 + receiver_of[path]),
+                      sequences + ORDER * path};
+    __global progress* p = states + path;
+    int looks = 0;
+    while (p->depth > 0 && looks < budget) {
+        const span now = p->stack[--p->depth];
+        if (now.known) {
+            if (now.valid) put(p, now.begin, now.end, path, found, found_count);
+            continue;
+        }
+        const double within = 0.5 * (now.end - now.begin), middle = now.begin + within;
+        double clear, reach, unused;
+        const int valid = look(&s, middle, within, &clear, &reach);
+        looks++;
+        int done = clear > reach || 2.0 * within <= resolution || reach < smallest;
+        if (!done && clear < graze && within <= 0.5e-3) {
+            done = look(&s, now.begin, 0.0, &unused, &unused) == valid && look(&s, now.end, 0.0, &unused, &unused) == valid;
+            looks += 2;
+        }
+        if (done) {
+            if (valid) put(p, now.begin, now.end, path, found, found_count);
+            continue;
+        }
+        double share = 0.999 * clear / reach;
+        if (share < 0.05 || share * within < 0.5 * resolution) share = 0.0;
+        const double from = middle - share * within, until = middle + share * within;
+        push(p, until, now.end, 0, 0);
+        push(p, from, until, 1, valid);
+        push(p, now.begin, from, 0, 0);
+    }
+    p->looks += looks;
+    if (p->depth == 0) put(p, -2.0, -3.0, path, found, found_count);  // gives out what was put together
+}

@@ -1,0 +1,131 @@
+// Whether a path is valid at an instant, and its clearance: how far source and receiver may both move before that can
+// change. Leg k runs from wall k to wall k + 1 (0 is the source, ORDER + 1 the receiver) on the straight line from the
+// source mirrored k times to the receiver mirrored back, which meets wall k at the share tau[k].
+
+#define EVER 1e300
+
+typedef struct {
+    triple from[ORDER + 1], to[ORDER + 1];  // ends of the unfolded line in the real space of each leg
+    double tau[ORDER + 2];
+    double slack[ORDER + 2];                // how far tau can move while the ends move by `reach`
+} unfolded;
+
+static triple along(const unfolded* path, int leg, double tau)
+{
+    return sum(path->from[leg], times(tau, difference(path->to[leg], path->from[leg])));
+}
+
+// The reflections: on their walls, and in order. Returns whether all are; `clear` is that of the surest that is not.
+static int reflects(const room* walls, __global const int* sequence, double reach, unfolded* path, double* clear)
+{
+    int valid = 1, crosses_before = 1;
+    double inverse_before = 0.0;
+    for (int k = 1; k <= ORDER; k++) {
+        const int wall = sequence[k - 1];
+        const double4 plane = walls->plane[wall];
+        const double before = height(plane, path->from[k]), behind = height(plane, path->to[k]);
+        const int crosses = before * behind < 0.0;
+        const double inverse = crosses ? 1.0 / fabs(before - behind) : 0.0;
+        double sure = -1.0;
+        if (!crosses) {
+            sure = fmin(fabs(before), fabs(behind));
+        } else {
+            path->tau[k] = before / (before - behind);
+            path->slack[k] = reach * inverse;
+            const triple hit = along(path, k, path->tau[k]);
+            if (!holds(walls, wall, hit)) {
+                sure = sqrt(edges_apart(walls, wall, path->from[k], path->to[k], *clear * *clear, EVER));
+            }
+            for (int i = walls->first_twin[wall]; i < walls->first_twin[wall + 1]; i++) {
+                if (sure < 0.0 && holds(walls, walls->twin[i], hit)) {
+                    sure = sqrt(edges_apart(walls, walls->twin[i], path->from[k], path->to[k], *clear * *clear, EVER));
+                }
+            }
+            if (k > 1 && crosses_before && path->tau[k - 1] >= path->tau[k]) {
+                sure = fmax(sure, (path->tau[k - 1] - path->tau[k]) / (inverse_before + inverse));
+            }
+        }
+        if (sure >= 0.0) {
+            valid = 0;
+            *clear = fmax(*clear, sure);
+            if (*clear > reach) return 0;
+        }
+        crosses_before = crosses;
+        inverse_before = inverse;
+    }
+    return valid;
+}
+
+static int same_plane(const room* walls, __global const int* sequence, int leg, int wall)
+{
+    return (leg > 0 && walls->same[sequence[leg - 1]] == walls->same[wall]) ||
+           (leg < ORDER && walls->same[sequence[leg]] == walls->same[wall]);
+}
+
+// Whether a wall crosses the segment from a to b strictly between its ends.
+static int blocks(const room* walls, int wall, triple a, triple b)
+{
+    const double4 ball = walls->ball[wall];
+    const triple centre = {ball.x, ball.y, ball.z};
+    if (point_apart(centre, a, b) > ball.w * ball.w) return 0;
+    const double first = height(walls->plane[wall], a), last = height(walls->plane[wall], b);
+    if (!(first * last < 0.0)) return 0;
+    const double share = first / (first - last);
+    return share > 1e-9 && share < 1.0 - 1e-9 && holds(walls, wall, sum(a, times(share, difference(b, a))));
+}
+
+// The legs: crossed by no other wall. Returns whether all are free; `clear` is that of the surest obstacle.
+static int passes(const room* walls, __global const int* sequence, double reach, const unfolded* path, double* clear)
+{
+    int valid = 1;
+    for (int leg = 0; leg <= ORDER; leg++) {
+        const triple a = along(path, leg, path->tau[leg]), b = along(path, leg, path->tau[leg + 1]);
+        const double first = path->tau[leg] + path->slack[leg], last = path->tau[leg + 1] - path->slack[leg + 1];
+        const triple from = along(path, leg, first), to = along(path, leg, last);  // what is always part of the leg
+        for (int wall = 0; wall < walls->count; wall++) {
+            if (same_plane(walls, sequence, leg, wall) || !blocks(walls, wall, a, b)) continue;
+            valid = 0;
+            const double before = height(walls->plane[wall], from), behind = height(walls->plane[wall], to);
+            if (first < last && before * behind < 0.0) {
+                const double apart = sqrt(edges_apart(walls, wall, from, to, *clear * *clear, EVER));
+                *clear = fmax(*clear, fmin(apart, fmin(fabs(before), fabs(behind))));
+                if (*clear > reach) return 0;
+            }
+        }
+    }
+    return valid;
+}
+
+// Distance from the legs, drawn out at their ends by what these can move, to any edge; looked for up to 2 `reach`.
+static double edge_clearance(const room* walls, double reach, const unfolded* path)
+{
+    double clear = 2.0 * reach;
+    for (int leg = 0; leg <= ORDER; leg++) {
+        const triple a = along(path, leg, fmax(path->tau[leg] - path->slack[leg], 0.0));
+        const triple b = along(path, leg, fmin(path->tau[leg + 1] + path->slack[leg + 1], 1.0));
+        for (int wall = 0; wall < walls->count; wall++) {
+            const double4 ball = walls->ball[wall];
+            const triple centre = {ball.x, ball.y, ball.z};
+            if (point_apart(centre, a, b) > (ball.w + clear) * (ball.w + clear)) continue;
+            clear = sqrt(edges_apart(walls, wall, a, b, 0.0025 * reach * reach, clear * clear));
+            if (clear < 0.05 * reach) return clear;
+        }
+    }
+    return clear;
+}
+
+static int path_status(const room* walls, __global const int* sequence, triple source, triple receiver, double reach,
+                       double* clear)
+{
+    unfolded path;
+    path.from[0] = source;
+    path.to[ORDER] = receiver;
+    for (int k = 0; k < ORDER; k++) path.from[k + 1] = mirrored(walls->plane[sequence[k]], path.from[k]);
+    for (int k = ORDER; k > 0; k--) path.to[k - 1] = mirrored(walls->plane[sequence[k - 1]], path.to[k]);
+    path.tau[0] = path.slack[0] = path.slack[ORDER + 1] = 0.0;
+    path.tau[ORDER + 1] = 1.0;
+    *clear = 0.0;
+    if (!reflects(walls, sequence, reach, &path, clear) || !passes(walls, sequence, reach, &path, clear)) return 0;
+    *clear = edge_clearance(walls, reach, &path);
+    return 1;
+}

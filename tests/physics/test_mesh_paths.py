@@ -1,0 +1,228 @@
+"""Paths in meshes against closed forms and against a brute force that shares no code with them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_meshes import box, cut_box, hall, joined, l_room, pillar_room, screen
+from mesh_oracle import Oracle
+
+import clsim
+from clsim.acoustics.geometry import rotate
+from clsim.paths.path_set import PathSet
+from clsim.scene.mesh_reading import read_mesh
+
+MESHES = Path(__file__).parents[2] / ".." / "shared" / "data" / "meshes"
+WALL = clsim.Material.from_reflection(0.9)
+TONE = clsim.Signal.tone(40e3, 0.05, 192e3, fade=0.01)
+
+
+@pytest.fixture(params=["opencl", "reference"])
+def validated_by(request: pytest.FixtureRequest) -> str:
+    if request.param == "opencl":
+        request.getfixturevalue("device")
+    return str(request.param)
+
+
+def scene_of(room, source, *receivers, signal=TONE) -> clsim.Scene:
+    def path(at):
+        return at if isinstance(at, clsim.Trajectory) else clsim.Trajectory.fixed(at)
+
+    ears = [clsim.Receiver(f"r{i}", path(r)) for i, r in enumerate(receivers)]
+    return clsim.Scene(room, clsim.Air(), [clsim.Source("s", signal, path(source))], ears)
+
+
+def by_planes(paths: PathSet, oracle: Oracle) -> dict[tuple[int, int, tuple[int, ...]], np.ndarray]:
+    """Return corners by source, receiver and sequence of the oracle's planes."""
+    plane = np.empty(len(paths.scene.room.walls), dtype=int)
+    plane[paths.scene.room.walls.of_triangle] = oracle.plane_of
+    found = {}
+    for s, r, walls, corners in zip(paths.source, paths.receiver, paths.walls, paths.corners(0.0), strict=True):
+        key = (int(s), int(r), tuple(plane[walls[walls >= 0]].tolist()))
+        assert key not in found, "counted twice"
+        found[key] = corners[np.isfinite(corners[:, 0])]
+    return found
+
+
+def check_against_brute_force(room, sources, receivers, order: int, **options) -> int:
+    """Compare all pairs; return how many paths there are."""
+    oracle = Oracle(room.vertices, room.triangles)
+    ears = [clsim.Receiver(f"r{i}", clsim.Trajectory.fixed(r)) for i, r in enumerate(receivers)]
+    mouths = [clsim.Source(f"s{i}", TONE, clsim.Trajectory.fixed(s)) for i, s in enumerate(sources)]
+    scene = clsim.Scene(room, clsim.Air(), mouths, ears)
+    got = by_planes(clsim.find_paths(scene, order, **options), oracle)
+    count = 0
+    for i, s in enumerate(sources):
+        for j, r in enumerate(receivers):
+            wanted = {}
+            for n in range(order + 1):
+                wanted |= oracle.paths(np.asarray(s), np.asarray(r), n)
+            mine = {key[2]: corners for key, corners in got.items() if key[:2] == (i, j)}
+            assert mine.keys() == wanted.keys()
+            for key, corners in wanted.items():
+                np.testing.assert_allclose(mine[key], corners, atol=1e-9 * max(1.0, float(np.ptp(room.vertices))))
+            count += len(wanted)
+    return count
+
+
+def points_inside(room, rng: np.random.Generator, count: int) -> np.ndarray:
+    low, high = room.extent
+    found = np.empty((0, 3))
+    while len(found) < count:
+        points = rng.uniform(low, high, (count, 3))
+        found = np.concatenate([found, points[room.contains(points)]])
+    return found[:count]
+
+
+def read(name: str) -> clsim.MeshRoom:
+    path = MESHES / name
+    if not path.exists():
+        pytest.skip(f"no {name} to test against")
+    mesh = read_mesh(path)
+    return clsim.MeshRoom(mesh.vertices, mesh.triangles, WALL)
+
+
+@pytest.mark.parametrize("mesh", [box((8, 6, 3)), cut_box((8, 6, 3), 50)], ids=["12 triangles", "300 triangles"])
+def test_a_shoebox_as_a_mesh_has_the_closed_forms_paths(mesh, validated_by) -> None:
+    room = clsim.MeshRoom(*mesh, WALL)
+    assert len(room.walls) == 6
+    source, receiver = (2.0, 2.5, 1.2), (6.1, 3.3, 1.9)
+    order = 6 if validated_by == "opencl" else 3
+    mine = clsim.find_paths(scene_of(room, source, receiver), order, engine=validated_by)
+    closed = clsim.find_paths(scene_of(clsim.Shoebox((8, 6, 3), WALL), source, receiver), order)
+    assert len(mine) == len(closed) == {6: 377, 3: 63}[order]
+    images = [np.round(p.image_matrix @ source + p.image_offset, 12) for p in (mine, closed)]
+    ordered = [i[np.lexsort(np.round(i, 6).T)] for i in images]
+    np.testing.assert_allclose(ordered[0], ordered[1], atol=1e-9)
+    assert np.all(np.isneginf(mine.start))
+    assert np.all(np.isposinf(mine.end))
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize(
+    ("source", "receiver"),
+    [
+        ((4, 3, 1.5), (6.1, 3.3, 1.9)),  # a centre
+        ((4, 3, 1.5), (4, 3, 2.0)),  # both on axes of symmetry
+        ((2, 1.5, 0.75), (4, 3, 1.5)),  # on a diagonal of the box: hits on edges and in corners
+        ((2, 2, 1), (6, 4, 2)),  # a mirror pair
+        ((1.2, 1.2, 1.0), (2.4, 2.4, 1.0)),  # in the mirror plane of an edge
+    ],
+)
+def test_symmetric_positions_lose_and_double_no_path(source, receiver) -> None:
+    scene = scene_of(clsim.MeshRoom(*box((8, 6, 3)), WALL), source, receiver)
+    closed = scene_of(clsim.Shoebox((8, 6, 3), WALL), source, receiver)
+    mine, wanted = clsim.find_paths(scene, 5), clsim.find_paths(closed, 5)
+    assert len(mine) == len(wanted)
+    images = [p.image_matrix @ np.asarray(source, float) + p.image_offset for p in (mine, wanted)]
+    ordered = [i[np.lexsort(np.round(i, 6).T)] for i in images]
+    np.testing.assert_allclose(ordered[0], ordered[1], atol=1e-9)
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("mesh", [l_room(), pillar_room(), hall(3)], ids=["L", "pillar", "hall"])
+def test_made_rooms_have_the_paths_of_brute_force(mesh, rng) -> None:
+    room = clsim.MeshRoom(*mesh, WALL)
+    points = points_inside(room, rng, 6)
+    assert check_against_brute_force(room, points[:3], points[3:], 3 if len(room.walls) < 20 else 2) > 100
+
+
+def test_numpy_finds_the_paths_of_brute_force(rng) -> None:
+    room = clsim.MeshRoom(*l_room(), WALL)
+    points = points_inside(room, rng, 4)
+    assert check_against_brute_force(room, points[:2], points[2:], 3, engine="reference") > 50
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize(
+    "name", ["small_square", "small_triangle", "small_pentagon", "small_heptagon", "medium_triangle", "echo_tunnel"]
+)
+def test_prisms_have_the_paths_of_brute_force(name: str, rng) -> None:
+    room = read(f"{name}.obj")
+    points = points_inside(room, rng, 8)
+    assert check_against_brute_force(room, points[:3], points[3:], 3) > 15 * 20
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize(("name", "order", "pairs"), [("bedroom", 3, 4), ("bedroom", 2, 20), ("concert", 2, 20)])
+def test_real_rooms_have_the_paths_of_brute_force(name: str, order: int, pairs: int, rng) -> None:
+    room = read(f"{name}.obj")
+    if name == "bedroom":
+        assert len(room.walls) == 26
+    points = points_inside(room, rng, 2 * pairs)
+    for i in range(0, pairs, 5):
+        here = slice(i, min(i + 5, pairs))
+        assert check_against_brute_force(room, points[here], points[pairs:][here], order) > 20
+
+
+@pytest.mark.usefixtures("device")
+def test_screens_in_a_box_have_the_paths_of_brute_force(rng) -> None:
+    parts = [read(n) for n in ("box__box.ply", "box_two_screens__screen_1.ply", "box_two_screens__screen_2.ply")]
+    room = clsim.MeshRoom.joined(parts)
+    low, high = parts[0].extent
+    points = rng.uniform(low + 0.1, high - 0.1, (8, 3))
+    assert check_against_brute_force(room, points[:2], points[2:5], 4) > 300
+
+
+@pytest.mark.usefixtures("device")
+def test_a_screen_in_a_shoebox_works_as_one_room(rng) -> None:
+    box_room = clsim.Shoebox((8, 6, 3), WALL)
+    board = clsim.MeshRoom(*screen((4.0, 1.0, 0.0), (0.3, 3.0, 0.0), 2.0), WALL)
+    room = clsim.MeshRoom.joined([box_room, board])
+    assert len(room.walls) == 7
+    points = rng.uniform((0.2, 0.2, 0.2), (7.8, 5.8, 2.8), (4, 3))
+    assert check_against_brute_force(room, points[:2], points[2:], 3) > 60
+
+
+@pytest.mark.usefixtures("device")
+def test_walls_of_two_materials_in_one_plane_share_no_path(rng) -> None:
+    vertices, triangles = cut_box((8, 6, 3), 8)
+    half = vertices[triangles].mean(axis=1)[:, 0] < 4.0
+    other = clsim.Material.from_reflection(-0.5)
+    room = clsim.MeshRoom(vertices, triangles, [WALL if h else other for h in half])
+    assert len(room.walls) == 10
+    points = rng.uniform((0.2, 0.2, 0.2), (7.8, 5.8, 2.8), (4, 3))
+    assert check_against_brute_force(room, points[:2], points[2:], 3) == 4 * 63
+
+
+@pytest.mark.usefixtures("device")
+def test_walls_that_lie_on_each_other_are_heard_once(rng) -> None:
+    # A carpet on the floor, in its very plane: the wall of lower index owns what both hold.
+    floor = (np.array([[2, 1, 0], [6, 1, 0], [6, 5, 0], [2, 5, 0]], float), np.array([[0, 1, 2], [0, 2, 3]]))
+    carpet = clsim.MeshRoom(*floor, clsim.Material.from_reflection(0.2))
+    room = clsim.MeshRoom.joined([clsim.Shoebox((8, 6, 3), WALL), carpet])
+    points = rng.uniform((0.2, 0.2, 0.2), (7.8, 5.8, 2.8), (4, 3))
+    assert check_against_brute_force(room, points[:2], points[2:], 3) == 4 * 63
+
+
+@pytest.mark.usefixtures("device")
+def test_walls_that_run_through_each_other(rng) -> None:
+    # A board that leans through the floor and through another board.
+    leaning = screen((3.0, 1.0, -0.5), (0.0, 3.0, 0.0), 2.0)
+    leaning[0][2:, 0] += 1.5
+    room = clsim.MeshRoom(*joined(box((8, 6, 3)), leaning, screen((2.0, 2.5, 0.5), (4.0, 0.2, 0.0), 1.5)), WALL)
+    points = rng.uniform((0.2, 0.2, 0.2), (7.8, 5.8, 2.8), (6, 3))
+    assert check_against_brute_force(room, points[:3], points[3:], 3) > 9 * 20
+
+
+@pytest.mark.usefixtures("device")
+def test_receivers_behind_a_closed_door_hear_nothing() -> None:
+    room = clsim.MeshRoom(*joined(box((4, 4, 3)), (box((4, 4, 3))[0] + [10, 0, 0], box((4, 4, 3))[1])), WALL)
+    paths = clsim.find_paths(scene_of(room, (1, 1, 1), (12, 2, 1)), 3)
+    assert len(paths) == 0
+    assert paths.walls.shape == (0, 3)
+
+
+@pytest.mark.usefixtures("device")
+def test_turning_the_room_turns_nothing_else(rng) -> None:
+    vertices, triangles = l_room()
+    turn = rng.normal(size=4)
+    turn /= np.linalg.norm(turn)
+    ends = np.array([(1.0, 2.0, 1.1), (6.5, 3.9, 2.0)])
+    tables = []
+    for quaternion, shift in ((np.array([0.0, 0, 0, 1]), 0.0), (turn, 7.0)):
+        room = clsim.MeshRoom(rotate(quaternion, vertices) + shift, triangles, WALL)
+        placed = rotate(quaternion, ends) + shift
+        table = clsim.find_paths(scene_of(room, *placed), 4).table([0.0])
+        tables.append(np.sort(table.delay[:, 0]))
+    np.testing.assert_allclose(tables[0], tables[1], rtol=0, atol=1e-13)
