@@ -10,7 +10,7 @@ typedef struct {
 } window;
 
 static void write_block(const window* node, int block, int slots, int slot, double sampling_rate, double late,
-                        __global int* delay, __global float* cubics)
+                        int heard, __global int* delay, __global float* cubics)
 {
     __global float* c = cubics + (long)block * COEFFICIENTS * slots + slot;
     const double p0 = node->delay[1] * sampling_rate + late, p1 = node->delay[2] * sampling_rate + late;
@@ -23,10 +23,10 @@ static void write_block(const window* node, int block, int slots, int slot, doub
     c[3 * slots] = (float)(0.25 * (e0 + e1) - 0.25 * (p1 - p0));
     const float g0 = node->gain[1], g1 = node->gain[2];
     const float s0 = 0.25f * (node->gain[2] - node->gain[0]), s1 = 0.25f * (node->gain[3] - node->gain[1]);
-    c[4 * slots] = 0.5f * (g0 + g1) - 0.25f * (s1 - s0);
-    c[5 * slots] = 0.75f * (g1 - g0) - 0.25f * (s0 + s1);
-    c[6 * slots] = 0.25f * (s1 - s0);
-    c[7 * slots] = 0.25f * (s0 + s1) - 0.25f * (g1 - g0);
+    c[4 * slots] = heard ? 0.5f * (g0 + g1) - 0.25f * (s1 - s0) : 0.0f;
+    c[5 * slots] = heard ? 0.75f * (g1 - g0) - 0.25f * (s0 + s1) : 0.0f;
+    c[6 * slots] = heard ? 0.25f * (s1 - s0) : 0.0f;
+    c[7 * slots] = heard ? 0.25f * (s0 + s1) - 0.25f * (g1 - g0) : 0.0f;
 }
 
 // Square of the largest error of those cubics as pressure at full scale: the Hermite remainder h^4 f''''/384 of the delay turned

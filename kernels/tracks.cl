@@ -6,6 +6,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
                      __global const float* reflection,     // [slots]
                      __global const int* receiver_of,      // [slots]
+                     __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const double* receivers,     // [receivers][nodes][9]: position, velocity, axis
                      int nodes,                            // blocks + 3, the first one before the run
                      __global const double* knots, int knot_count, double knot_first, double knot_rate,
@@ -29,6 +30,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     __global const float4* receiver_beam = receiver_beams + receiver_of[slot] * CELLS;
     const double block_time = (double)BLOCK / sampling_rate;
     const float factor = reflection[slot];
+    const int from = heard_from[slot], until = heard_until[slot];
     window w = {{0.0}, {0.0}, {0.0f}};
     float error = 0.0f, largest = 0.0f, shortest = 1e30f, longest = -1e30f;
     for (int n = first; n < last + 3; n++, row += 9) {
@@ -58,9 +60,11 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         const float delay_now = (float)a.delay, gain_now = w.gain[3] < 0.0f ? -w.gain[3] : w.gain[3];
         shortest = delay_now < shortest ? delay_now : shortest;
         longest = delay_now > longest ? delay_now : longest;
-        largest = gain_now > largest ? gain_now : largest;
         if (n < first + 3) continue;
-        write_block(&w, n - 3, slots, slot, sampling_rate, late, delay, cubics);
+        const int heard = from < (n - 2) * BLOCK && until > (n - 3) * BLOCK;
+        write_block(&w, n - 3, slots, slot, sampling_rate, late, heard, delay, cubics);
+        if (!heard) continue;
+        largest = gain_now > largest ? gain_now : largest;
         if (time - a.delay >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
             const float squared = block_error_squared(&w, angular_frequency, block_time);
             error = squared > error ? squared : error;

@@ -10,6 +10,8 @@ PROGRAMS = {
     "branches": ("vector.h", "branches.cl"),
     "tracks": ("motion.h", "delay.h", "gain.h", "block.h", "tracks.cl"),
     "intervals": ("motion.h", "delay.h", "walls.h", "validity.h", "intervals.cl"),
+    "edges": ("edges.cl",),
+    "mute": ("mute.cl",),
     "render": ("vector.h", "group.h", "farrow.h", "render.cl"),
 }
 

@@ -65,7 +65,7 @@ class Movers:
             level = np.where(wide, level + count, level)
             count = np.where(wide, (count + 1) // 2, count)
             a, b = np.where(wide, a // 2, a), np.where(wide, b // 2, b)
-        return np.maximum(self.speeds[level + a], self.speeds[level + b])
+        return np.asarray(np.maximum(self.speeds[level + a], self.speeds[level + b]))
 
     def delay(self, mirrored: Floats, time: Floats, speed_of_sound: float) -> Floats:
         """Return the delays (n,) from the source to places (n, 3) in its own room, s."""

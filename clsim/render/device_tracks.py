@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.device import Compiler
+    from clsim.render.edges import Boundaries
     from clsim.render.slots import Slots
     from clsim.render.tracks import SceneTracks
 
@@ -36,10 +37,6 @@ class DeviceNodes:
     shortest: float  # s
     longest: float
 
-    def edges(self, first: int, last: int) -> list[tuple[int, int, int, int]]:
-        """Return no edges: these paths are always heard."""
-        return []
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Chunk:
@@ -48,6 +45,7 @@ class _Chunk:
     source: int
     slots: Slots
     images: tuple[Any, ...]
+    bounds: Boundaries
     knots: Any
     knot_count: int
     knot_first: float
@@ -75,8 +73,8 @@ class DeviceTracks:
         # One receiver beam per launch: receivers with different beams are told apart by a table each.
         self._receiver_tables = [[_beam_cells(r.directivity, f, c) for r in scene.receivers] for f in frequencies]
 
-    def prepare(self, source: int, slots: Slots, start: int, length: int) -> _Chunk:
-        """Upload images and motion for one source and a batch of receivers over a chunk."""
+    def prepare(self, source: int, slots: Slots, bounds: Boundaries, start: int, length: int) -> _Chunk:
+        """Upload images and motion for one source and a batch of receivers over a stretch of samples."""
         plan, scene = self._plan, self._tracks.scene
         matrix = np.empty((9, slots.count))
         offset = np.empty((3, slots.count))
@@ -96,7 +94,7 @@ class DeviceTracks:
             self._knot_rates[source],
         )  # fmt: skip
         images = tuple(self._upload(a) for a in (matrix, offset, reflection, receiver_of))
-        return _Chunk(source, slots, images, self._upload(knots), len(knots), first)
+        return _Chunk(source, slots, images, bounds, self._upload(knots), len(knots), first)
 
     def nodes(self, chunk: _Chunk, start: int, block: int, blocks: int) -> DeviceNodes:
         """Make the polynomials of `blocks` blocks from a sample on."""
@@ -116,7 +114,8 @@ class DeviceTracks:
         kernel = self._compiler.kernel("tracks", self._constants(chunk.source, block))
         nepers = float(scene.air.absorption(source.signal.centre_frequency)) * math.log(10.0) / 20.0
         kernel(
-            self._queue, (slots.count, walks), None, *chunk.images, self._upload(receivers),
+            self._queue, (slots.count, walks), None, *chunk.images,
+            *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
             np.int32(blocks + 3), chunk.knots, np.int32(chunk.knot_count), np.float64(chunk.knot_first),
             np.float64(self._knot_rates[chunk.source]), np.float64(start / rate), np.float64(rate), np.float64(c),
             np.float32(nepers), np.float64(emission.start * rate - emission.bank.shift),

@@ -10,18 +10,19 @@ import numpy as np
 from clsim.errors import ClsimError, DeviceError
 from clsim.opencl.device import Compiler, find_device
 from clsim.render.device_tracks import DeviceTracks
+from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
-from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan, moving_scene
-from clsim.render.reference import render_paths
-from clsim.render.slots import Slots, fill_slots
+from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan
+from clsim.render.slots import Active, Slots, fill_slots
+from clsim.render.tracks import SceneTracks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
 
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
+_STRETCH = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _MARGIN = 64  # samples of branch signal beyond the bounds of the delays
 _BYTES_PER_NODE = 36  # of a block and a path: whole delay and two cubics
 
@@ -75,10 +76,9 @@ class OpenclEngine:
         self._context = cl.Context([device])
         self._queue = cl.CommandQueue(self._context)
         self._compiler = Compiler(self._context)
-        scene = moving_scene(plan.tracks)
         self._tracks: DeviceTracks | HostTracks
-        if scene is not None and self._info.fp64:
-            self._tracks = DeviceTracks(plan, scene, self._queue, self._compiler)
+        if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
+            self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler)
         else:
             self._tracks = HostTracks(plan, self._queue)
 
@@ -101,40 +101,43 @@ class OpenclEngine:
         length = -(-(stop - start) // BLOCKS[0]) * BLOCKS[0]
         pressure = np.zeros((plan.receiver_count, length), dtype=np.float32)
         on_device = self._upload(pressure)
-        edges: list[tuple[int, int, int, int]] = []
         for source in range(len(plan.emissions)):
-            groups = [i for i, group in enumerate(plan.tracks.groups) if group.source == source]
-            if not groups:
-                continue
-            ranges = [plan.tracks.delay_range(i, *self._seconds(start, start + length)) for i in groups]
-            branches = self._branches(source, start, length, ranges)
+            active = self._active(source, start, length)
+            branches = self._branches(source, start, length, active) if active else None
             if branches is None:
                 continue
-            for first, last in _batches(plan, groups):
-                slots = fill_slots(plan, groups[first:last], ranges[first:last], BATCH)
-                run = _Run(self, source, slots, branches, on_device, length, start)
-                run.cover(0, -(-length // SEGMENT), 0)
-                edges += run.edges
+            segments = -(-length // SEGMENT)
+            always = all(plan.tracks.groups[group.index].always_heard for group in active)
+            step = segments if always else _STRETCH
+            for first in range(0, segments, step):
+                last = min(first + step, segments)
+                here = [group.during(plan, start + first * SEGMENT, start + last * SEGMENT) for group in active]
+                for some in _batches([group for group in here if len(group.rows)]):
+                    run = _Run(self, source, fill_slots(plan, some, BATCH), branches, on_device, length, start)
+                    run.cover(first, last, 0)
         cl.enqueue_copy(self._queue, pressure, on_device)
-        for group, path, first, last in edges:
-            # A path that begins or ends within a block: that block is rendered on the host, sample by sample.
-            receiver = plan.tracks.groups[group].receiver
-            last = min(last, start + length)
-            part = render_paths(plan, group, np.array([path]), first, last)
-            pressure[receiver, first - start : last - start] += part.astype(np.float32)
         return pressure[:, : stop - start]
+
+    def _active(self, source: int, start: int, length: int) -> list[Active]:
+        """Return the paths of a source that are heard within a chunk."""
+        plan, found = self._plan, []
+        for i, group in enumerate(plan.tracks.groups):
+            if group.source == source:
+                low, high = plan.tracks.delay_range(i, *self._seconds(start, start + length))
+                found.append(Active(i, np.arange(len(group)), low, high).during(plan, start, start + length))
+        return [group for group in found if len(group.rows)]
 
     def _seconds(self, first: int, last: int) -> tuple[float, float]:
         return first / self._plan.sampling_rate, last / self._plan.sampling_rate
 
-    def _branches(self, source: int, start: int, length: int, ranges: list[tuple[Floats, Floats]]) -> _Branches | None:
+    def _branches(self, source: int, start: int, length: int, active: list[Active]) -> _Branches | None:
         """Filter the part of a signal that can be heard in a chunk; None if it is silent."""
         import pyopencl as cl
 
         emission, rate = self._plan.emissions[source], self._plan.sampling_rate
         late = emission.start * rate
-        least = int(np.floor(min(low.min() for low, _ in ranges) * rate + late)) - _MARGIN
-        most = int(np.ceil(max(high.max() for _, high in ranges) * rate + late)) + _MARGIN
+        least = int(np.floor(min(group.low.min() for group in active) * rate + late)) - _MARGIN
+        most = int(np.ceil(max(group.high.max() for group in active) * rate + late)) + _MARGIN
         channel = 8 * self._layout.lanes
         rows, taps = emission.bank.taps.shape
         width = -(-(length + most - least) // channel) * channel
@@ -189,8 +192,8 @@ class _Run:
         self._source, self._slots, self._branches = source, slots, branches
         self._pressure, self._length, self._start = pressure, length, start
         self._first_slot, self._row = engine._upload(slots.first_slot), engine._upload(slots.receiver)
-        self._state: Any = engine._tracks.prepare(source, slots, start, length)
-        self.edges: list[tuple[int, int, int, int]] = []
+        self._bounds = boundaries(self._plan, slots)
+        self._state: Any = engine._tracks.prepare(source, slots, self._bounds, start, length)
         error_db = getattr(self._plan.interpolator, "error_db", -90.0)
         self._tolerance = 10 ** ((error_db - 6.0) / 20)
 
@@ -210,7 +213,6 @@ class _Run:
                     self.cover(at + a, at + b, level + 1)
                 else:
                     self._render(nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block)
-                    self.edges += nodes.edges(a * SEGMENT // block, b * SEGMENT // block)
 
     def _check(self, shortest: float, longest: float) -> None:
         """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
@@ -224,6 +226,7 @@ class _Run:
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, emission = self._engine, self._plan.emissions[self._source]
+        self._render_edges(nodes, segment, end, block, first_block)
         constants = engine._layout.constants(emission.bank.group)
         constants |= {"BRANCHES": len(emission.bank.taps), "FUNCTIONS": 1}
         kernel = engine._compiler.kernel("render", constants)
@@ -237,6 +240,26 @@ class _Run:
             np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin),
         )  # fmt: skip
 
+    def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        """Render the blocks in which paths begin or end, and take them out of the polynomials."""
+        engine, slots, begin = self._engine, self._slots, segment * SEGMENT
+        edges = find_edges(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
+        if edges is None:
+            return
+        taps, per_ramp = len(self._plan.emissions[self._source].bank.taps), self._bounds.ramp
+        slot, at = engine._upload(edges.slot), engine._upload(edges.block + np.int32(first_block))
+        kernel = engine._compiler.kernel("edges", {"BRANCHES": taps, "FUNCTIONS": 1})
+        kernel(
+            engine._queue, (block, len(edges.row)), None, self._branches.rows, np.int32(self._branches.stride),
+            np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, np.int32(slots.count),
+            np.int32(block), np.int32(first_block), np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
+            engine._upload(edges.start), engine._upload(edges.end), engine._upload(edges.first),
+            engine._upload(edges.row), engine._upload(edges.at), self._pressure, np.int32(self._length),
+            np.int32(begin), np.int32(end - begin),
+        )  # fmt: skip
+        mute = engine._compiler.kernel("mute", {"FUNCTIONS": 1})
+        mute(engine._queue, (len(edges.slot),), None, slot, at, nodes.cubics, np.int32(slots.count))
+
 
 def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the maximal ranges of equal flags."""
@@ -244,15 +267,16 @@ def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip([0, *edges.tolist()], [*edges.tolist(), len(flags)], strict=True))
 
 
-def _batches(plan: Plan, groups: list[int]) -> list[tuple[int, int]]:
+def _batches(active: list[Active]) -> list[list[Active]]:
     """Cut groups into batches whose polynomials fit the budget for one segment at the shortest blocks."""
     most = max(BATCH, NODE_BUDGET // (_BYTES_PER_NODE * (SEGMENT // BLOCKS[-1])))
-    batches, first, count = [], 0, 0
-    for i, group in enumerate(groups):
-        paths = -(-len(plan.tracks.groups[group]) // BATCH) * BATCH
-        if i > first and count + paths > most:
-            batches.append((first, i))
-            first, count = i, 0
-        count += paths
-    batches.append((first, len(groups)))
+    batches: list[list[Active]] = []
+    count = most
+    for group in active:
+        slots = -(-len(group.rows) // BATCH) * BATCH
+        if count + slots > most:
+            batches.append([])
+            count = 0
+        batches[-1].append(group)
+        count += slots
     return batches

@@ -13,7 +13,8 @@ from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.path_set import PathSet
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.tracks import SceneTracks, Tracks, track
+from clsim.render.tracks import Tracks, track
+from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.scene import Scene
 from clsim.scene.signal import Signal
 
@@ -93,7 +94,7 @@ class Plan:
         """Memory that the rendering takes at a time, estimated, bytes."""
         span = max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
         rows = max(len(e.bank.taps) for e in self.emissions)
-        per_segment = 36 * (SEGMENT // BLOCKS[-1]) * max(len(group) for group in self.tracks.groups)
+        per_segment = 36 * (SEGMENT // BLOCKS[-1]) * max((len(group) for group in self.tracks.groups), default=0)
         nodes = max(NODE_BUDGET, per_segment)
         paths = self.path_count * 150
         return int(4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths)
@@ -137,6 +138,7 @@ def plan_render(
     interpolator: Interpolator | None = None,
     motion: str = "retarded",
     amplitude: str = "wave-equation",
+    transition: float | str = DEFAULT_TRANSITION,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -149,7 +151,7 @@ def plan_render(
         raise InputError("paths", "must be those of the scene that is rendered, but belong to another one")
     return plan_tracks(
         [source.signal for source in scene.sources],
-        track(paths, motion=motion, amplitude=amplitude),
+        track(paths, motion=motion, amplitude=amplitude, transition=transition),
         sampling_rate,
         starts=[source.start for source in scene.sources],
         interpolator=interpolator,
@@ -203,7 +205,9 @@ def _samples(
     if duration is None:
         end = max(start + signal.duration for start, signal in zip(starts, signals, strict=True))
         known = end if math.isinf(last) else min(end, last)
-        tail = max(float(tracks.delay_range(i, known, known)[1].max()) for i in range(len(tracks.groups)))
+        tail = max(
+            (float(tracks.delay_range(i, known, known)[1].max()) for i in range(len(tracks.groups))), default=0.0
+        )
         duration = min(last, end + tail)
     else:
         duration = as_number("duration", duration, above=0.0, unit="s")
@@ -265,13 +269,6 @@ def _chunk(plan: Plan, chunk: int | None) -> int:
 
 def _warn(message: str) -> None:
     warnings.warn(message, ClsimWarning, stacklevel=5)
-
-
-def moving_scene(tracks: Tracks) -> SceneTracks | None:
-    """Return the tracks if a device can compute them itself: those of a scene whose paths are always heard."""
-    if isinstance(tracks, SceneTracks) and all(group.always_heard for group in tracks.groups):
-        return tracks
-    return None
 
 
 def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:

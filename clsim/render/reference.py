@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from clsim.render.transition import heard
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -29,22 +31,24 @@ class ReferenceEngine:
         for i, group in enumerate(plan.tracks.groups):
             for first in range(start, stop, _SLICE):
                 last = min(first + _SLICE, stop)
-                pressure[group.receiver, first - start : last - start] += render_paths(plan, i, None, first, last)
+                pressure[group.receiver, first - start : last - start] += _render_paths(plan, i, first, last)
         return pressure
 
 
-def render_paths(plan: Plan, group: int, rows: NDArray[np.int64] | None, first: int, last: int) -> Floats:
-    """Return the sum of a group's paths, or of some rows of it, over samples `first` to `last`, shape (n,)."""
+def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats:
+    """Return the sum of a group's paths over samples `first` to `last`, shape (n,)."""
     tracks, member = plan.tracks, plan.tracks.groups[group]
     emission = plan.emissions[member.source]
     times = np.arange(first, last) / plan.sampling_rate
+    ramp = 0.5 * tracks.transition
+    rows = np.flatnonzero((member.start - ramp <= times[-1]) & (member.end + ramp >= times[0]))
+    if not len(rows):
+        return np.zeros(last - first)
     delay, _, gain = tracks.evaluate(group, times, rows)
-    start, end = (member.start, member.end) if rows is None else (member.start[rows], member.end[rows])
-    gain = np.where((times >= start[:, None]) & (times < end[:, None]), gain, 0.0)
+    weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
+    gain = np.where(weight > 0.0, gain, 0.0) * weight
     late = delay * plan.sampling_rate + emission.start * plan.sampling_rate - emission.bank.shift
     whole = np.rint(late)
-    if not np.any(gain):
-        return np.zeros(last - first)
     return _sum_paths(plan, emission, np.arange(first, last) - whole.astype(np.int64), late - whole, gain)
 
 
@@ -55,7 +59,7 @@ def _sum_paths(plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: F
     for p in range(len(emitted)):
         first = int(emitted[p].min()) + centre - length + 1
         signal = emission.signal.read(first, int(emitted[p].max()) + centre + 1)
-        if not np.any(signal):
+        if not np.any(signal) or not np.any(gain[p]):
             continue
         # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
         windows = sliding_window_view(signal, length)[emitted[p] + centre - length + 1 - first][:, ::-1]

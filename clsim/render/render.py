@@ -10,6 +10,7 @@ from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import Plan, plan_render, plan_tracks
 from clsim.render.reference import ReferenceEngine
 from clsim.render.tracks import SceneTracks, Tracks
+from clsim.render.transition import DEFAULT_TRANSITION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -31,6 +32,7 @@ def render(
     interpolator: Interpolator | None = None,
     motion: str = "retarded",
     amplitude: str = "wave-equation",
+    transition: float | str = DEFAULT_TRANSITION,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -52,6 +54,9 @@ def render(
         Whether an image is where it was when the sound was emitted, or where it is when it is received.
     amplitude : {"wave-equation", "static", "convective"}
         Exponent 1, 0 or 2 of ``1 / (1 - M)``, M the Mach number of the image towards the receiver.
+    transition : float or "gate"
+        Seconds in which a path begins and ends, by a raised cosine centred on the boundary; or at once, which
+        splatters.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -92,8 +97,8 @@ def render(
     (1, 3840)
     """
     plan = plan_render(
-        scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude, engine=engine,
-        device=device, duration=duration, chunk=chunk,
+        scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
+        transition=transition, engine=engine, device=device, duration=duration, chunk=chunk,
     )  # fmt: skip
     return _record(plan)
 

@@ -15,6 +15,33 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Active:
+    """The paths of one group that are heard for a while.
+
+    Attributes
+    ----------
+    index : int
+        Of the track group.
+    rows : ndarray (n,) int64
+        Its paths.
+    low, high : ndarray (n,)
+        Bounds of their delays over the chunk, s.
+    """
+
+    index: int
+    rows: NDArray[np.int64]
+    low: Floats
+    high: Floats
+
+    def during(self, plan: Plan, first: int, last: int) -> Active:
+        """Return those heard within samples `first` to `last`."""
+        group, ramp = plan.tracks.groups[self.index], 0.5 * plan.tracks.transition
+        begin, end = first / plan.sampling_rate, last / plan.sampling_rate
+        heard = (group.start[self.rows] - ramp <= end) & (group.end[self.rows] + ramp >= begin)
+        return Active(self.index, self.rows[heard], self.low[heard], self.high[heard])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Slots:
     """Paths in the order in which the device walks them.
 
@@ -48,18 +75,18 @@ class Slots:
         return slice(int(self.first_slot[i]), int(self.first_slot[i + 1]))
 
 
-def fill_slots(plan: Plan, groups: list[int], ranges: list[tuple[Floats, Floats]], batch: int) -> Slots:
-    """Return the slots of some groups; `ranges` bound their delays (paths,), by whose middle they are sorted."""
+def fill_slots(plan: Plan, active: list[Active], batch: int) -> Slots:
+    """Return the slots of some groups' active paths, sorted by the middle of their delays."""
     path, filling, first = [], [], [0]
-    for low, high in ranges:
-        order = np.argsort(low + high, kind="stable")
+    for group in active:
+        order = group.rows[np.argsort(group.low + group.high, kind="stable")]
         extra = -len(order) % batch
         path.append(np.concatenate([order, np.full(extra, order[-1])]))
         filling.append(np.arange(len(order) + extra) >= len(order))
         first.append(first[-1] + len(order) + extra)
-    receivers = [plan.tracks.groups[i].receiver for i in groups]
+    receivers = [plan.tracks.groups[group.index].receiver for group in active]
     return Slots(
-        tuple(groups),
+        tuple(group.index for group in active),
         np.array(receivers, dtype=np.int32),
         np.array(first, dtype=np.int32),
         np.concatenate(path),

@@ -12,6 +12,7 @@ from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
 from clsim.paths.path_set import PathSet
+from clsim.render.transition import DEFAULT_TRANSITION, as_transition
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -51,6 +52,7 @@ class Tracks(ABC):
     groups: tuple[TrackGroup, ...]
     source_count: int
     receiver_names: tuple[str, ...]
+    transition: float  # s, over which paths begin and end; 0 for a gate
 
     @abstractmethod
     def evaluate(
@@ -72,7 +74,13 @@ class Tracks(ABC):
 
     @staticmethod
     def from_samples(
-        times: Any, delays: Any, gains: Any, *, sources: Any = None, receivers: Any = None
+        times: Any,
+        delays: Any,
+        gains: Any,
+        *,
+        sources: Any = None,
+        receivers: Any = None,
+        transition: float | str = DEFAULT_TRANSITION,
     ) -> SampledTracks:
         """Return tracks from anybody's delays and gains.
 
@@ -86,12 +94,14 @@ class Tracks(ABC):
             Received over emitted pressure; NaN where, and only where, delays are.
         sources, receivers : array_like (P,) of int, optional
             Between which each path runs; all 0 when left out.
+        transition : float or "gate"
+            As in `render`.
 
         Returns
         -------
         SampledTracks
             C2 splines through the samples. A path that is silent in between is heard from its first to its last
-            sample of every stretch, without fade.
+            sample of every stretch.
 
         Raises
         ------
@@ -107,7 +117,7 @@ class Tracks(ABC):
         >>> clsim.render_tracks([tone], tracks, sampling_rate=48e3).pressure.shape
         (1, 48000)
         """
-        return _from_samples(times, delays, gains, sources, receivers)
+        return _from_samples(times, delays, gains, sources, receivers, as_transition(transition))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +131,7 @@ class SceneTracks(Tracks):
     path_groups: tuple[PathGroup, ...]
     source_speed: tuple[float, ...]
     receiver_speed: tuple[float, ...]
+    transition: float
 
     @property
     def scene(self) -> Scene:
@@ -183,6 +194,7 @@ class SampledTracks(Tracks):
     receiver_names: tuple[str, ...]
     largest_rate: float
     end: float
+    transition: float
 
     def evaluate(
         self, group: int, times: Floats, rows: NDArray[np.int64] | None = None
@@ -216,7 +228,13 @@ class SampledTracks(Tracks):
         return self.end
 
 
-def track(paths: PathSet, *, motion: str = "retarded", amplitude: str = "wave-equation") -> SceneTracks:
+def track(
+    paths: PathSet,
+    *,
+    motion: str = "retarded",
+    amplitude: str = "wave-equation",
+    transition: float | str = DEFAULT_TRANSITION,
+) -> SceneTracks:
     """Return the tracks of a scene's paths.
 
     Parameters
@@ -227,11 +245,13 @@ def track(paths: PathSet, *, motion: str = "retarded", amplitude: str = "wave-eq
         Whether the image is where it was when the sound was emitted, or where it is when it is received.
     amplitude : {"wave-equation", "static", "convective"}
         Exponent 1, 0 or 2 of ``1 / (1 - M)``.
+    transition : float or "gate"
+        As in `render`.
 
     Raises
     ------
     InputError
-        If motion or amplitude are no known words.
+        If motion or amplitude are no known words, or the transition is out of bounds.
     """
     if not isinstance(paths, PathSet):
         raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
@@ -253,10 +273,13 @@ def track(paths: PathSet, *, motion: str = "retarded", amplitude: str = "wave-eq
         tuple(path_groups),
         tuple(speeds[:count]),
         tuple(speeds[count:]),
+        as_transition(transition),
     )
 
 
-def _from_samples(times: Any, delays: Any, gains: Any, sources: Any, receivers: Any) -> SampledTracks:
+def _from_samples(
+    times: Any, delays: Any, gains: Any, sources: Any, receivers: Any, transition: float
+) -> SampledTracks:
     times = as_floats("times", times, (None,))
     if len(times) < 2 or times[0] > 0.0 or np.any(np.diff(times) <= 0.0):
         raise InputError("times", f"must increase strictly from 0 s or before, but begin {times[:3].tolist()}")
@@ -287,7 +310,7 @@ def _from_samples(times: Any, delays: Any, gains: Any, sources: Any, receivers: 
     names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
     # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
     return SampledTracks(
-        tuple(groups), tuple(splines), int(s.max()) + 1, names, min(1.05 * largest, 0.99), float(times[-1])
+        tuple(groups), tuple(splines), int(s.max()) + 1, names, min(1.05 * largest, 0.99), float(times[-1]), transition
     )
 
 

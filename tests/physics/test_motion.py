@@ -134,22 +134,6 @@ def test_tracks_from_samples_equal_the_scene(engine: str) -> None:
     assert np.linalg.norm(again[late] - whole[late]) / np.linalg.norm(whole[late]) < 10 ** (-90 / 20)
 
 
-@pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")  # a tone that begins sharply
-def test_gaps_are_silent_from_sample_to_sample(engine: str) -> None:
-    signal = clsim.Signal.tone(TONE, 0.1, RATE)
-    times = np.arange(101) / 1000.0
-    delay = np.full((1, 101), 0.01)
-    delay[0, 41:60] = np.nan
-    gain = np.where(np.isnan(delay), np.nan, 0.5)
-    tracks = clsim.Tracks.from_samples(times, delay, gain)
-    pressure = clsim.render_tracks([signal], tracks, RATE, engine=engine, duration=0.1).pressure[0]
-    # Heard up to 40 ms and again from 60 ms on.
-    assert not np.any(pressure[7680:11520])
-    n = np.r_[3000:7680, 11520:19000]
-    exact = 0.5 * np.sin(2 * np.pi * TONE * (n / RATE - 0.01))
-    assert np.abs(pressure[n] - exact).max() < 1e-4
-
-
 def test_sources_add(engine: str) -> None:
     signals = [clsim.Signal.tone(f, 0.05, RATE, fade=0.002) for f in (30e3, 40e3)]
     ends = [clsim.Trajectory.fixed((2, 3, 1)), clsim.Trajectory.line((3, 3, 3), (3, 4, 3), 0.2)]

@@ -1,0 +1,54 @@
+// Adds the paths that begin or end within a block, sample by sample, with a weight that rises and falls. Work-item:
+// dimension 0 counts the samples of a block, dimension 1 the places: a receiver and one of its blocks each.
+
+#define COEFFICIENTS (4 + 4 * FUNCTIONS)
+
+// Raised cosine from 0 to 1 over one unit about 0; a step at 0 without ramp.
+static float weight(float samples, float per_ramp)
+{
+    if (per_ramp == 0.0f) return samples >= 0.0f ? 1.0f : 0.0f;
+    const float x = samples * per_ramp;
+    return x <= -0.5f ? 0.0f : x >= 0.5f ? 1.0f : 0.5f + 0.5f * sin(3.14159265f * x);
+}
+
+__kernel void edges(__global const float* branches,  // [FUNCTIONS][BRANCHES][stride]
+                    int stride,
+                    int lead,                        // sample of `branches` emitted at the run's first sample
+                    __global const int* delay, __global const float* nodes, int slots,  // as in render.cl
+                    int block_samples,
+                    int first_block,                 // of `delay` and `nodes`, at the run's first sample
+                    float per_ramp,                  // 1 / samples of a transition; 0 for a gate
+                    __global const int* slot_of, __global const float* start, __global const float* end,  // [edges]
+                    __global const int* first,       // [places + 1]
+                    __global const int* row, __global const int* block,  // [places]
+                    __global float* pressure, int pressure_stride,
+                    int first_sample,                // of `pressure`, at the run's first sample
+                    int samples)                     // in the run
+{
+    const int n = get_global_id(0), place = get_global_id(1), at = block[place] * block_samples + n;
+    if (at >= samples) return;
+    const float t = (float)(2 * n) / (float)block_samples - 1.0f;
+    float sum = 0.0f;
+    for (int e = first[place]; e < first[place + 1]; e++) {
+        const int slot = slot_of[e];
+        const int node = first_block + block[place];
+        __global const float* c = nodes + (long)node * COEFFICIENTS * slots + slot;
+        float both = weight((float)n - start[e], per_ramp);
+        both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[e], 0.0f) : weight(end[e] - (float)n, per_ramp);
+        if (both == 0.0f) continue;
+        const float late = c[0] + t * (c[slots] + t * (c[2 * slots] + t * c[3 * slots]));
+        const float rest = floor(late + 0.5f), mu = late - rest;
+        const int whole = delay[node * slots + slot] + (int)rest;
+        for (int k = 0; k < FUNCTIONS; k++) {
+            __global const float* g = c + (4 + 4 * k) * slots;
+            __global const float* branch = branches + (k * BRANCHES + BRANCHES - 1) * stride + lead + at - whole;
+            float value = *branch;
+            for (int q = 1; q < BRANCHES; q++) {
+                branch -= stride;
+                value = value * mu + *branch;
+            }
+            sum += both * (g[0] + t * (g[slots] + t * (g[2 * slots] + t * g[3 * slots]))) * value;
+        }
+    }
+    pressure[(long)row[place] * pressure_stride + first_sample + at] += sum;
+}
