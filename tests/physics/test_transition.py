@@ -75,10 +75,10 @@ def splatter_db(transition: float | str, engine: str) -> float:
 
 def test_a_transition_of_a_millisecond_does_not_splatter(engine: str) -> None:
     # The spectrum of a step is that of its slope over j 2 pi f, and the slope's is cos(pi f L) / (1 - (2 f L)²): at 4.7
-    # to 5.3 kHz off and L = 1 ms at most -43 dB.
+    # to 5.3 kHz off and L = 1 ms at most -43 dB, less what the window smears.
     gate = splatter_db("gate", engine)
     assert -55.0 < gate < -30.0
-    assert splatter_db(1e-3, engine) < gate - 41.0
+    assert splatter_db(1e-3, engine) < gate - 40.0
 
 
 def test_paths_that_follow_each_other_add_up_to_one(engine: str) -> None:
