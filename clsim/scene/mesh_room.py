@@ -11,6 +11,7 @@ import numpy as np
 
 from clsim.arrays import Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
+from clsim.scene.floor_plan import extruded_plan
 from clsim.scene.material import Material
 from clsim.scene.mesh_cleaning import MeshShape, clean_mesh, mesh_shape
 from clsim.scene.mesh_walls import FLATNESS, Walls, build_walls
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from clsim.scene.mesh_reading import MeshFile
 
 Materials = Material | Mapping[str, Material] | Sequence[Material]
 _RAY = np.array([0.36, 0.48, 0.80])  # a direction that no wall is likely to lie along
@@ -138,10 +138,48 @@ class MeshRoom:
         from clsim.scene.mesh_reading import read_mesh
 
         mesh = read_mesh(path, scale=scale, up=up)  # type: ignore[arg-type]
-        by_group = _by_group(mesh, Path(path).name, materials)
+        by_group = _by_group(mesh.groups, Path(path).name, materials)
         stem = Path(path).stem
-        labels = [f"{stem} {mesh.groups[g]}".strip() for g in mesh.group]
-        return MeshRoom(mesh.vertices, mesh.triangles, [by_group[g] for g in mesh.group], flatness, labels, mesh.notes)
+        names = [mesh.groups[g] for g in mesh.group]
+        labels = [f"{stem} {name}".strip() for name in names]
+        return MeshRoom(mesh.vertices, mesh.triangles, [by_group[n] for n in names], flatness, labels, mesh.notes)
+
+    @staticmethod
+    def from_plan(
+        outline: ArrayLike,
+        height: float,
+        materials: Material | Mapping[str, Material],
+        pillars: Sequence[ArrayLike] = (),
+    ) -> MeshRoom:
+        """Return a room of constant height over a floor plan, with pillars in it.
+
+        Parameters
+        ----------
+        outline : array_like (n, 2)
+            Corners of the floor in order, m; it may be concave.
+        height : float
+            Of the ceiling above the floor at z = 0, m.
+        materials : Material or mapping
+            One for all walls, or materials by ``floor``, ``ceiling``, ``wall i`` (from corner i of the outline to the
+            next) and ``pillar p wall i``, where ``default`` stands for those not named.
+        pillars : sequence of array_like (n, 2)
+            Outlines of pillars from floor to ceiling, m.
+
+        Raises
+        ------
+        InputError
+            If an outline crosses itself or another one, a pillar stands outside, or a wall has no material.
+
+        Examples
+        --------
+        >>> corners = [(0, 0), (8, 0), (8, 5), (4, 5), (4, 9), (0, 9)]
+        >>> room = MeshRoom.from_plan(corners, 3.0, Material.from_reflection(0.9))
+        >>> len(room.walls), room.shape.watertight
+        (8, True)
+        """
+        vertices, triangles, labels = extruded_plan(outline, height, pillars)
+        of_label = _by_group(tuple(dict.fromkeys(labels)), "the plan", materials)
+        return MeshRoom(vertices, triangles, [of_label[label] for label in labels], labels=labels)
 
     @staticmethod
     def joined(parts: Sequence[MeshRoom | Shoebox]) -> MeshRoom:
@@ -246,22 +284,22 @@ def _per_triangle(name: str, materials: object, count: int) -> list[Material]:
     return list(materials)
 
 
-def _by_group(mesh: MeshFile, name: str, materials: object) -> list[Material]:
-    """Return the material of each of a file's groups."""
+def _by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str, Material]:
+    """Return the material of each group of what is called `name`."""
     if isinstance(materials, Material):
-        return [materials] * len(mesh.groups)
+        return dict.fromkeys(groups, materials)
     if not isinstance(materials, Mapping) or not materials:
         raise InputError("materials", f"must be a Material or materials by group, but is {materials!r:.80}")
-    listed = ", ".join(repr(g) for g in mesh.groups)
+    listed = ", ".join(repr(g) for g in groups)
     for key, material in materials.items():
-        if key != "default" and key not in mesh.groups:
+        if key != "default" and key not in groups:
             raise InputError(f"materials.{key}", f"is no group of {name}, whose groups are {listed}")
         if not isinstance(material, Material):
             raise InputError(f"materials.{key}", f"must be a Material, but is {material!r:.80}")
-    missing = [g for g in mesh.groups if g not in materials]
+    missing = [g for g in groups if g not in materials]
     if missing and "default" not in materials:
         raise InputError("materials", f"must name the group {missing[0]!r} of {name} or a default")
-    return [materials[g] if g in materials else materials["default"] for g in mesh.groups]
+    return {g: materials[g] if g in materials else materials["default"] for g in groups}
 
 
 def _wall_names(labels: list[str]) -> tuple[str, ...]:

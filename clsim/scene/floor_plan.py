@@ -1,0 +1,80 @@
+"""Rooms of constant height over a floor plan."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import Floats, as_floats, as_number
+from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+
+def extruded_plan(
+    outline: ArrayLike, height: float, pillars: Sequence[ArrayLike]
+) -> tuple[Floats, NDArray[np.int64], list[str]]:
+    """Return the triangles of a room over a plan, and what each belongs to.
+
+    Parameters
+    ----------
+    outline : array_like (n, 2)
+        Corners of the floor in order, either way round, m.
+    height : float
+        Of the ceiling above z = 0, m.
+    pillars : sequence of array_like (n, 2)
+        Outlines that reach from floor to ceiling and are no part of the room, m.
+
+    Returns
+    -------
+    vertices : ndarray (V, 3)
+        m.
+    triangles : ndarray (T, 3) int
+        Indices of corners.
+    labels : list of str
+        ``floor``, ``ceiling``, ``wall i`` from corner i of the outline to the next, ``pillar p wall i``.
+
+    Raises
+    ------
+    InputError
+        If an outline crosses itself or another one, or a pillar stands outside.
+    """
+    from mapbox_earcut import triangulate_float64
+
+    height = as_number("height", height, above=0.0, unit="m")
+    rings = [_ring("outline", outline)] + [_ring(f"pillars[{i}]", p) for i, p in enumerate(pillars)]
+    plan = np.concatenate(rings)
+    ends = np.cumsum([len(ring) for ring in rings])
+    floor = triangulate_float64(plan, ends.astype(np.uint32)).astype(np.int64).reshape(-1, 3)
+    covered = sum(abs(_area(plan[t])) for t in floor)
+    wanted = abs(_area(rings[0])) - sum(abs(_area(ring)) for ring in rings[1:])
+    if not abs(covered - wanted) <= 1e-9 * abs(_area(rings[0])):
+        raise InputError("outline", "must not cross itself or a pillar, and pillars must stand inside, apart")
+    count = len(plan)
+    vertices = np.concatenate([np.column_stack([plan, np.full(count, z)]) for z in (0.0, height)])
+    triangles, labels = [*floor, *(floor + count)], ["floor"] * len(floor) + ["ceiling"] * len(floor)
+    first = 0
+    for r, ring in enumerate(rings):
+        for i in range(len(ring)):
+            a, b = first + i, first + (i + 1) % len(ring)
+            triangles += [np.array([a, b, b + count]), np.array([a, b + count, a + count])]
+            labels += [f"wall {i}" if r == 0 else f"pillar {r - 1} wall {i}"] * 2
+        first += len(ring)
+    return vertices, np.array(triangles), labels
+
+
+def _ring(field: str, value: ArrayLike) -> Floats:
+    ring = as_floats(field, value, (None, 2))
+    if len(ring) < 3 or not abs(_area(ring)) > 0.0:
+        raise InputError(field, f"must be three corners or more around an area, but is {ring.tolist()!r:.80}")
+    return ring
+
+
+def _area(ring: Floats) -> float:
+    """Return the signed area of a polygon (n, 2)."""
+    x, y = (ring - ring[0]).T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
