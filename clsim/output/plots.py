@@ -1,4 +1,4 @@
-"""Pictures: spectrogram, echogram, envelope."""
+"""Pictures: spectrogram, echogram, history of paths, envelope."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
@@ -122,6 +123,44 @@ def echogram(table: PathTable, receiver: int, index: int, path: str | os.PathLik
     axes.set(
         xlabel="delay (ms)", ylabel="gain (dB re 1 m from the source)",
         title=f"{table.receiver_names[receiver]}: {len(heard)} paths at {table.times[index]:.4g} s{note}",
+    )  # fmt: skip
+    _save(figure, path)
+
+
+def history(table: PathTable, receiver: int, path: str | os.PathLike[str], *, title: str | None = None) -> None:
+    """Draw the delay of every path to a receiver over time: lines begin and end where paths do.
+
+    Parameters
+    ----------
+    table : PathTable
+        The ground truth.
+    receiver : int
+        Whose paths.
+    path : path-like
+        Of the PNG.
+    title : str, optional
+        Above the picture; the receiver's name and its number of paths when left out.
+    """
+    rows = np.flatnonzero((table.receiver == receiver) & np.isfinite(table.delay).any(axis=1))
+    level = 20.0 * np.log10(np.maximum(np.abs(np.nan_to_num(table.gain[rows])), 1e-15))
+    top = float(level.max(initial=-300.0))
+    rows = rows[(level > top - _RANGE_DB).any(axis=1)]
+    figure, axes = _figure(5.5)
+    last = int(table.order[rows].max(initial=0))
+    norm = BoundaryNorm(np.arange(last + 2) - 0.5, _ORDERS.N)
+    for p in rows[np.argsort(-table.order[rows], kind="stable")]:
+        direct = bool(table.direct[p])
+        axes.plot(
+            table.times, table.delay[p] * 1e3, color=_DIRECT if direct else _ORDERS(norm(table.order[p])),
+            linewidth=2.4 if direct else 1.2 if table.order[p] < 2 else 0.6, zorder=3 if direct else 2,
+        )  # fmt: skip
+    if last > 0:
+        figure.colorbar(
+            ScalarMappable(norm, _ORDERS), ax=axes, ticks=np.arange(0, last + 1), pad=0.015, aspect=30
+        ).set_label("order (reflections); the direct path is red", fontsize=12)
+    axes.set(
+        xlabel="time (s)", ylabel="delay (ms)", xlim=(table.times[0], table.times[-1]),
+        title=title or f"{table.receiver_names[receiver]}: {len(rows)} intervals in which a path is heard",
     )  # fmt: skip
     _save(figure, path)
 
