@@ -5,7 +5,7 @@
 
 __kernel void branches(__global const float* emitted,  // starts TAPS - 1 - centre samples before the first row's
                        __constant float* taps,         // [rows][TAPS]
-                       int stride, __global float* rows)
+                       int stride, int first_row, __global float* rows)
 {
     const int row = get_global_id(1);
     const int first = get_global_id(0) * CHANNEL;
@@ -17,5 +17,5 @@ __kernel void branches(__global const float* emitted,  // starts TAPS - 1 - cent
 #pragma unroll
         for (int j = 0; j < 8; j++) sum[j] += tap * LOAD(at + j * LANES);
     }
-    for (int j = 0; j < 8; j++) *(__global loose_vec*)(rows + (long)row * stride + first + j * LANES) = sum[j];
+    for (int j = 0; j < 8; j++) *(__global loose_vec*)(rows + (long)(first_row + row) * stride + first + j * LANES) = sum[j];
 }

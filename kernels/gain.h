@@ -1,4 +1,5 @@
-// The gain of one path at one node: spreading, air, walls, Mach factor and beams.
+// The gains of one path at one node: its response (spreading, air, walls, Mach factor, beams) at NODES frequencies,
+// projected on FUNCTIONS functions of frequency.
 
 // exp(x) for -80 < x < 80 within 2e-7: 2^whole times a polynomial of the rest (Taylor, degree 7).
 static float exponential(float x)
@@ -10,35 +11,51 @@ static float exponential(float x)
                     f * (1.38888889e-3f + f * 1.98412698e-4f)))))));
 }
 
-// Cubics of a beam on CELLS equal cells of the cosine, from -1 to 1.
-static float beam(__global const float4* cells, double cosine)
+// Multiply by a beam: cubics on CELLS equal cells of the cosine, from -1 to 1, for each frequency.
+static void apply_beam(__global const float4* cells, double cosine, float* response)
 {
     const float place = (float)(cosine + 1.0) * (0.5f * CELLS);
     int cell = (int)place;
     cell = cell < 0 ? 0 : cell < CELLS ? cell : CELLS - 1;
     const float u = place - (float)cell;
-    const float4 c = cells[cell];
-    return c.x + u * (c.y + u * (c.z + u * c.w));
+    for (int m = 0; m < NODES; m++) {
+        const float4 c = cells[cell * NODES + m];
+        response[m] *= c.x + u * (c.y + u * (c.z + u * c.w));
+    }
 }
 
-static float path_gain(const arrival* a, double speed_of_sound, float reflection, float nepers, triple receiver_axis,
-                       __global const float4* source_beam, __global const float4* receiver_beam)
+// Returns the largest response, without sign.
+static float path_gains(const arrival* a, double speed_of_sound, __global const float* reflection, int slots,
+                        __global const float* nepers, __global const float* projection, triple receiver_axis,
+                        __global const float4* source_beam, __global const float4* receiver_beam, float* gain)
 {
     const float distance = (float)(a->delay * speed_of_sound);
-    float loss = nepers * (distance - 1.0f);
-    loss = loss < 80.0f ? loss : 80.0f;
-    float gain = reflection * exponential(-loss) / distance;
+    float response[NODES];
+    float common = 1.0f / distance, largest = 0.0f;
 #if MACH_EXPONENT >= 1
-    gain *= (float)a->stretch;
+    common *= (float)a->stretch;
 #endif
 #if MACH_EXPONENT >= 2
-    gain *= (float)a->stretch;
+    common *= (float)a->stretch;
 #endif
+    for (int m = 0; m < NODES; m++) {
+        float loss = nepers[m] * (distance - 1.0f);
+        loss = loss < 80.0f ? loss : 80.0f;
+        response[m] = reflection[m * slots] * exponential(-loss) * common;
+    }
 #if SOURCE_BEAM
-    gain *= beam(source_beam, inner(cubic(a->knot + 12, a->u), a->departure));
+    apply_beam(source_beam, inner(cubic(a->knot + 12, a->u), a->departure), response);
 #endif
 #if RECEIVER_BEAM
-    gain *= beam(receiver_beam, -inner(receiver_axis, a->departure));
+    apply_beam(receiver_beam, -inner(receiver_axis, a->departure), response);
 #endif
-    return gain;
+    for (int m = 0; m < NODES; m++) {
+        const float size = response[m] < 0.0f ? -response[m] : response[m];
+        largest = size > largest ? size : largest;
+    }
+    for (int k = 0; k < FUNCTIONS; k++) {
+        gain[k] = 0.0f;
+        for (int m = 0; m < NODES; m++) gain[k] += projection[k * NODES + m] * response[m];
+    }
+    return largest;
 }

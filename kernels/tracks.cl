@@ -4,19 +4,21 @@
 
 __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
-                     __global const float* reflection,     // [slots]
+                     __global const float* reflection,     // [NODES][slots]
                      __global const int* receiver_of,      // [slots]
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const double* receivers,     // [receivers][nodes][9]: position, velocity, axis
                      int nodes,                            // blocks + 3, the first one before the run
                      __global const double* knots, int knot_count, double knot_first, double knot_rate,
                      double start,                         // time of the run's first sample, s
-                     double sampling_rate, double speed_of_sound, float nepers,
+                     double sampling_rate, double speed_of_sound,
+                     __global const float* nepers,         // [NODES], of the amplitude, 1/m
+                     __global const float* projection,     // [FUNCTIONS][NODES]
                      double late,                          // added to the delay, samples
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
                      float angular_frequency,              // largest of the signal, rad/s
-                     __global const float4* source_beam,
-                     __global const float4* receiver_beams,  // [receivers][CELLS]
+                     __global const float4* source_beam,     // [CELLS][NODES]
+                     __global const float4* receiver_beams,  // [receivers][CELLS][NODES]
                      int blocks,
                      __global int* delay,                  // [blocks][slots]
                      __global float* cubics,               // [blocks][COEFFICIENTS][slots]
@@ -27,11 +29,10 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     const motion path = {knots, knot_count, knot_first, knot_rate, 1.0 / speed_of_sound};
     const triple offset = {image_offset[slot], image_offset[slots + slot], image_offset[2 * slots + slot]};
     __global const double* row = receivers + ((long)receiver_of[slot] * nodes + first) * 9;
-    __global const float4* receiver_beam = receiver_beams + receiver_of[slot] * CELLS;
+    __global const float4* receiver_beam = receiver_beams + receiver_of[slot] * CELLS * NODES;
     const double block_time = (double)BLOCK / sampling_rate;
-    const float factor = reflection[slot];
     const int from = heard_from[slot], until = heard_until[slot];
-    window w = {{0.0}, {0.0}, {0.0f}};
+    window w;
     float error = 0.0f, largest = 0.0f, shortest = 1e30f, longest = -1e30f;
     for (int n = first; n < last + 3; n++, row += 9) {
         const triple position = turned_back(image_matrix, slots, slot, difference(at_row(row), offset));
@@ -52,19 +53,21 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         for (int i = 0; i < 3; i++) {
             w.delay[i] = w.delay[i + 1];
             w.rate[i] = w.rate[i + 1];
-            w.gain[i] = w.gain[i + 1];
+            for (int k = 0; k < FUNCTIONS; k++) w.gain[i][k] = w.gain[i + 1][k];
+            w.largest[i] = w.largest[i + 1];
         }
         w.delay[3] = a.delay;
         w.rate[3] = a.rate;
-        w.gain[3] = path_gain(&a, speed_of_sound, factor, nepers, axis, source_beam, receiver_beam);
-        const float delay_now = (float)a.delay, gain_now = w.gain[3] < 0.0f ? -w.gain[3] : w.gain[3];
+        w.largest[3] = path_gains(&a, speed_of_sound, reflection + slot, slots, nepers, projection, axis, source_beam,
+                                  receiver_beam, w.gain[3]);
+        const float delay_now = (float)a.delay;
         shortest = delay_now < shortest ? delay_now : shortest;
         longest = delay_now > longest ? delay_now : longest;
         if (n < first + 3) continue;
         const int heard = from < (n - 2) * BLOCK && until > (n - 3) * BLOCK;
         write_block(&w, n - 3, slots, slot, sampling_rate, late, heard, delay, cubics);
         if (!heard) continue;
-        largest = gain_now > largest ? gain_now : largest;
+        largest = w.largest[3] > largest ? w.largest[3] : largest;
         if (time - a.delay >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
             const float squared = block_error_squared(&w, angular_frequency, block_time);
             error = squared > error ? squared : error;

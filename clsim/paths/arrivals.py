@@ -5,8 +5,8 @@ The OpenCL tracks are the small twin of this file.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -44,6 +44,12 @@ class Arrivals:
         Received over emitted pressure (at 1 m), signed.
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the real source along the path, and from the receiver towards the image.
+    distance : ndarray (P, T)
+        Length of the path, m.
+    emitted : ndarray (P, T)
+        Times of emission, s.
+    stretch : ndarray (P, T)
+        Factor of the amplitude by the source's motion.
     """
 
     delay: Floats
@@ -51,6 +57,9 @@ class Arrivals:
     gain: Floats
     departure: Floats
     arrival: Floats
+    distance: Floats
+    emitted: Floats
+    stretch: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,15 +72,28 @@ class PathGroup:
         Indices in the scene.
     matrix, offset : ndarray (P, 3, 3), (P, 3)
         Isometry of every image.
-    reflection : ndarray (P,)
-        Product of the reflection factors of its walls.
+    walls : ndarray (P, N) int
+        Walls of each path, filled up with -1.
     """
 
     source: int
     receiver: int
     matrix: Floats
     offset: Floats
-    reflection: Floats
+    walls: NDArray[np.signedinteger[Any]]
+
+    def part(self, rows: NDArray[np.int64]) -> PathGroup:
+        """Return some of the paths."""
+        return PathGroup(self.source, self.receiver, self.matrix[rows], self.offset[rows], self.walls[rows])
+
+    def reflections(self, scene: Scene, frequencies: Floats) -> Floats:
+        """Return the product of the reflection factors of each path's walls, (P, F)."""
+        factors = scene.room.reflections(frequencies)
+        factors = np.concatenate([factors, np.ones((1, len(frequencies)))])  # -1 stands for no wall
+        product = np.ones((len(self.walls), len(frequencies)))
+        for wall in self.walls.T:
+            product *= factors[wall]
+        return product
 
 
 def arrivals(
@@ -118,36 +140,44 @@ def arrivals(
     receding = np.sum(departure * moving, axis=-1) / c
     retarded = motion == "retarded"
     arrival = -np.einsum("pij,ptj->pti", group.matrix, departure)
-    gain = _gain(scene, group, distance, departure, arrival, emitted, times)
-    if retarded:
-        gain = gain * (1.0 - mach) ** -MACH_EXPONENT[amplitude]
+    stretch = (1.0 - mach) ** -MACH_EXPONENT[amplitude] if retarded else np.ones_like(mach)
     rate = (receding - mach) / (1.0 - mach) if retarded else receding - mach
-    return Arrivals(delay, rate, gain, departure, arrival)
+    found = Arrivals(delay, rate, np.empty(0), departure, arrival, distance, emitted, stretch)
+    gain = responses(scene, group, found, times, np.array([source.signal.centre_frequency]))[..., 0]
+    return replace(found, gain=gain)
 
 
-def _gain(
-    scene: Scene,
-    group: PathGroup,
-    distance: Floats,
-    departure: Floats,
-    arrival: Floats,
-    emitted: Floats,
-    times: Floats,
-) -> Floats:
-    """Return spreading, air, walls and beams at the signal's centre frequency, (P, T)."""
-    source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
-    frequency, c = source.signal.centre_frequency, scene.air.sound_speed
-    decibel = scene.air.absorption(frequency) * (distance - 1.0)
-    gain = group.reflection[:, None] * 10 ** (-decibel / 20) / distance
+def responses(scene: Scene, group: PathGroup, found: Arrivals, times: Floats, frequencies: Floats) -> Floats:
+    """Return received over emitted pressure by frequency, without the delay: spreading, air, walls and beams.
+
+    Parameters
+    ----------
+    scene, group, times
+        As in `arrivals`.
+    found : Arrivals
+        What that returned.
+    frequencies : ndarray (F,)
+        As emitted, Hz.
+
+    Returns
+    -------
+    ndarray (P, T, F)
+        Signed.
+    """
+    source, receiver, c = scene.sources[group.source], scene.receivers[group.receiver], scene.air.sound_speed
+    nepers = scene.air.absorption(frequencies) * (np.log(10.0) / 20.0)
+    response = np.exp(-(found.distance - 1.0)[..., None] * nepers)
+    response *= group.reflections(scene, frequencies)[:, None, :]
+    response *= (found.stretch / found.distance)[..., None]
     if not isinstance(source.directivity, Omni):
-        axis = rotate(_at(source.orientation, emitted), _AXIS)
-        cosine = np.sum(axis * departure, axis=-1)
-        gain = gain * source.directivity.gain(np.clip(cosine, -1.0, 1.0), frequency, c)
+        axis = rotate(_at(source.orientation, found.emitted), _AXIS)
+        cosine = np.clip(np.sum(axis * found.departure, axis=-1), -1.0, 1.0)
+        response *= source.directivity.gain(cosine[..., None], frequencies, c)
     if not isinstance(receiver.directivity, Omni):
         axis = rotate(receiver.orientation(times), _AXIS)
-        cosine = np.sum(axis[None] * arrival, axis=-1)
-        gain = gain * receiver.directivity.gain(np.clip(cosine, -1.0, 1.0), frequency, c)
-    return np.asarray(gain)
+        cosine = np.clip(np.sum(axis[None] * found.arrival, axis=-1), -1.0, 1.0)
+        response *= receiver.directivity.gain(cosine[..., None], frequencies, c)
+    return np.asarray(response)
 
 
 def _solve_delay(trajectory: object, mirrored: Floats, times: Floats, c: float) -> Floats:

@@ -58,21 +58,14 @@ class PathSet:
         order = np.argsort(pair, kind="stable")
         bounds = np.searchsorted(pair[order], np.arange(len(self.scene.sources) * len(self.scene.receivers) + 1))
         for s in range(len(self.scene.sources)):
-            reflection = self._reflections(s)
             for r in range(len(self.scene.receivers)):
                 first = s * len(self.scene.receivers) + r
                 rows = order[bounds[first] : bounds[first + 1]]
                 if len(rows):
                     yield (
                         rows,
-                        PathGroup(s, r, self.image_matrix[rows], self.image_offset[rows], reflection[rows]),
+                        PathGroup(s, r, self.image_matrix[rows], self.image_offset[rows], self.walls[rows]),
                     )
-
-    def _reflections(self, source: int) -> Floats:
-        """Return the product of reflection factors of every path at the source's centre frequency."""
-        frequency = self.scene.sources[source].signal.centre_frequency
-        factors = np.append(self.scene.room.reflections(frequency), 1.0)  # -1 stands for no wall
-        return np.asarray(np.prod(factors[self.walls], axis=1))
 
     def table(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> PathTable:
         """Return what every path does at the given times.

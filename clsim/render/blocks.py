@@ -22,8 +22,10 @@ def block_cubics(
 
     Parameters
     ----------
-    delay, rate, gain : ndarray (paths, blocks + 3)
+    delay, rate : ndarray (paths, blocks + 3)
         At the nodes: one before the first block, its start, ..., two after the last block's start.
+    gain : ndarray (K, paths, blocks + 3)
+        There too.
     block : int
         Samples in a block.
     sampling_rate : float
@@ -35,14 +37,16 @@ def block_cubics(
     -------
     whole : ndarray (blocks, paths) int32
         Samples.
-    cubics : ndarray (blocks, 8, paths) float32
-        Lowest power first: four for the delay in samples, four for the gain.
+    cubics : ndarray (blocks, 4 + 4 K, paths) float32
+        Lowest power first: four for the delay in samples, four for each gain.
     """
     p0, p1 = delay[:, 1:-2] * sampling_rate + late, delay[:, 2:-1] * sampling_rate + late
     e0, e1 = rate[:, 1:-2] * (0.5 * block), rate[:, 2:-1] * (0.5 * block)
-    g0, g1 = gain[:, 1:-2], gain[:, 2:-1]
-    s0, s1 = 0.25 * (gain[:, 2:-1] - gain[:, :-3]), 0.25 * (gain[:, 3:] - gain[:, 1:-2])
-    delay_cubic, gain_cubic = _centred(p0, p1, e0, e1), _centred(g0, g1, s0, s1)
+    delay_cubic = _centred(p0, p1, e0, e1)
+    gain_cubic = []
+    for g in gain:
+        s0, s1 = 0.25 * (g[:, 2:-1] - g[:, :-3]), 0.25 * (g[:, 3:] - g[:, 1:-2])
+        gain_cubic += _centred(g[:, 1:-2], g[:, 2:-1], s0, s1)
     whole = np.rint(delay_cubic[0])
     delay_cubic[0] = delay_cubic[0] - whole
     cubics = np.stack([*delay_cubic, *gain_cubic]).astype(np.float32)
@@ -58,8 +62,8 @@ def block_error(rate: Floats, gain: Floats, angular_frequency: float, block_time
     rate; that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used).
     """
     late = np.abs(np.diff(rate, 3, axis=1)) * block_time / 384.0
-    change = 0.02 * np.abs(np.diff(gain, 3, axis=1))
-    return np.hypot(angular_frequency * late * gain[:, 1:-2], change)
+    change = 0.02 * np.abs(np.diff(gain, 3, axis=2)).sum(axis=0)
+    return np.asarray(np.hypot(angular_frequency * late * np.abs(gain[:, :, 1:-2]).sum(axis=0), change))
 
 
 def _centred(v0: Floats, v1: Floats, s0: Floats, s1: Floats) -> list[Floats]:

@@ -65,27 +65,32 @@ class DeviceTracks:
             self._knot_rates.append(
                 knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
             )
-        frequencies = [s.signal.centre_frequency for s in scene.sources]
+        frequencies = [emission.basis.nodes for emission in plan.emissions]
         c = scene.air.sound_speed
         self._source_beams = [
             self._upload(_beam_cells(s.directivity, f, c)) for s, f in zip(scene.sources, frequencies, strict=True)
         ]
         # One receiver beam per launch: receivers with different beams are told apart by a table each.
         self._receiver_tables = [[_beam_cells(r.directivity, f, c) for r in scene.receivers] for f in frequencies]
+        self._projections = [self._upload(e.basis.projection.astype(np.float32)) for e in plan.emissions]
+        self._nepers = [
+            self._upload((scene.air.absorption(f) * math.log(10.0) / 20.0).astype(np.float32)) for f in frequencies
+        ]
 
     def prepare(self, source: int, slots: Slots, bounds: Boundaries, start: int, length: int) -> _Chunk:
         """Upload images and motion for one source and a batch of receivers over a stretch of samples."""
         plan, scene = self._plan, self._tracks.scene
         matrix = np.empty((9, slots.count))
         offset = np.empty((3, slots.count))
-        reflection = np.empty(slots.count, dtype=np.float32)
+        basis = plan.emissions[source].basis
+        reflection = np.empty((len(basis.nodes), slots.count), dtype=np.float32)
         receiver_of = np.empty(slots.count, dtype=np.int32)
         for i, index in enumerate(slots.groups):
             here, paths = slots.of_group(i), self._tracks.path_groups[index]
             rows = slots.path[here]
             matrix[:, here] = paths.matrix[rows].reshape(-1, 9).T
             offset[:, here] = paths.offset[rows].T
-            reflection[here] = np.where(slots.filling[here], 0.0, paths.reflection[rows])
+            reflection[:, here] = np.where(slots.filling[here], 0.0, paths.part(rows).reflections(scene, basis.nodes).T)
             receiver_of[here] = i
         rate = plan.sampling_rate
         longest = max(self._tracks.delay_range(i, start / rate, (start + length) / rate)[1].max() for i in slots.groups)
@@ -101,24 +106,23 @@ class DeviceTracks:
         import pyopencl as cl
 
         plan, scene, slots = self._plan, self._tracks.scene, chunk.slots
-        source, emission = scene.sources[chunk.source], plan.emissions[chunk.source]
+        emission = plan.emissions[chunk.source]
         rate, c = plan.sampling_rate, scene.air.sound_speed
         walks = -(-blocks * block // SEGMENT)
         context, flags = self._queue.context, cl.mem_flags.READ_WRITE
         delay = cl.Buffer(context, flags, 4 * blocks * slots.count)
-        cubics = cl.Buffer(context, flags, 32 * blocks * slots.count)
+        cubics = cl.Buffer(context, flags, 16 * (1 + len(emission.basis)) * blocks * slots.count)
         found = np.empty((walks, slots.count, 4), dtype=np.float32)
         on_device = cl.Buffer(context, flags, found.nbytes)
         receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
         beams = [self._receiver_tables[chunk.source][r] for r in slots.receiver]
         kernel = self._compiler.kernel("tracks", self._constants(chunk.source, block))
-        nepers = float(scene.air.absorption(source.signal.centre_frequency)) * math.log(10.0) / 20.0
         kernel(
             self._queue, (slots.count, walks), None, *chunk.images,
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
             np.int32(blocks + 3), chunk.knots, np.int32(chunk.knot_count), np.float64(chunk.knot_first),
             np.float64(self._knot_rates[chunk.source]), np.float64(start / rate), np.float64(rate), np.float64(c),
-            np.float32(nepers), np.float64(emission.start * rate - emission.bank.shift),
+            self._nepers[chunk.source], self._projections[chunk.source], np.float64(emission.start * rate - emission.bank.shift),
             np.float64(emission.start), np.float64(emission.start + emission.signal.duration),
             np.float32(2.0 * math.pi * emission.band), self._source_beams[chunk.source],
             self._upload(np.concatenate(beams)), np.int32(blocks), delay, cubics, on_device,
@@ -137,7 +141,8 @@ class DeviceTracks:
         return {
             "BLOCK": block,
             "WALK": SEGMENT // block,
-            "FUNCTIONS": 1,
+            "FUNCTIONS": len(self._plan.emissions[source].basis),
+            "NODES": len(self._plan.emissions[source].basis.nodes),
             "KNOT_COLUMNS": KNOT_COLUMNS,
             "CELLS": _CELLS,
             "RETARDED": int(retarded),
@@ -171,15 +176,17 @@ def _relative_error(found: NDArray[np.float32], slots: Slots) -> Floats:
     return np.asarray((error / np.maximum(strongest, 1e-30)).max(axis=1), dtype=np.float64)
 
 
-def _beam_cells(directivity: Directivity, frequency: float, speed_of_sound: float) -> NDArray[np.float32]:
-    """Return a beam as cubics on equal cells of the cosine from -1 to 1, lowest power first, (cells, 4)."""
+def _beam_cells(directivity: Directivity, frequencies: Floats, speed_of_sound: float) -> NDArray[np.float32]:
+    """Return a beam as cubics on equal cells of the cosine from -1 to 1, lowest power first, (cells, frequencies, 4)."""
     from scipy.interpolate import CubicSpline
 
     cosine = np.linspace(-1.0, 1.0, _CELLS + 1)
     half = _CELLS // 2  # two splines: the gain of a piston bends at 90°
     parts = []
     for piece in (slice(0, half + 1), slice(half, _CELLS + 1)):
-        spline = CubicSpline(cosine[piece], directivity.gain(cosine[piece], frequency, speed_of_sound))
+        gain = np.broadcast_to(
+            directivity.gain(cosine[piece][:, None], frequencies, speed_of_sound), (half + 1, len(frequencies))
+        )
         width = (2.0 / _CELLS) ** np.arange(4)
-        parts.append(spline.c[::-1].T * width)
+        parts.append(np.moveaxis(CubicSpline(cosine[piece], gain).c[::-1], 0, -1) * width)
     return np.ascontiguousarray(np.concatenate(parts), dtype=np.float32)

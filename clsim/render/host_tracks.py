@@ -48,7 +48,7 @@ class HostTracks:
         plan, emission = self._plan, self._plan.emissions[source]
         rate = plan.sampling_rate
         whole = np.empty((blocks, slots.count), dtype=np.int32)
-        cubics = np.empty((blocks, 8, slots.count), dtype=np.float32)
+        cubics = np.empty((blocks, 4 + 4 * len(emission.basis), slots.count), dtype=np.float32)
         error = np.zeros(-(-blocks * block // SEGMENT))
         shortest, longest = math.inf, -math.inf
         times = node_times(start, block, blocks, rate)
@@ -57,13 +57,13 @@ class HostTracks:
         begins = block * np.arange(blocks)
         for i, index in enumerate(slots.groups):
             here = slots.of_group(i)
-            delay, change, gain = plan.tracks.evaluate(index, times, slots.path[here])
+            delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
             whole[:, here], made = block_cubics(delay, change, gain, block, rate, late)
             wrong = block_error(change, gain, 2.0 * math.pi * emission.band, block / rate)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
             made[:, 4:] = np.where(heard.T[:, None], made[:, 4:], 0.0)
             cubics[:, :, here] = made
-            np.maximum(error, _by_segment(np.where(heard, wrong, 0.0), gain[:, 1:-2] * heard, block), out=error)
+            np.maximum(error, _by_segment(np.where(heard, wrong, 0.0), np.abs(gain).sum(axis=0)[:, 1:-2] * heard, block), out=error)
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
         return HostNodes(self._upload(whole), self._upload(cubics), error, shortest, longest)
 

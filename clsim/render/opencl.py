@@ -24,7 +24,6 @@ BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
 _STRETCH = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _MARGIN = 64  # samples of branch signal beyond the bounds of the delays
-_BYTES_PER_NODE = 36  # of a block and a path: whole delay and two cubics
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +111,8 @@ class OpenclEngine:
             for first in range(0, segments, step):
                 last = min(first + step, segments)
                 here = [group.during(plan, start + first * SEGMENT, start + last * SEGMENT) for group in active]
-                for some in _batches([group for group in here if len(group.rows)]):
+                functions = len(plan.emissions[source].basis)
+                for some in _batches([group for group in here if len(group.rows)], functions):
                     run = _Run(self, source, fill_slots(plan, some, BATCH), branches, on_device, length, start)
                     run.cover(first, last, 0)
         cl.enqueue_copy(self._queue, pressure, on_device)
@@ -144,17 +144,20 @@ class OpenclEngine:
         stride = -(-width // 16) * 16
         stride += 16 if (stride // 16) % 2 == 0 else 0  # whole pages apart, rows would fight for the same cache lines
         first = start - most
-        emitted = np.zeros(stride + taps + channel, dtype=np.float32)
         before = first - (taps - 1) + emission.bank.centre
-        emitted[: width + taps] = emission.signal.read(before, before + width + taps)
-        if not np.any(emitted):
+        streams = emission.streams(before, before + width + taps)
+        if not np.any(streams):
             return None
-        out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * rows * stride)
+        out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * len(streams) * rows * stride)
         kernel = self._compiler.kernel("branches", {"LANES": self._layout.lanes, "TAPS": taps})
-        kernel(
-            self._queue, (width // channel, rows), None, self._upload(emitted),
-            self._upload(emission.bank.taps.astype(np.float32)), np.int32(stride), out,
-        )  # fmt: skip
+        filters = self._upload(emission.bank.taps.astype(np.float32))
+        for k, stream in enumerate(streams):
+            emitted = np.zeros(stride + taps + channel, dtype=np.float32)
+            emitted[: width + taps] = stream
+            kernel(
+                self._queue, (width // channel, rows), None, self._upload(emitted), filters, np.int32(stride),
+                np.int32(k * rows), out,
+            )  # fmt: skip
         return _Branches(out, stride, first, least, most)
 
     def _upload(self, array: NDArray[Any]) -> Any:
@@ -196,11 +199,12 @@ class _Run:
         self._state: Any = engine._tracks.prepare(source, slots, self._bounds, start, length)
         error_db = getattr(self._plan.interpolator, "error_db", -90.0)
         self._tolerance = 10 ** ((error_db - 6.0) / 20)
+        self._functions = len(self._plan.emissions[source].basis)
 
     def cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
         block = BLOCKS[level]
-        step = max(1, NODE_BUDGET // (_BYTES_PER_NODE * self._slots.count * (SEGMENT // block)))
+        step = max(1, NODE_BUDGET // (_bytes_per_node(self._functions) * self._slots.count * (SEGMENT // block)))
         for at in range(first, last, step):
             upto = min(at + step, last)
             begin, end = at * SEGMENT, min(upto * SEGMENT, self._length)
@@ -228,7 +232,7 @@ class _Run:
         engine, emission = self._engine, self._plan.emissions[self._source]
         self._render_edges(nodes, segment, end, block, first_block)
         constants = engine._layout.constants(emission.bank.group)
-        constants |= {"BRANCHES": len(emission.bank.taps), "FUNCTIONS": 1}
+        constants |= {"BRANCHES": len(emission.bank.taps), "FUNCTIONS": self._functions}
         kernel = engine._compiler.kernel("render", constants)
         begin = segment * SEGMENT
         groups = (end - begin) // emission.bank.group
@@ -248,7 +252,7 @@ class _Run:
             return
         taps, per_ramp = len(self._plan.emissions[self._source].bank.taps), self._bounds.ramp
         slot, at = engine._upload(edges.slot), engine._upload(edges.block + np.int32(first_block))
-        kernel = engine._compiler.kernel("edges", {"BRANCHES": taps, "FUNCTIONS": 1})
+        kernel = engine._compiler.kernel("edges", {"BRANCHES": taps, "FUNCTIONS": self._functions})
         kernel(
             engine._queue, (block, len(edges.row)), None, self._branches.rows, np.int32(self._branches.stride),
             np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, np.int32(slots.count),
@@ -257,7 +261,7 @@ class _Run:
             engine._upload(edges.row), engine._upload(edges.at), self._pressure, np.int32(self._length),
             np.int32(begin), np.int32(end - begin),
         )  # fmt: skip
-        mute = engine._compiler.kernel("mute", {"FUNCTIONS": 1})
+        mute = engine._compiler.kernel("mute", {"FUNCTIONS": self._functions})
         mute(engine._queue, (len(edges.slot),), None, slot, at, nodes.cubics, np.int32(slots.count))
 
 
@@ -267,9 +271,14 @@ def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip([0, *edges.tolist()], [*edges.tolist(), len(flags)], strict=True))
 
 
-def _batches(active: list[Active]) -> list[list[Active]]:
+def _bytes_per_node(functions: int) -> int:
+    """Return the size of a block of a path: whole delay, and the cubics of its rest and of every gain."""
+    return 20 + 16 * functions
+
+
+def _batches(active: list[Active], functions: int) -> list[list[Active]]:
     """Cut groups into batches whose polynomials fit the budget for one segment at the shortest blocks."""
-    most = max(BATCH, NODE_BUDGET // (_BYTES_PER_NODE * (SEGMENT // BLOCKS[-1])))
+    most = max(BATCH, NODE_BUDGET // (_bytes_per_node(functions) * (SEGMENT // BLOCKS[-1])))
     batches: list[list[Active]] = []
     count = most
     for group in active:

@@ -12,8 +12,9 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.path_set import PathSet
+from clsim.render.basis import Basis, band_of, flat_basis, scene_basis
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.tracks import Tracks, track
+from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.scene import Scene
 from clsim.scene.signal import Signal
@@ -26,6 +27,8 @@ SEGMENT = 18432  # samples; chunks are whole segments, and the block length is c
 BLOCKS = (768, 384, 192, 96)  # samples in a block, divisors of a segment, tried in this order
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 _PRESSURE_BUDGET = 64 * 2**20  # bytes of output held at a time
+RESPONSE_ERROR_DB = -80.0  # of a path's response by frequency, relative to the strongest arrival
+EXACT_DB = -100.0  # the same for the reference engine
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
 _LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
 _WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
@@ -43,6 +46,8 @@ class Emission:
         Time at which it begins, s.
     bank : Bank
         Branch filters.
+    basis : Basis
+        Functions of frequency that carry the responses of its paths.
     band : float
         Highest frequency that the bank holds, Hz.
     removed_db : float
@@ -52,8 +57,21 @@ class Emission:
     signal: Signal
     start: float
     bank: Bank
+    basis: Basis
     band: float
     removed_db: float
+
+    def streams(self, first: int, last: int) -> Floats:
+        """Return samples `first` to `last` of the signal through each function of the basis, (K, n)."""
+        half = self.basis.half
+        signal = self.signal.read(first - half, last + half)
+        if half == 0:
+            return signal * self.basis.filters
+        if not np.any(signal):
+            return np.zeros((len(self.basis), last - first))
+        from scipy.signal import oaconvolve
+
+        return np.asarray(oaconvolve(signal[None], self.basis.filters, mode="valid", axes=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +112,9 @@ class Plan:
         """Memory that the rendering takes at a time, estimated, bytes."""
         span = max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
         rows = max(len(e.bank.taps) for e in self.emissions)
-        per_segment = 36 * (SEGMENT // BLOCKS[-1]) * max((len(group) for group in self.tracks.groups), default=0)
+        functions = max(len(e.basis) for e in self.emissions)
+        rows *= functions
+        per_segment = (20 + 16 * functions) * (SEGMENT // BLOCKS[-1]) * max((len(group) for group in self.tracks.groups), default=0)
         nodes = max(NODE_BUDGET, per_segment)
         paths = self.path_count * 150
         return int(4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths)
@@ -127,6 +147,8 @@ class Plan:
                 f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
                 f"{e.bank.error_db:.1f} dB; share of the signal above: {removed}"
             )
+            held = f" within {e.basis.error_db:.1f} dB" if np.isfinite(e.basis.error_db) else ""
+            lines.append(f"source {i}: {len(e.basis)} functions of frequency carry air, walls and beams{held}")
         return lines
 
 
@@ -139,6 +161,7 @@ def plan_render(
     motion: str = "retarded",
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
+    response_error_db: float | None = RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -155,6 +178,7 @@ def plan_render(
         sampling_rate,
         starts=[source.start for source in scene.sources],
         interpolator=interpolator,
+        response_error_db=response_error_db,
         engine=engine,
         device=device,
         duration=duration,
@@ -169,6 +193,7 @@ def plan_tracks(
     *,
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
+    response_error_db: float | None = RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -189,12 +214,16 @@ def plan_tracks(
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
     samples = _samples(signals, starts, tracks, rate, duration)
-    emissions = tuple(
-        _emission(i, signal, start, interpolator, tracks, rate)
-        for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
-    )
-    draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device)
-    return Plan(tracks, emissions, interpolator, rate, samples, _chunk(draft, chunk), engine, device)
+    if response_error_db is not None:
+        as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
+    emissions = []
+    for i, (signal, start) in enumerate(zip(signals, starts, strict=True)):
+        signal = signal.at_rate(rate)
+        high, removed_db, bank = _delay_filters(i, signal, interpolator, tracks, rate)
+        basis = _basis(i, signal, high, tracks, samples / rate, rate, response_error_db, engine)
+        emissions.append(Emission(signal, start, bank, basis, high, removed_db))
+    draft = Plan(tracks, tuple(emissions), interpolator, rate, samples, SEGMENT, engine, device)
+    return Plan(tracks, tuple(emissions), interpolator, rate, samples, _chunk(draft, chunk), engine, device)
 
 
 def _samples(
@@ -219,12 +248,11 @@ def _samples(
     return max(1, math.ceil(duration * rate - 1e-6))
 
 
-def _emission(
-    index: int, signal: Signal, start: float, interpolator: Interpolator, tracks: Tracks, rate: float
-) -> Emission:
-    """Bring a signal to the sampling rate and design the filters for its band and speed."""
+def _delay_filters(
+    index: int, signal: Signal, interpolator: Interpolator, tracks: Tracks, rate: float
+) -> tuple[float, float, Bank]:
+    """Return the end of the band that matters, the share above it in dB, and the filters for band and speed."""
     field, max_rate = f"signals[{index}]", tracks.max_rate(index)
-    signal = signal.at_rate(rate)
     widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
     floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
     band, removed_db = _occupied_band(signal, widest, floor_db - 6.0)
@@ -239,7 +267,21 @@ def _emission(
             f"{field}: the delay filters are wrong by up to {bank.error_db:.0f} dB for content at {band:.0f} Hz; "
             'sample faster or use the "bandlimited" interpolator'
         )
-    return Emission(signal, start, bank, band, removed_db)
+    return band, removed_db, bank
+
+
+def _basis(
+    index: int, signal: Signal, high: float, tracks: Tracks, until: float, rate: float, error_db: float | None, engine: str
+) -> Basis:
+    """Return the functions of frequency that a source's paths need."""
+    if error_db is None or not isinstance(tracks, SceneTracks):
+        return flat_basis(signal.centre_frequency)
+    frequencies, energy = signal.energy_spectrum()
+    below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+    floor_db = min(error_db, EXACT_DB) if engine == "reference" else error_db
+    low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
+    band = band_of(min(max(low, frequencies[1]), 0.999 * high), high, frequencies, energy)
+    return scene_basis(tracks, index, band, until, rate, floor_db)
 
 
 def _occupied_band(signal: Signal, widest: float, share_db: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.render.plan import Emission, Plan
 
-_SLICE = 4096  # samples of a path at a time
+_NUMBERS = 2**22  # gains held at a time
 
 
 class ReferenceEngine:
@@ -29,8 +29,10 @@ class ReferenceEngine:
         plan = self._plan
         pressure = np.zeros((plan.receiver_count, stop - start))
         for i, group in enumerate(plan.tracks.groups):
-            for first in range(start, stop, _SLICE):
-                last = min(first + _SLICE, stop)
+            functions = len(plan.emissions[group.source].basis)
+            step = min(max(_NUMBERS // (len(group) * functions), 256), 4096)
+            for first in range(start, stop, step):
+                last = min(first + step, stop)
                 pressure[group.receiver, first - start : last - start] += _render_paths(plan, i, first, last)
         return pressure
 
@@ -44,7 +46,7 @@ def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats:
     rows = np.flatnonzero((member.start - ramp <= times[-1]) & (member.end + ramp >= times[0]))
     if not len(rows):
         return np.zeros(last - first)
-    delay, _, gain = tracks.evaluate(group, times, rows)
+    delay, _, gain = tracks.evaluate(group, times, emission.basis, rows)
     weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
     gain = np.where(weight > 0.0, gain, 0.0) * weight
     late = delay * plan.sampling_rate + emission.start * plan.sampling_rate - emission.bank.shift
@@ -53,16 +55,17 @@ def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats:
 
 
 def _sum_paths(plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: Floats, gain: Floats) -> Floats:
-    """Apply the taps of every path and sample to the signal around the emitted sample, and sum over paths."""
+    """Apply taps and gains (K, P, n) of every path and sample to the streams around the emitted sample; sum over paths."""
     length, centre = emission.bank.taps.shape[1], emission.bank.centre
     total = np.zeros(emitted.shape[1])
+    first = int(emitted.min()) + centre - length + 1
+    streams = emission.streams(first, int(emitted.max()) + centre + 1)
+    if not np.any(streams):
+        return total
+    # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
+    windows = sliding_window_view(streams, length, axis=1)
     for p in range(len(emitted)):
-        first = int(emitted[p].min()) + centre - length + 1
-        signal = emission.signal.read(first, int(emitted[p].max()) + centre + 1)
-        if not np.any(signal) or not np.any(gain[p]):
-            continue
-        # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
-        windows = sliding_window_view(signal, length)[emitted[p] + centre - length + 1 - first][:, ::-1]
-        taps = plan.interpolator.taps(emission.bank, mu[p])
-        total += gain[p] * np.einsum("nk,nk->n", taps, windows)
+        if np.any(gain[:, p]):
+            seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
+            total += np.einsum("nk,fnk,fn->n", plan.interpolator.taps(emission.bank, mu[p]), seen, gain[:, p], optimize=True)
     return total

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.render.opencl import OpenclEngine
-from clsim.render.plan import Plan, plan_render, plan_tracks
+from clsim.render.plan import RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
 from clsim.render.reference import ReferenceEngine
 from clsim.render.tracks import SceneTracks, Tracks
 from clsim.render.transition import DEFAULT_TRANSITION
@@ -33,6 +33,7 @@ def render(
     motion: str = "retarded",
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
+    response_error_db: float | None = RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -57,6 +58,9 @@ def render(
     transition : float or "gate"
         Seconds in which a path begins and ends, by a raised cosine centred on the boundary; or at once, which
         splatters.
+    response_error_db : float or None
+        Bound on the error of each path's response over the signal's band (air, walls, beams), dB relative to the
+        strongest arrival; None takes everything at the signal's centre frequency.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -98,7 +102,7 @@ def render(
     """
     plan = plan_render(
         scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
-        transition=transition, engine=engine, device=device, duration=duration, chunk=chunk,
+        transition=transition, response_error_db=response_error_db, engine=engine, device=device, duration=duration, chunk=chunk,
     )  # fmt: skip
     return _record(plan)
 
@@ -110,6 +114,7 @@ def render_tracks(
     *,
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
+    response_error_db: float | None = RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -127,11 +132,12 @@ def render_tracks(
         Of the recording, Hz.
     starts : sequence of float, optional
         Time at which each signal begins, s; 0 when left out.
-    interpolator, engine, device, duration, chunk
+    interpolator, response_error_db, engine, device, duration, chunk
         As in `render`.
     """
     plan = plan_tracks(
-        signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, engine=engine, device=device,
+        signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, response_error_db=response_error_db,
+        engine=engine, device=device,
         duration=duration, chunk=chunk,
     )  # fmt: skip
     return _record(plan)

@@ -10,8 +10,9 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals, responses
 from clsim.paths.path_set import PathSet
+from clsim.render.basis import Basis, flat_basis
 from clsim.render.transition import DEFAULT_TRANSITION, as_transition
 
 if TYPE_CHECKING:
@@ -56,9 +57,9 @@ class Tracks(ABC):
 
     @abstractmethod
     def evaluate(
-        self, group: int, times: Floats, rows: NDArray[np.int64] | None = None
+        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return delay (s), its derivative and gain of a group's paths (or some rows), each (paths, times)."""
+        """Return delay (s) and its derivative (paths, times) and gains (K, paths, times) of a group, or some rows of it."""
 
     @abstractmethod
     def max_rate(self, source: int) -> float:
@@ -149,16 +150,13 @@ class SceneTracks(Tracks):
         return tuple(r.name for r in self.scene.receivers)
 
     def evaluate(
-        self, group: int, times: Floats, rows: NDArray[np.int64] | None = None
+        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return delay, its derivative and gain, in float64 without approximation."""
-        paths = self.path_groups[group]
-        if rows is not None:
-            paths = PathGroup(
-                paths.source, paths.receiver, paths.matrix[rows], paths.offset[rows], paths.reflection[rows]
-            )
+        """Return delay, its derivative and gains, in float64 without approximation."""
+        paths = self.path_groups[group] if rows is None else self.path_groups[group].part(rows)
         found = arrivals(self.scene, paths, times, self.motion, self.amplitude)
-        return found.delay, found.delay_rate, found.gain
+        response = responses(self.scene, paths, found, times, basis.nodes)
+        return found.delay, found.delay_rate, np.moveaxis(response @ basis.projection.T, -1, 0)
 
     def max_rate(self, source: int) -> float:
         """Return ``(v_s + v_r) / (c - v_s)`` with the peak speeds of the source and the fastest receiver."""
@@ -197,9 +195,9 @@ class SampledTracks(Tracks):
     transition: float
 
     def evaluate(
-        self, group: int, times: Floats, rows: NDArray[np.int64] | None = None
+        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the splines' values; outside a path's stretch continued from its nearer end, where it is not heard."""
+        """Return the splines' values, one gain for all frequencies; outside a path's stretch continued from its nearer end, where it is not heard."""
         shape = (len(self.groups[group]), len(times))
         delay, rate, gain = np.empty(shape), np.empty(shape), np.empty(shape)
         step = times[1] - times[0] if len(times) > 1 else 0.0  # a node next to the stretch continues the gain's slope
@@ -210,8 +208,8 @@ class SampledTracks(Tracks):
             rate[which] = slopes[:, :, 0].T
             gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -step, step)
         if rows is None:
-            return delay, rate, gain
-        return delay[rows], rate[rows], gain[rows]
+            return delay, rate, gain[None]
+        return delay[rows], rate[rows], gain[None, rows]
 
     def max_rate(self, source: int) -> float:
         """Return the largest derivative of any delay."""
@@ -219,7 +217,7 @@ class SampledTracks(Tracks):
 
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds from the delay at mid-time and the largest derivative."""
-        delay = self.evaluate(group, np.array([0.5 * (start + end)]))[0][:, 0]
+        delay = self.evaluate(group, np.array([0.5 * (start + end)]), flat_basis(1.0))[0][:, 0]
         slack = 0.5 * (end - start) * self.largest_rate
         return delay - slack, delay + slack
 

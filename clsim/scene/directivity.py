@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from clsim.acoustics.directivity import cardioid_gain, piston_gain
 from clsim.arrays import Floats, as_choice, as_number
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 # Murata states 80° between the -6 dB points at 40 kHz for both: the beam of a baffled piston of this radius.
 _NAMED_RADIUS = {"MA40S4S": 0.0047, "MA40S4R": 0.0047}  # m
@@ -20,7 +23,7 @@ DIRECTIVITY_NAMES = tuple(_NAMED_RADIUS)
 class Directivity(Protocol):
     """Anything with a gain by direction."""
 
-    def gain(self, cosine: Floats, frequency: float, speed_of_sound: float) -> Floats:
+    def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return the gain of sound pressure by direction, 1 on the axis.
 
         Parameters
@@ -28,8 +31,8 @@ class Directivity(Protocol):
         cosine : ndarray (...)
             Cosine of the angle between the axis (+x, turned by the orientation) and the direction: of
             departure for a source, towards the incoming image for a receiver.
-        frequency : float
-            Frequency, Hz.
+        frequency : array_like (...)
+            Frequency, Hz; broadcasts against `cosine`.
         speed_of_sound : float
             Speed of sound, m/s.
 
@@ -53,7 +56,7 @@ class Omni:
 
     kind: ClassVar[str] = "omni"
 
-    def gain(self, cosine: Floats, frequency: float, speed_of_sound: float) -> Floats:
+    def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return 1 for every direction; see `Directivity.gain`."""
         return np.ones_like(cosine, dtype=np.float64)
 
@@ -84,7 +87,7 @@ class Cardioid:
     def __post_init__(self) -> None:
         object.__setattr__(self, "weight", as_number("weight", self.weight, at_least=0.0, at_most=1.0))
 
-    def gain(self, cosine: Floats, frequency: float, speed_of_sound: float) -> Floats:
+    def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return the gain, the same at every frequency; see `Directivity.gain`."""
         return cardioid_gain(cosine, self.weight)
 
@@ -118,7 +121,7 @@ class Piston:
     def __post_init__(self) -> None:
         object.__setattr__(self, "radius", as_number("radius", self.radius, above=0.0, unit="m"))
 
-    def gain(self, cosine: Floats, frequency: float, speed_of_sound: float) -> Floats:
+    def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return the gain; see `Directivity.gain`."""
         return piston_gain(cosine, frequency, self.radius, speed_of_sound)
 

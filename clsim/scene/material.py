@@ -60,8 +60,8 @@ class Material:
 
     Examples
     --------
-    >>> Material.from_reflection(0.9).reflection_at(40e3)
-    0.9
+    >>> Material.from_reflection(0.9).reflection_at([20e3, 40e3]).tolist()
+    [0.9, 0.9]
     """
 
     reflection: float | None = None
@@ -113,8 +113,8 @@ class Material:
 
         Examples
         --------
-        >>> round(Material.from_absorption([1e3, 4e3], [0.0, 0.72]).reflection_at(2e3), 6)
-        0.8
+        >>> Material.from_absorption([1e3, 4e3], [0.0, 0.72]).reflection_at([1e3, 2e3]).round(6).tolist()
+        [1.0, 0.8]
         """
         return cls(None, name, *_checked_table(frequencies, coefficients))
 
@@ -136,7 +136,7 @@ class Material:
 
         Examples
         --------
-        >>> Material.named("pressure-release").reflection_at(40e3)
+        >>> float(Material.named("pressure-release").reflection_at(40e3))
         -1.0
         """
         name = as_choice("name", name, MATERIAL_NAMES)
@@ -144,19 +144,19 @@ class Material:
             return cls(_FACTORS[name], name)
         return cls.from_absorption(_OCTAVES, _ABSORPTION[name][0], name)
 
-    def reflection_at(self, frequency: float) -> float:
-        """Return the reflection factor of sound pressure at a frequency.
+    def reflection_at(self, frequency: ArrayLike) -> Floats:
+        """Return the reflection factor of sound pressure by frequency.
 
         Parameters
         ----------
-        frequency : float
+        frequency : array_like
             Positive, Hz.
 
         Returns
         -------
-        float
-            Factor, -1 to 1; from a table, the absorption is interpolated linearly over the logarithm of
-            frequency and held at the ends.
+        ndarray
+            Factors of the shape of `frequency`, -1 to 1; from a table, the absorption is interpolated smoothly (by
+            monotone cubics) over the logarithm of frequency and held at the ends.
 
         Raises
         ------
@@ -168,21 +168,29 @@ class Material:
         ClsimWarning
             If the frequency lies outside the table.
         """
-        frequency = as_number("frequency", frequency, above=0.0, unit="Hz")
+        frequency = np.asarray(frequency, dtype=np.float64)
+        if not np.all((frequency > 0.0) & np.isfinite(frequency)):
+            raise InputError("frequency", f"must be finite and above 0 Hz, but is {np.min(frequency):g} Hz")
         if self.reflection is not None:
-            return self.reflection
+            return np.full(frequency.shape, self.reflection)
         assert self.frequencies is not None
         assert self.coefficients is not None
         low, high = float(self.frequencies[0]), float(self.frequencies[-1])
-        if not low * (1.0 - 1e-12) <= frequency <= high * (1.0 + 1e-12):
+        outside = (frequency < low * (1.0 - 1e-12)) | (frequency > high * (1.0 + 1e-12))
+        if np.any(outside):
             warnings.warn(
                 f"the material {self.name or 'without a name'!r} is known from {low:g} to {high:g} Hz, but "
-                f"asked for at {frequency:g} Hz; the value at the nearest end is taken",
+                f"asked for at {frequency[outside].flat[-1]:g} Hz; the value at the nearest end is taken",
                 ClsimWarning,
                 stacklevel=2,
             )
-        alpha = np.interp(np.log(frequency), np.log(self.frequencies), self.coefficients)
-        return float(reflection_from_absorption(alpha))
+        if len(self.frequencies) == 1:
+            return np.full(frequency.shape, reflection_from_absorption(self.coefficients[0]))
+        from scipy.interpolate import PchipInterpolator
+
+        smooth = PchipInterpolator(np.log(self.frequencies), self.coefficients)  # without overshoot
+        alpha = np.clip(smooth(np.log(np.clip(frequency, low, high))), 0.0, 1.0)
+        return np.asarray(reflection_from_absorption(alpha))
 
 
 def _checked_table(frequencies: ArrayLike | None, coefficients: ArrayLike | None) -> tuple[Floats, Floats]:

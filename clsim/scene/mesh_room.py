@@ -231,8 +231,8 @@ class MeshRoom:
         """Unit normals (W, 3) and offsets (W,) of the walls: ``normal @ x = offset``, m."""
         return self.walls.normal, self.walls.offset
 
-    def reflections(self, frequency: float) -> Floats:
-        """Return the reflection factor of sound pressure of every wall, (walls,), at a frequency in Hz."""
+    def reflections(self, frequency: ArrayLike) -> Floats:
+        """Return the reflection factor of sound pressure of every wall, (walls, ...), for frequencies (...) in Hz."""
         factors = {id(m): m.reflection_at(frequency) for m in {id(m): m for m in self.wall_materials}.values()}
         return np.array([factors[id(m)] for m in self.wall_materials])
 

@@ -74,18 +74,18 @@ class Shoebox:
         """Lowest and highest corner, (3,) m each."""
         return read_only(np.zeros(3)), self.size
 
-    def reflections(self, frequency: float) -> Floats:
+    def reflections(self, frequency: ArrayLike) -> Floats:
         """Return the reflection factor of sound pressure of every wall.
 
         Parameters
         ----------
-        frequency : float
+        frequency : array_like
             Positive, Hz.
 
         Returns
         -------
-        ndarray (6,)
-            Factors in the order of `WALLS`, -1 to 1.
+        ndarray (6, ...)
+            Factors in the order of `WALLS`, -1 to 1, for every frequency.
         """
         # Each material once, so that one that warns does so once.
         factors = {id(m): m.reflection_at(frequency) for m in dict.fromkeys(self.materials)}
