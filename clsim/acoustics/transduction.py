@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import Floats
-
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    from clsim.arrays import Floats
 
 
 def resonance_response(frequency: ArrayLike, centre: float, width: float) -> NDArray[np.complex128]:
@@ -55,8 +55,8 @@ def resonance_taps(centre: float, width: float, sampling_rate: float) -> Floats:
     -----
     A recursive filter with the band-pass's poles, ``exp(s / sampling_rate)``, so that it rings exactly as long, and
     five zeros: one at 0 Hz, and the others such that the complex response is right at both frequencies where its
-    magnitude is 1/2. It is right within a few degrees and tenths of dB from half to twice the centre as long as a period
-    has about five samples.
+    magnitude is 1/2. With five samples in a period it is right within 0.7 dB and 8 degrees from 0.25 to 1.5 times the
+    centre, and within 2.5 dB below 0.95 of half the sampling rate.
 
     Examples
     --------

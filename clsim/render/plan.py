@@ -191,7 +191,7 @@ def plan_tracks(
     chunk: int | None = None,
     ringing: float = 0.0,
 ) -> Plan:
-    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`, and s for receivers to ring."""
+    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`; receivers ring on, s."""
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
     as_choice("engine", engine, ENGINES)
     interpolator = Bandlimited() if interpolator is None else interpolator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.scene import Receiver
+
+_Kind = Literal["highpass", "lowpass"]
 
 
 class Receiving:
@@ -64,8 +66,9 @@ class Receiving:
         for i, end in self._ends.items():
             if end.clipped:
                 warnings.warn(
-                    f"receivers[{i}].electronics: {end.clipped} of {self._plan.samples} samples of {end.name!r} were clipped at "
-                    f"adc_full_scale, {end.electronics.adc_full_scale:g} {end.unit}; lower gain_db or raise it",
+                    f"receivers[{i}].electronics: {end.clipped} of {self._plan.samples} samples of {end.name!r} were "
+                    f"clipped at adc_full_scale, {end.electronics.adc_full_scale:g} {end.unit}; "
+                    "lower gain_db or raise it",
                     ClsimWarning,
                     stacklevel=4,
                 )
@@ -124,7 +127,7 @@ class _Noise:
 class _Cut:
     """A Butterworth filter, sample after sample."""
 
-    def __init__(self, frequency: float, kind: str, order: int, sampling_rate: float) -> None:
+    def __init__(self, frequency: float, kind: _Kind, order: int, sampling_rate: float) -> None:
         from scipy.signal import butter
 
         self._sections: Any = butter(order, frequency, kind, fs=sampling_rate, output="sos")
@@ -138,5 +141,6 @@ class _Cut:
         return np.asarray(out, dtype=np.float64)
 
 
-def _cuts(end: Electronics) -> list[tuple[float, str]]:
-    return [(f, kind) for f, kind in ((end.low_cut, "highpass"), (end.high_cut, "lowpass")) if f is not None]
+def _cuts(end: Electronics) -> list[tuple[float, _Kind]]:
+    kinds: tuple[tuple[float | None, _Kind], ...] = ((end.low_cut, "highpass"), (end.high_cut, "lowpass"))
+    return [(frequency, kind) for frequency, kind in kinds if frequency is not None]

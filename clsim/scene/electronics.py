@@ -58,8 +58,8 @@ class Electronics:
     Notes
     -----
     A ratio to the level of the recording itself would need the whole recording before its first sample is known;
-    recordings are made piece by piece in bounded memory, so the level is told beforehand. (Render once without noise to
-    learn it.) The converter rounds to whole steps ``2 full_scale / 2^bits``, from ``-2^(bits-1)`` to ``2^(bits-1) - 1``.
+    recordings are made piece by piece in bounded memory, so the level is told beforehand: render once without noise
+    to learn it. The converter rounds to whole steps ``2 full_scale / 2^bits``, from ``-2^(bits-1)`` to ``2^(bits-1) - 1``.
 
     Examples
     --------

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from clsim.scene.waveforms import Waveform
-
 if TYPE_CHECKING:
     from clsim.arrays import Floats
+    from clsim.scene.waveforms import Waveform
 
 _BLOCK = 8192  # samples of a filtered signal that are made at a time
 _CACHED = 64  # blocks kept

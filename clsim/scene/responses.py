@@ -39,9 +39,9 @@ class Resonance:
     def taps(self, sampling_rate: float) -> Floats:
         """Return the impulse response.
 
-        With three samples a period or more the response is the band-pass's own, phase included, at both -6 dB points, within
-        0.05 dB and 1 degree between them and within 5 dB everywhere. With fewer, magnitudes are its own everywhere
-        and the phase is the least, which is early by up to half a sample.
+        With three samples a period or more the response is the band-pass's own, phase included, at both -6 dB points,
+        and within 0.05 dB and 2 degrees between them. With fewer, magnitudes are its own everywhere and the phase is
+        the least, which is early by up to half a sample.
         """
         top = self.frequency + self.width
         if top > 0.5 * sampling_rate:

@@ -104,8 +104,8 @@ class Transducer:
             extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
             raise InputError(
                 "transducer",
-                f"must be known over the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, but is "
-                f"known from {low:.6g} to {high:.6g} Hz; measure more of it, narrow the signal (fade, window){extend}",
+                f"must be known over the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
+                f"but is known from {low:.6g} to {high:.6g} Hz; measure more of it, narrow the signal (fade, window){extend}",
             )
 
     @classmethod
