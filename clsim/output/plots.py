@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _RANGE_DB = 75.0  # shown below the loudest
 _DPI = 130
-_REFERENCES = {"Pa": ("20 µPa", 0.0), "V": ("1 V", np.float32(20.0 * np.log10(20e-6)))}  # levels come re 20e-6
+_REFERENCES = {"Pa": ("20 µPa", 0.0), "V": ("1 V", -93.9794)}  # levels come re 20e-6
 _DIRECT = "#c1272d"
 _REFLECTED = "#1f77b4"
 _OVERLAYS = ("#ffffff", "#4dd0e1", "#a5e887", "#8ab4ff", "#ffe680")  # seen on magma, black below them
@@ -69,7 +69,7 @@ def spectrogram(
     low, high = band or (0.0, 0.5 * sampling_rate)
     raster = levels(pressure, sampling_rate, (low, high), segment)
     against, offset = _REFERENCES[unit]
-    level = raster.level + offset
+    level = raster.level + np.float32(offset)
     peak = float(level.max())
     figure, axes = _figure(5.0)
     axes.grid(visible=False)

@@ -59,7 +59,8 @@ class Electronics:
     -----
     A ratio to the level of the recording itself would need the whole recording before its first sample is known;
     recordings are made piece by piece in bounded memory, so the level is told beforehand: render once without noise
-    to learn it. The converter rounds to whole steps ``2 full_scale / 2^bits``, from ``-2^(bits-1)`` to ``2^(bits-1) - 1``.
+    to learn it. The converter rounds to whole steps of ``2 full_scale / 2^bits``, from ``-2^(bits-1)`` of them to
+    ``2^(bits-1) - 1``.
 
     Examples
     --------

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _SHORTEST, _LONGEST = 2**14, 2**20  # points of the spectrum from which taps are made
 _REST = 1e-10  # share of energy in what is cut off behind
-_BEFORE = 1e-4  # share of energy before 0 s that is cut off without complaint
+_BEFORE = 1e-3  # share of energy before 0 s that is cut off without complaint
 _NOTHING = 1e-4  # of the peak, what a magnitude falls to where there is nothing
 _EASY = 0.33  # of the sampling rate, up to which a resonance is rendered with its own phase
 _EDGE = 0.1  # of the edge's frequency, over which it falls there

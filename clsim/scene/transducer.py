@@ -105,7 +105,7 @@ class Transducer:
             raise InputError(
                 "transducer",
                 f"must be known over the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
-                f"but is known from {low:.6g} to {high:.6g} Hz; measure more of it, narrow the signal (fade, window){extend}",
+                f"but is known from {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}",
             )
 
     @classmethod
