@@ -98,7 +98,9 @@ def test_impulse_response_is_what_was_given(tmp_path: Path, rng: np.random.Gener
     made = Transducer.from_impulse_response(taps, RATE)
     np.testing.assert_array_equal(made.impulse_response(RATE), taps.astype(np.float64))
     soundfile.write(tmp_path / "h.wav", 0.1 * taps / 5.0, int(RATE), subtype="FLOAT")
-    np.testing.assert_allclose(Transducer.from_wav(tmp_path / "h.wav", scale=50.0).impulse_response(RATE), taps, rtol=1e-6)
+    np.testing.assert_allclose(
+        Transducer.from_wav(tmp_path / "h.wav", scale=50.0).impulse_response(RATE), taps, rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("rate", [192e3, 384e3])
