@@ -245,7 +245,9 @@ def _draw(plan: Plan, table: PathTable, sounds: list[Path], folder: Path, names:
         for r, (sound, name) in enumerate(zip(sounds, names, strict=True)):
             made += [folder / f"{name}_spectrogram.png", folder / f"{name}_echogram.png"]
             title = plan.tracks.receiver_names[r]
-            spectrogram(_SoundFile(sound), plan.sampling_rate, made[-2], title=title, band=_shown_band(plan))
+            spectrogram(
+                _SoundFile(sound), plan.sampling_rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r]
+            )
             echogram(table, r, 0, made[-1])
             advance(1)
     return made

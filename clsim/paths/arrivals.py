@@ -136,7 +136,7 @@ def _gain(
 ) -> Floats:
     """Return spreading, air, walls and beams at the signal's centre frequency, (P, T)."""
     source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
-    frequency, c = source.signal.centre_frequency, scene.air.sound_speed
+    frequency, c = source.emitted.centre_frequency, scene.air.sound_speed
     decibel = scene.air.absorption(frequency) * (distance - 1.0)
     gain = group.reflection[:, None] * 10 ** (-decibel / 20) / distance
     if not isinstance(source.directivity, Omni):

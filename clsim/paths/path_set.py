@@ -70,7 +70,7 @@ class PathSet:
 
     def _reflections(self, source: int) -> Floats:
         """Return the product of reflection factors of every path at the source's centre frequency."""
-        frequency = self.scene.sources[source].signal.centre_frequency
+        frequency = self.scene.sources[source].emitted.centre_frequency
         factors = np.append(self.scene.room.reflections(frequency), 1.0)  # -1 stands for no wall
         return np.asarray(np.prod(factors[self.walls], axis=1))
 

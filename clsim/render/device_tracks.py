@@ -65,7 +65,7 @@ class DeviceTracks:
             self._knot_rates.append(
                 knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
             )
-        frequencies = [s.signal.centre_frequency for s in scene.sources]
+        frequencies = [s.emitted.centre_frequency for s in scene.sources]
         c = scene.air.sound_speed
         self._source_beams = [
             self._upload(_beam_cells(s.directivity, f, c)) for s, f in zip(scene.sources, frequencies, strict=True)
@@ -88,9 +88,12 @@ class DeviceTracks:
             reflection[here] = np.where(slots.filling[here], 0.0, paths.reflection[rows])
             receiver_of[here] = i
         rate = plan.sampling_rate
-        longest = max(self._tracks.delay_range(i, start / rate, (start + length) / rate)[1].max() for i in slots.groups)
+        ranges = [self._tracks.delay_range(i, start / rate, (start + length) / rate) for i in slots.groups]
+        longest = max(float(high.max()) for _, high in ranges)
+        shortest = min(0.0, *(float(low.min()) for low, _ in ranges))  # below 0 s by a receiver's own clock
         knots, first = motion_knots(
-            scene.sources[source], start / rate - 1.01 * longest - 0.05, (start + length) / rate + 0.05,
+            scene.sources[source], start / rate - longest - 0.01 * abs(longest) - 0.05,
+            (start + length) / rate - shortest + 0.05,
             self._knot_rates[source],
         )  # fmt: skip
         images = tuple(self._upload(a) for a in (matrix, offset, reflection, receiver_of))
@@ -112,7 +115,7 @@ class DeviceTracks:
         receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
         beams = [self._receiver_tables[chunk.source][r] for r in slots.receiver]
         kernel = self._compiler.kernel("tracks", self._constants(chunk.source, block))
-        nepers = float(scene.air.absorption(source.signal.centre_frequency)) * math.log(10.0) / 20.0
+        nepers = float(scene.air.absorption(source.emitted.centre_frequency)) * math.log(10.0) / 20.0
         kernel(
             self._queue, (slots.count, walks), None, *chunk.images,
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
@@ -147,13 +150,15 @@ class DeviceTracks:
         }
 
     def _receivers_at(self, slots: Slots, times: Floats) -> Floats:
-        """Return position, velocity and axis of the batch's receivers at the nodes, (receivers, nodes, 9)."""
-        out = np.empty((len(slots.groups), len(times), 9))
+        """Return position, velocity, axis and clock of the batch's receivers at the nodes, (receivers, nodes, 11)."""
+        out = np.empty((len(slots.groups), len(times), 11))
         for i, r in enumerate(slots.receiver):
             receiver = self._tracks.scene.receivers[r]
-            out[i, :, :3] = receiver.trajectory.position(times)
-            out[i, :, 3:6] = receiver.trajectory.velocity(times)
-            out[i, :, 6:] = rotate(receiver.orientation(times), _AXIS)
+            ahead = receiver.clock_ahead(times)
+            out[i, :, :3] = receiver.trajectory.position(times + ahead)
+            out[i, :, 3:6] = receiver.trajectory.velocity(times + ahead)
+            out[i, :, 6:9] = rotate(receiver.orientation(times + ahead), _AXIS)
+            out[i, :, 9], out[i, :, 10] = ahead, receiver.pace
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:

@@ -13,9 +13,9 @@ from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.path_set import PathSet
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.tracks import Tracks, track
+from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.render.transition import DEFAULT_TRANSITION
-from clsim.scene.scene import Scene
+from clsim.scene.scene import Receiver, Scene
 from clsim.scene.signal import Signal
 
 if TYPE_CHECKING:
@@ -104,6 +104,16 @@ class Plan:
         """Number of receivers."""
         return len(self.tracks.receiver_names)
 
+    @property
+    def receivers(self) -> tuple[Receiver, ...]:
+        """The scene's receivers; none for tracks computed elsewhere."""
+        return tuple(self.tracks.scene.receivers) if isinstance(self.tracks, SceneTracks) else ()
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each receiver's samples: Pa, or V."""
+        return tuple(r.unit for r in self.receivers) or ("Pa",) * self.receiver_count
+
     def longest_delay(self, source: int) -> float:
         """Return a bound on the delays of a source over the whole run, s."""
         bounds = [
@@ -127,6 +137,11 @@ class Plan:
                 f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
                 f"{e.bank.error_db:.1f} dB; share of the signal above: {removed}"
             )
+        for i, r in enumerate(self.receivers):
+            if r.electronics is not None or r.transducer is not None:
+                name = "" if r.transducer is None else f"; transducer {r.transducer.name or 'without a name'}"
+                what = "ideal" if r.electronics is None else r.electronics.describe(r.unit)
+                lines.append(f"receiver {i}: recorded in {r.unit}{name}; {what}")
         return lines
 
 
@@ -149,8 +164,10 @@ def plan_render(
         raise InputError("scene", f"must be a Scene, but is {scene!r:.80}")
     if isinstance(paths, PathSet) and paths.scene is not scene:
         raise InputError("paths", "must be those of the scene that is rendered, but belong to another one")
+    rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+    ringing = _check_receivers(scene, rate)
     return plan_tracks(
-        [source.signal for source in scene.sources],
+        [source.emitted for source in scene.sources],
         track(paths, motion=motion, amplitude=amplitude, transition=transition),
         sampling_rate,
         starts=[source.start for source in scene.sources],
@@ -159,6 +176,7 @@ def plan_render(
         device=device,
         duration=duration,
         chunk=chunk,
+        ringing=ringing,
     )
 
 
@@ -173,8 +191,9 @@ def plan_tracks(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    ringing: float = 0.0,
 ) -> Plan:
-    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`."""
+    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`; receivers ring on, s."""
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
     as_choice("engine", engine, ENGINES)
     interpolator = Bandlimited() if interpolator is None else interpolator
@@ -188,7 +207,7 @@ def plan_tracks(
     if len(signals) != tracks.source_count:
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
-    samples = _samples(signals, starts, tracks, rate, duration)
+    samples = _samples(signals, starts, tracks, rate, duration, ringing)
     emissions = tuple(
         _emission(i, signal, start, interpolator, tracks, rate)
         for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
@@ -197,8 +216,28 @@ def plan_tracks(
     return Plan(tracks, emissions, interpolator, rate, samples, _chunk(draft, chunk), engine, device)
 
 
+def _check_receivers(scene: Scene, rate: float) -> float:
+    """Check that transducers and electronics work at the sampling rate; return how long a receiver rings, s."""
+    longest = 0
+    for i, receiver in enumerate(scene.receivers):
+        try:
+            if receiver.transducer is not None:
+                longest = max(longest, len(receiver.transducer.impulse_response(rate)) - 1)
+            if receiver.electronics is not None:
+                receiver.electronics.check_rate(rate)
+        except InputError as error:
+            inside = "" if error.field.startswith("transducer") else ".electronics"
+            raise error.within(f"receivers[{i}]{inside}") from error
+    return longest / rate
+
+
 def _samples(
-    signals: Sequence[Signal], starts: Sequence[float], tracks: Tracks, rate: float, duration: float | None
+    signals: Sequence[Signal],
+    starts: Sequence[float],
+    tracks: Tracks,
+    rate: float,
+    duration: float | None,
+    ringing: float,
 ) -> int:
     """Return the length: as asked, or until all that was emitted has been heard."""
     last = tracks.last_time()
@@ -208,7 +247,7 @@ def _samples(
         tail = max(
             (float(tracks.delay_range(i, known, known)[1].max()) for i in range(len(tracks.groups))), default=0.0
         )
-        duration = min(last, end + tail)
+        duration = min(last, end + tail + ringing)
     else:
         duration = as_number("duration", duration, above=0.0, unit="s")
         if duration > last * (1 + 1e-12) + 0.5 / rate:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic import Discriminator, Field, Tag, ValidationError
 
 from clsim.errors import InputError
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
@@ -20,30 +19,17 @@ from clsim.scene.directivity import Cardioid, Directivity, Omni, Piston, named_d
 from clsim.scene.material import Material
 from clsim.scene.room import Shoebox
 from clsim.scene.scene import Receiver, Scene, Source
-from clsim.scene.signal import Signal
-from clsim.scene.trajectory import Trajectory
-
-T = TypeVar("T")
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+from clsim.scene_file.model import Model, Vector, within
+from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
+from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
 
 
-class _Model(BaseModel):
-    """Unknown keys, texts for numbers, NaN and infinity are errors."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-    def arguments(self) -> dict[str, Any]:
-        """Return the fields as arguments of the constructor: all but the kind."""
-        return {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
-
-
-class _Absorption(_Model):
+class _Absorption(Model):
     frequencies: list[float]
     coefficients: list[float]
 
 
-class _Material(_Model):
+class _Material(Model):
     reflection: float | None = None
     named: str | None = None
     absorption: _Absorption | None = None
@@ -61,10 +47,10 @@ class _Material(_Model):
             return Material.from_reflection(factor)
         if self.named is not None:
             return Material.named(self.named)
-        return _within("absorption", lambda: Material.from_absorption(**given["absorption"]))
+        return within("absorption", lambda: Material.from_absorption(**given["absorption"]))
 
 
-class _Walls(_Model):
+class _Walls(Model):
     default: _Material | None = None
     x_min: _Material | None = None
     x_max: _Material | None = None
@@ -75,7 +61,7 @@ class _Walls(_Model):
 
     def build(self) -> dict[str, Material]:
         given = {name: material for name, material in self.arguments().items() if material is not None}
-        return {name: _within(name, material.build) for name, material in given.items()}
+        return {name: within(name, material.build) for name, material in given.items()}
 
 
 def _walls_kind(value: Any) -> str:
@@ -83,7 +69,7 @@ def _walls_kind(value: Any) -> str:
     return "walls" if keys & set(_Walls.model_fields) else "material"
 
 
-class _Room(_Model):
+class _Room(Model):
     kind: Literal["shoebox"]
     size: Vector
     walls: Annotated[
@@ -92,164 +78,24 @@ class _Room(_Model):
 
     def build(self) -> Shoebox:
         walls: Any = self.walls
-        return Shoebox(np.array(self.size), _within("walls", walls.build))
+        return Shoebox(np.array(self.size), within("walls", walls.build))
 
 
-class _Air(_Model):
+class _Air(Model):
     temperature_celsius: float = 20.0
     relative_humidity: float = 0.5
     pressure: float = 101_325.0
     speed_of_sound: float | Literal["iso9613"] | None = None
 
 
-class _Tone(_Model):
-    kind: Literal["tone"]
-    frequency: float
-    duration: float
-    sampling_rate: float
-    amplitude: float = 1.0
-    phase: float = 0.0
-    fade: float = 0.0
-
-    def build(self, base: Path) -> Signal:
-        return Signal.tone(**self.arguments())
-
-
-class _Chirp(_Model):
-    kind: Literal["chirp"]
-    start: float
-    stop: float
-    duration: float
-    sampling_rate: float
-    method: Literal["linear", "exponential"] = "linear"
-    window: Literal["none", "tukey", "hann"] = "none"
-    amplitude: float = 1.0
-
-    def build(self, base: Path) -> Signal:
-        return Signal.chirp(**self.arguments())
-
-
-class _Noise(_Model):
-    kind: Literal["noise"]
-    duration: float
-    sampling_rate: float
-    seed: int
-    band: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
-    rms: float = 1.0
-
-    def build(self, base: Path) -> Signal:
-        return Signal.noise(**self.arguments())
-
-
-class _Sequence(_Model):
-    kind: Literal["sequence"]
-    sequence: Literal["mls", "gold"] = "mls"
-    carrier: float
-    chip_rate: float
-    sampling_rate: float
-    bits: int = 10
-    code: int = 0
-    repeats: int = 1
-    rolloff: float = 0.5
-    amplitude: float = 1.0
-
-    def build(self, base: Path) -> Signal:
-        arguments = self.arguments()
-        return Signal.sequence(kind=arguments.pop("sequence"), **arguments)
-
-
-class _Wav(_Model):
-    kind: Literal["wav"]
-    path: str
-    channel: int = 0
-    scale: float = 1.0
-
-    def build(self, base: Path) -> Signal:
-        return Signal.from_wav(base / self.path, channel=self.channel, scale=self.scale)
-
-
-_Pulse = Annotated[_Tone | _Chirp | _Noise | _Sequence | _Wav, Field(discriminator="kind")]
-
-
-class _Pulses(_Model):
-    kind: Literal["pulses"]
-    pulse: _Pulse
-    period: float
-    count: int
-
-    def build(self, base: Path) -> Signal:
-        return Signal.pulses(_within("pulse", lambda: self.pulse.build(base)), self.period, self.count)
-
-
-class _Fixed(_Model):
-    kind: Literal["fixed"]
-    position: Vector
-    orientation: Quaternion | None = None
-
-    def build(self, base: Path) -> Trajectory:
-        return Trajectory.fixed(self.position, orientation=self.orientation)
-
-
-class _Line(_Model):
-    kind: Literal["line"]
-    start: Vector
-    end: Vector
-    duration: float
-
-    def build(self, base: Path) -> Trajectory:
-        return Trajectory.line(self.start, self.end, self.duration)
-
-
-class _Circle(_Model):
-    kind: Literal["circle"]
-    center: Vector
-    radius: float
-    period: float
-    duration: float
-    axis: Vector = [0.0, 0.0, 1.0]
-    phase: float = 0.0
-
-    def build(self, base: Path) -> Trajectory:
-        return Trajectory.circle(**self.arguments())
-
-
-class _Waypoints(_Model):
-    kind: Literal["waypoints"]
-    times: list[float]
-    positions: list[Vector]
-    orientations: list[Quaternion] | None = None
-    smooth: bool = True
-
-    def build(self, base: Path) -> Trajectory:
-        return Trajectory.waypoints(**self.arguments())
-
-
-class _File(_Model):
-    kind: Literal["file"]
-    path: str
-    format: Literal["tum", "euroc", "csv"]
-    smooth: bool | float = True
-    time_offset: float = 0.0
-    rotate: Quaternion = [0.0, 0.0, 0.0, 1.0]
-    scale: float = 1.0
-    translate: Vector = [0.0, 0.0, 0.0]
-    repair: list[Literal["times", "gaps", "nan", "jumps"]] = []
-    max_speed: float = 20.0
-    max_gap: float | None = None
-
-    def build(self, base: Path) -> Trajectory:
-        arguments = self.arguments()
-        return Trajectory.from_file(base / arguments.pop("path"), **arguments)
-
-
-class _Omni(_Model):
+class _Omni(Model):
     kind: Literal["omni"] = "omni"
 
     def build(self) -> Directivity:
         return Omni()
 
 
-class _Cardioid(_Model):
+class _Cardioid(Model):
     kind: Literal["cardioid"]
     weight: float = 0.5
 
@@ -257,7 +103,7 @@ class _Cardioid(_Model):
         return Cardioid(self.weight)
 
 
-class _Piston(_Model):
+class _Piston(Model):
     kind: Literal["piston"]
     radius: float
 
@@ -265,7 +111,7 @@ class _Piston(_Model):
         return Piston(self.radius)
 
 
-class _Named(_Model):
+class _Named(Model):
     kind: Literal["named"]
     name: str
 
@@ -273,33 +119,47 @@ class _Named(_Model):
         return named_directivity(self.name)
 
 
-_Signal = Annotated[_Tone | _Chirp | _Noise | _Sequence | _Wav | _Pulses, Field(discriminator="kind")]
-_Trajectory = Annotated[_Fixed | _Line | _Circle | _Waypoints | _File, Field(discriminator="kind")]
 _Directivity = Annotated[_Omni | _Cardioid | _Piston | _Named, Field(discriminator="kind")]
 
 
-class _Receiver(_Model):
+class _End(Model):
     name: str
-    trajectory: _Trajectory
+    trajectory: TrajectoryModel
     directivity: _Directivity = _Omni()
     aim: Vector | None = None
+    transducer: TransducerModel | None = None
+
+    def parts(self, base: Path) -> dict[str, Any]:
+        """Return the arguments that sources and receivers share."""
+        model = self.transducer
+        return {
+            "name": self.name,
+            "trajectory": within("trajectory", lambda: self.trajectory.build(base)),
+            "directivity": within("directivity", self.directivity.build),
+            "aim": self.aim,
+            "transducer": None if model is None else within("transducer", lambda: model.build(base)),
+        }
+
+
+class _Receiver(_End):
+    electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> Receiver:
-        trajectory = _within("trajectory", lambda: self.trajectory.build(base))
-        return Receiver(self.name, trajectory, _within("directivity", self.directivity.build), self.aim)
+        model = self.electronics
+        electronics = None if model is None else within("electronics", model.build)
+        return Receiver(**self.parts(base), electronics=electronics)
 
 
-class _Source(_Receiver):
-    signal: _Signal
+class _Source(_End):
+    signal: SignalModel
     start: float = 0.0
 
-    def build(self, base: Path) -> Source:  # type: ignore[override]
-        end = super().build(base)
-        signal = _within("signal", lambda: self.signal.build(base))
-        return Source(end.name, signal, end.trajectory, end.directivity, self.aim, self.start)
+    def build(self, base: Path) -> Source:
+        signal = within("signal", lambda: self.signal.build(base))
+        return Source(**self.parts(base), signal=signal, start=self.start)
 
 
-class _Lagrange(_Model):
+class _Lagrange(Model):
     kind: Literal["lagrange"]
     order: int = 12
 
@@ -307,7 +167,7 @@ class _Lagrange(_Model):
         return Lagrange(self.order)
 
 
-class _TruncatedLagrange(_Model):
+class _TruncatedLagrange(Model):
     kind: Literal["truncated-lagrange"]
     order: int
     length: int
@@ -316,7 +176,7 @@ class _TruncatedLagrange(_Model):
         return TruncatedLagrange(self.order, self.length)
 
 
-class _Bandlimited(_Model):
+class _Bandlimited(Model):
     kind: Literal["bandlimited"] = "bandlimited"
     error_db: float = -90.0
 
@@ -327,11 +187,11 @@ class _Bandlimited(_Model):
 _Interpolator = Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")]
 
 
-class _Paths(_Model):
+class _Paths(Model):
     max_order: int
 
 
-class _Render(_Model):
+class _Render(Model):
     sampling_rate: float
     interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = _Bandlimited()
     motion: Literal["retarded", "quasi-static"] = "retarded"
@@ -342,7 +202,7 @@ class _Render(_Model):
     chunk: int | None = None
 
 
-class SceneModel(_Model):
+class SceneModel(Model):
     """A whole scene file."""
 
     format: Annotated[int, Field(ge=1, le=1)]
@@ -415,13 +275,13 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
         raise _explain(error, content) from error
-    sources = [_within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
-    receivers = [_within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
-    room = _within("room", model.room.build)
-    air = _within("air", lambda: Air(**model.air.arguments()))
+    sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
+    receivers = [within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
+    room = within("room", model.room.build)
+    air = within("air", lambda: Air(**model.air.arguments()))
     scene = Scene(room, air, sources, receivers, model.min_distance)
     arguments = model.render.arguments()
-    arguments["interpolator"] = _within("render.interpolator", model.render.interpolator.build)
+    arguments["interpolator"] = within("render.interpolator", model.render.interpolator.build)
     return SceneFile(scene, model.paths.max_order, arguments, model, base)
 
 
@@ -442,7 +302,8 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
     content = file.model.model_dump(exclude_none=True, warnings=False)
     content["render"] |= resolved
     for end in [*content["sources"], *content["receivers"]]:
-        for part in (end["trajectory"], end.get("signal", {}), end.get("signal", {}).get("pulse", {})):
+        signal = end.get("signal", {})
+        for part in (end["trajectory"], end.get("transducer", {}), signal, signal.get("pulse", {})):
             if "path" in part:
                 part["path"] = Path(os.path.relpath(file.base / part["path"], folder)).as_posix()
     return tomli_w.dumps(content)
@@ -451,13 +312,6 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
 def scene_schema() -> dict[str, Any]:
     """Return the JSON schema of scene files, for editors."""
     return SceneModel.model_json_schema()
-
-
-def _within(parent: str, build: Callable[[], T]) -> T:
-    try:
-        return build()
-    except InputError as error:
-        raise error.within(parent) from error
 
 
 def _explain(error: ValidationError, content: Any) -> InputError:
@@ -489,10 +343,11 @@ def _explain(error: ValidationError, content: Any) -> InputError:
 def _choices(field: str) -> str:
     """Return the kinds that a field can be of."""
     unions: dict[str, Any] = {
-        "trajectory": _Trajectory,
-        "signal": _Signal,
+        "trajectory": TrajectoryModel,
+        "signal": SignalModel,
         "directivity": _Directivity,
-        "pulse": _Pulse,
+        "pulse": PulseModel,
+        "transducer": TransducerModel,
     }
     union = unions.get(field.rpartition(".")[2], _Interpolator)
     members = get_args(get_args(union)[0])
