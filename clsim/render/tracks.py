@@ -214,13 +214,14 @@ class SampledTracks(Tracks):
         """Return the splines' values; outside a path's stretch continued from its nearer end, where it is not heard."""
         shape = (len(self.groups[group]), len(times))
         delay, rate, gain = np.empty(shape), np.empty(shape), np.empty(shape)
-        step = times[1] - times[0] if len(times) > 1 else 0.0  # a node next to the stretch continues the gain's slope
+        # The gain's slope goes on through the transition, and to the next node.
+        reach = max(0.5 * self.transition, times[1] - times[0] if len(times) > 1 else 0.0)
         for which, spline in self.splines[group]:
             inside = np.clip(times, spline.x[0], spline.x[-1])
             values, slopes = spline(inside), spline(inside, 1)
             delay[which] = values[:, :, 0].T + slopes[:, :, 0].T * (times - inside)
             rate[which] = slopes[:, :, 0].T
-            gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -step, step)
+            gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -reach, reach)
         if rows is None:
             return delay, rate, gain
         return delay[rows], rate[rows], gain[rows]
