@@ -9,76 +9,19 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-import numpy as np
-from pydantic import Discriminator, Field, Tag, ValidationError
+from pydantic import Field, ValidationError
 
 from clsim.errors import InputError
+from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.air import Air
 from clsim.scene.directivity import Cardioid, Directivity, Omni, Piston, named_directivity
-from clsim.scene.material import Material
-from clsim.scene.room import Shoebox
 from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene_file.model import Model, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
+from clsim.scene_file.rooms import RoomModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
-
-
-class _Absorption(Model):
-    frequencies: list[float]
-    coefficients: list[float]
-
-
-class _Material(Model):
-    reflection: float | None = None
-    named: str | None = None
-    absorption: _Absorption | None = None
-
-    def build(self) -> Material:
-        given = self.model_dump(exclude_none=True)
-        if len(given) != 1:
-            raise InputError(
-                "", f"must have one of reflection, named, absorption, but has {', '.join(given) or 'none'}"
-            )
-        if self.reflection is not None:
-            factor = self.reflection
-            if not -1.0 <= factor <= 1.0:
-                raise InputError("reflection", f"must be from -1 to 1, but is {factor:g}")
-            return Material.from_reflection(factor)
-        if self.named is not None:
-            return Material.named(self.named)
-        return within("absorption", lambda: Material.from_absorption(**given["absorption"]))
-
-
-class _Walls(Model):
-    default: _Material | None = None
-    x_min: _Material | None = None
-    x_max: _Material | None = None
-    y_min: _Material | None = None
-    y_max: _Material | None = None
-    z_min: _Material | None = None
-    z_max: _Material | None = None
-
-    def build(self) -> dict[str, Material]:
-        given = {name: material for name, material in self.arguments().items() if material is not None}
-        return {name: within(name, material.build) for name, material in given.items()}
-
-
-def _walls_kind(value: Any) -> str:
-    keys = set(value) if isinstance(value, dict) else set()
-    return "walls" if keys & set(_Walls.model_fields) else "material"
-
-
-class _Room(Model):
-    kind: Literal["shoebox"]
-    size: Vector
-    walls: Annotated[
-        Annotated[_Material, Tag("material")] | Annotated[_Walls, Tag("walls")], Discriminator(_walls_kind)
-    ]
-
-    def build(self) -> Shoebox:
-        walls: Any = self.walls
-        return Shoebox(np.array(self.size), within("walls", walls.build))
 
 
 class _Air(Model):
@@ -189,6 +132,9 @@ _Interpolator = Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(d
 
 class _Paths(Model):
     max_order: int
+    finder: Literal["auto", "beam-tree", "shooting"] = "auto"
+    resolution: float | None = None
+    path_limit: int = DEFAULT_PATH_LIMIT
 
 
 class _Render(Model):
@@ -196,6 +142,7 @@ class _Render(Model):
     interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = _Bandlimited()
     motion: Literal["retarded", "quasi-static"] = "retarded"
     amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
+    transition: float | Literal["gate"] = DEFAULT_TRANSITION
     engine: Literal["opencl", "reference"] = "opencl"
     device: str | None = None
     duration: float | None = None
@@ -207,7 +154,7 @@ class SceneModel(Model):
 
     format: Annotated[int, Field(ge=1, le=1)]
     min_distance: float = 0.01
-    room: _Room
+    room: RoomModel
     air: _Air = _Air()
     sources: list[_Source]
     receivers: list[_Receiver]
@@ -223,8 +170,8 @@ class SceneFile:
     ----------
     scene : Scene
         What it describes.
-    max_order : int
-        For `find_paths`.
+    paths : dict
+        Arguments of `find_paths`, but for the scene.
     render : dict
         Keyword arguments of `render`.
     model : SceneModel
@@ -234,7 +181,7 @@ class SceneFile:
     """
 
     scene: Scene
-    max_order: int
+    paths: dict[str, Any]
     render: dict[str, Any]
     model: SceneModel
     base: Path
@@ -277,12 +224,13 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
         raise _explain(error, content) from error
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
     receivers = [within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
-    room = within("room", model.room.build)
+    room = within("room", lambda: model.room.build(base))
     air = within("air", lambda: Air(**model.air.arguments()))
     scene = Scene(room, air, sources, receivers, model.min_distance)
     arguments = model.render.arguments()
     arguments["interpolator"] = within("render.interpolator", model.render.interpolator.build)
-    return SceneFile(scene, model.paths.max_order, arguments, model, base)
+    search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
+    return SceneFile(scene, search, arguments, model, base)
 
 
 def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
@@ -301,11 +249,13 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
 
     content = file.model.model_dump(exclude_none=True, warnings=False)
     content["render"] |= resolved
+    parts = [content["room"], *content["room"]["obstacles"]]
     for end in [*content["sources"], *content["receivers"]]:
         signal = end.get("signal", {})
-        for part in (end["trajectory"], end.get("transducer", {}), signal, signal.get("pulse", {})):
-            if "path" in part:
-                part["path"] = Path(os.path.relpath(file.base / part["path"], folder)).as_posix()
+        parts += [end["trajectory"], end.get("transducer", {}), signal, signal.get("pulse", {})]
+    for part in parts:
+        if "path" in part:
+            part["path"] = Path(os.path.relpath(file.base / part["path"], folder)).as_posix()
     return tomli_w.dumps(content)
 
 
@@ -348,6 +298,7 @@ def _choices(field: str) -> str:
         "directivity": _Directivity,
         "pulse": PulseModel,
         "transducer": TransducerModel,
+        "room": RoomModel,
     }
     union = unions.get(field.rpartition(".")[2], _Interpolator)
     members = get_args(get_args(union)[0])

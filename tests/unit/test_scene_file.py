@@ -80,7 +80,7 @@ def test_the_file_says_what_the_constructors_say(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(EXAMPLE)
     file = load_scene(tmp_path / "scene.toml")
     robot, beacon = file.scene.sources
-    assert file.max_order == 2
+    assert file.paths["max_order"] == 2
     assert file.render["interpolator"] == clsim.Bandlimited(-90)
     assert robot.directivity == clsim.Piston(0.0047)
     assert beacon.start == 0.01
