@@ -17,12 +17,14 @@ from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.tracks import Tracks, track
 from clsim.scene.air import Air
 from clsim.scene.directivity import Cardioid, Omni, Piston, named_directivity
+from clsim.scene.electronics import Electronics
 from clsim.scene.material import Material
 from clsim.scene.mesh_room import MeshRoom
 from clsim.scene.room import Shoebox
 from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene.signal import Signal
 from clsim.scene.trajectory import Trajectory
+from clsim.scene.transducer import Transducer, named_transducer
 
 __version__ = "0.1.0"
 
@@ -33,6 +35,7 @@ __all__ = [
     "ClsimError",
     "ClsimWarning",
     "DeviceError",
+    "Electronics",
     "InputError",
     "Lagrange",
     "Material",
@@ -48,9 +51,11 @@ __all__ = [
     "Source",
     "Tracks",
     "Trajectory",
+    "Transducer",
     "TruncatedLagrange",
     "find_paths",
     "named_directivity",
+    "named_transducer",
     "plan_render",
     "render",
     "render_chunks",

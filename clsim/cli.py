@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.render.plan import Plan
+    from clsim.scene.scene import Scene
     from clsim.scene_file import SceneFile
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
@@ -74,6 +75,12 @@ def _parser() -> argparse.ArgumentParser:
     paths.add_argument("--limit", type=int, default=40, metavar="ROWS", help="paths listed at most (default: 40)")
     paths.add_argument("-o", "--output", type=Path, metavar="FILE", help="write all of them to a .npz or .parquet file")
 
+    view = _command(commands, "view", _view, "write an interactive page: room, motion, and the paths over time")
+    view.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the scene file)")
+    view.add_argument("--frames", type=int, default=120, metavar="N", help="instants to choose from (default: 120)")
+    view.add_argument("--limit", type=int, default=300, metavar="N", help="strongest paths drawn (default: 300)")
+    view.add_argument("--open", action="store_true", help="open it in a browser")
+
     devices = commands.add_parser("devices", help="list the OpenCL devices of this machine")
     devices.set_defaults(command=_devices)
     schema = commands.add_parser("schema", help="print the JSON schema of scene files, for editors")
@@ -121,13 +128,50 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    _, _, plan = _planned(options.scene, {})
-    for line in plan.describe():
+    file, paths, plan = _planned(options.scene, {})
+    for line in [*_diagnosis(file.scene, paths), *plan.describe()]:
         print(line)
-    for field, item in plan.tracks.scene.named_ends():  # type: ignore[attr-defined]
+    for field, item in file.scene.named_ends():
         for note in item.trajectory.notes:
             print(f"{field}.trajectory: {note}")
     print("the scene file is valid")
+    return 0
+
+
+def _diagnosis(scene: Scene, paths: PathSet) -> list[str]:
+    """Return what a mesh is like, who is inside, and how paths come and go; nothing for a shoebox."""
+    from clsim.scene.mesh_diagnosis import diagnose
+    from clsim.scene.mesh_room import MeshRoom
+
+    if not isinstance(scene.room, MeshRoom):
+        return []
+    lines = diagnose(scene.room)
+    if scene.room.shape.watertight:
+        for field, item in scene.named_ends():
+            inside = bool(scene.room.contains(item.trajectory.position(0.0))[0])
+            lines.append(f"{field}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")
+    always = int(np.sum(np.isneginf(paths.start) & np.isposinf(paths.end)))
+    lines.append(f"paths: {always} are heard all the time; {len(paths) - always} intervals of others begin or end")
+    return lines
+
+
+def _view(options: argparse.Namespace) -> int:
+    import webbrowser
+
+    from clsim.output.view import view_scene
+
+    if options.frames < 1:
+        raise InputError("--frames", f"must be at least 1, but is {options.frames}")
+    _, paths, plan = _planned(options.scene, {})
+    page: Path = options.output or options.scene.with_suffix(".html")
+    with _progress("drawing", options.frames) as advance:
+        view_scene(
+            paths, page, duration=plan.duration, frames=options.frames, limit=options.limit, title=options.scene.stem,
+            motion=plan.tracks.motion, progress=advance,  # type: ignore[attr-defined]
+        )  # fmt: skip
+    print(page)
+    if options.open:
+        webbrowser.open(page.resolve().as_uri())
     return 0
 
 
@@ -143,6 +187,7 @@ def _paths(options: argparse.Namespace) -> int:
         print(options.output)
         return 0
     rows = np.argsort(table.delay[:, 0], kind="stable")
+    rows = rows[np.isfinite(table.delay[rows, 0])]  # those that are heard
     print(f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10} {'doppler':>9}  walls")
     for p in rows[: max(options.limit, 0)]:
         gain = 20 * np.log10(max(abs(table.gain[p, 0]), 1e-30))
@@ -191,8 +236,17 @@ def _planned(path: Path, overrides: dict[str, Any]) -> tuple[SceneFile, PathSet,
     from clsim.scene_file import load_scene
 
     file = load_scene(path)
+    search = file.paths | {name: overrides[name] for name in ("engine", "device") if name in overrides}
     try:
-        paths = find_paths(file.scene, file.max_order)
+        with _progress("finding paths", 1.0) as advance:
+            done = 0.0
+
+            def report(share: float) -> None:
+                nonlocal done
+                advance(share - done)
+                done = share
+
+            paths = find_paths(file.scene, **search, progress=report)
     except InputError as error:
         raise error.within("paths") from error
     try:
@@ -238,14 +292,20 @@ def _table(paths: PathSet, plan: Plan, times: Any) -> PathTable:
 
 def _draw(plan: Plan, table: PathTable, sounds: list[Path], folder: Path, names: list[str]) -> list[Path]:
     """Draw a spectrogram and an echogram for each receiver; return their paths."""
-    from clsim.output.plots import echogram, spectrogram
+    from clsim.output.plots import echogram, history, spectrogram
 
     made = []
     with _progress("drawing", len(names)) as advance:
         for r, (sound, name) in enumerate(zip(sounds, names, strict=True)):
             made += [folder / f"{name}_spectrogram.png", folder / f"{name}_echogram.png"]
+            if not bool(np.isfinite(table.delay).all()):
+                made.append(folder / f"{name}_paths.png")
+                history(table, r, made[-1])
+                made[-3:] = made[-1:] + made[-3:-1]
             title = plan.tracks.receiver_names[r]
-            spectrogram(_SoundFile(sound), plan.sampling_rate, made[-2], title=title, band=_shown_band(plan))
+            spectrogram(
+                _SoundFile(sound), plan.sampling_rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r]
+            )
             echogram(table, r, 0, made[-1])
             advance(1)
     return made

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.errors import InputError
+
 if TYPE_CHECKING:
     from os import PathLike
 
@@ -17,12 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """Sound pressure at every receiver, and what it came from.
+    """What every receiver recorded, and what it came from.
 
     Attributes
     ----------
-    pressure : ndarray (receivers, samples) float32
-        Sound pressure, Pa.
+    samples : ndarray (receivers, samples) float32
+        Sound pressure in Pa, or the voltage of a receiver with a transducer: see `units`.
     sampling_rate : float
         Hz.
     receiver_names : tuple of str
@@ -31,21 +33,59 @@ class Recording:
         The paths that were rendered, with their scene; None for tracks computed elsewhere.
     notes : tuple of str
         What was computed, a line each.
+    units : tuple of str
+        ``"Pa"`` or ``"V"``, one per row; all Pa when left out.
+    clipped : tuple of int
+        How many samples of each row a converter clipped; none when left out.
     """
 
-    pressure: NDArray[np.float32]
+    samples: NDArray[np.float32]
     sampling_rate: float
     receiver_names: tuple[str, ...]
     paths: PathSet | None
     notes: tuple[str, ...]
+    units: tuple[str, ...] = ()
+    clipped: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        count = len(self.receiver_names)
+        object.__setattr__(self, "units", tuple(self.units) or ("Pa",) * count)
+        object.__setattr__(self, "clipped", tuple(self.clipped) or (0,) * count)
+
+    @property
+    def pressure(self) -> NDArray[np.float32]:
+        """Sound pressure (receivers, samples), Pa.
+
+        Raises
+        ------
+        InputError
+            If a receiver has a transducer: its samples are no pressure.
+        """
+        return self._all_in("Pa", "pressure")
+
+    @property
+    def voltage(self) -> NDArray[np.float32]:
+        """Voltage of the receivers' transducers (receivers, samples), V.
+
+        Raises
+        ------
+        InputError
+            If a receiver has none: its samples are sound pressure.
+        """
+        return self._all_in("V", "voltage")
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """Times of the samples, s."""
-        return np.arange(self.pressure.shape[1]) / self.sampling_rate
+        """Times of the samples, s, as told by the receivers' clocks."""
+        return np.arange(self.samples.shape[1]) / self.sampling_rate
+
+    def reception_times(self, receiver: int) -> NDArray[np.float64]:
+        """Return the true times (samples,) at which a receiver took its samples, s; see `Electronics`."""
+        times = self.times
+        return times if self.paths is None else times + self.paths.scene.receivers[receiver].clock_ahead(times)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write a WAV file of 32-bit floats in Pa, one channel per receiver, whole or not at all.
+        """Write a WAV file of 32-bit floats in Pa or V, one channel per receiver, whole or not at all.
 
         Raises
         ------
@@ -54,6 +94,12 @@ class Recording:
         """
         from clsim.output.wav import WavWriter
 
-        channels, samples = self.pressure.shape
+        channels, samples = self.samples.shape
         with WavWriter(path, self.sampling_rate, channels, samples) as writer:
-            writer.write(self.pressure.T)
+            writer.write(self.samples.T)
+
+    def _all_in(self, unit: str, name: str) -> NDArray[np.float32]:
+        for receiver, found in zip(self.receiver_names, self.units, strict=True):
+            if found != unit:
+                raise InputError(name, f"must be in {unit}, but {receiver!r} recorded {found}; take recording.samples")
+        return self.samples

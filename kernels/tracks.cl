@@ -7,7 +7,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const float* reflection,     // [NODES][slots]
                      __global const int* receiver_of,      // [slots]
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
-                     __global const double* receivers,     // [receivers][nodes][9]: position, velocity, axis
+                     __global const double* receivers,     // [receivers][nodes][11]: position, velocity, axis, clock
                      int nodes,                            // blocks + 3, the first one before the run
                      __global const double* knots, int knot_count, double knot_first, double knot_rate,
                      double start,                         // time of the run's first sample, s
@@ -28,27 +28,28 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     const int first = walk * WALK, last = first + WALK < blocks ? first + WALK : blocks;
     const motion path = {knots, knot_count, knot_first, knot_rate, 1.0 / speed_of_sound};
     const triple offset = {image_offset[slot], image_offset[slots + slot], image_offset[2 * slots + slot]};
-    __global const double* row = receivers + ((long)receiver_of[slot] * nodes + first) * 9;
+    __global const double* row = receivers + ((long)receiver_of[slot] * nodes + first) * 11;
     __global const float4* receiver_beam = receiver_beams + receiver_of[slot] * CELLS * NODES;
     const double block_time = (double)BLOCK / sampling_rate;
     const int from = heard_from[slot], until = heard_until[slot];
     window w;
     float error = 0.0f, largest = 0.0f, shortest = 1e30f, longest = -1e30f;
-    for (int n = first; n < last + 3; n++, row += 9) {
+    for (int n = first; n < last + 3; n++, row += 11) {
         const triple position = turned_back(image_matrix, slots, slot, difference(at_row(row), offset));
         const triple velocity = turned_back(image_matrix, slots, slot, at_row(row + 3));
         triple axis = {0.0, 0.0, 0.0};
 #if RECEIVER_BEAM
         axis = turned_back(image_matrix, slots, slot, at_row(row + 6));
 #endif
-        const double time = start + (double)(n - 1) * block_time;
+        // The receiver's clock: its own time, how much later its samples are taken, and true seconds in one of its own.
+        const double time = start + (double)(n - 1) * block_time, ahead = row[9], pace = row[10];
         arrival a;
         if (n == first) {
-            settle(&path, position, velocity, time, &a);
+            settle(&path, position, velocity, time + ahead, &a);
         } else {
             const double rate = n == first + 1 ? w.rate[3] : 1.5 * w.rate[3] - 0.5 * w.rate[2];
-            a.delay = w.delay[3] + block_time * rate;
-            newton_step(&path, position, velocity, time, &a);
+            a.delay = w.delay[3] + block_time * rate + ahead;
+            newton_step(&path, position, velocity, time + ahead, &a);
         }
         for (int i = 0; i < 3; i++) {
             w.delay[i] = w.delay[i + 1];
@@ -56,11 +57,11 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             for (int k = 0; k < FUNCTIONS; k++) w.gain[i][k] = w.gain[i + 1][k];
             w.largest[i] = w.largest[i + 1];
         }
-        w.delay[3] = a.delay;
-        w.rate[3] = a.rate;
+        w.delay[3] = a.delay - ahead;
+        w.rate[3] = a.rate * pace - (pace - 1.0);
         w.largest[3] = path_gains(&a, speed_of_sound, reflection + slot, slots, nepers, projection, axis, source_beam,
                                   receiver_beam, w.gain[3]);
-        const float delay_now = (float)a.delay;
+        const float delay_now = (float)w.delay[3];
         shortest = delay_now < shortest ? delay_now : shortest;
         longest = delay_now > longest ? delay_now : longest;
         if (n < first + 3) continue;
@@ -68,7 +69,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         write_block(&w, n - 3, slots, slot, sampling_rate, late, heard, delay, cubics);
         if (!heard) continue;
         largest = w.largest[3] > largest ? w.largest[3] : largest;
-        if (time - a.delay >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
+        if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
             const float squared = block_error_squared(&w, angular_frequency, block_time);
             error = squared > error ? squared : error;
         }

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _RANGE_DB = 75.0  # shown below the loudest
 _DPI = 130
+_REFERENCES = {"Pa": ("20 µPa", 0.0), "V": ("1 V", -93.9794)}  # levels come re 20e-6
 _DIRECT = "#c1272d"
 _REFLECTED = "#1f77b4"
 _OVERLAYS = ("#ffffff", "#4dd0e1", "#a5e887", "#8ab4ff", "#ffe680")  # seen on magma, black below them
@@ -43,6 +44,7 @@ def spectrogram(
     band: tuple[float, float] | None = None,
     overlay: list[tuple[Floats, Floats, str]] | None = None,
     segment: int | None = None,
+    unit: str = "Pa",
 ) -> None:
     """Draw level over time and frequency.
 
@@ -62,16 +64,20 @@ def spectrogram(
         Curves drawn over it, s and Hz.
     segment : int, optional
         Samples of a window; chosen from the band when left out.
+    unit : {"Pa", "V"}
+        Of the samples; levels are told re 20 µPa or 1 V.
     """
     low, high = band or (0.0, 0.5 * sampling_rate)
     raster = levels(pressure, sampling_rate, (low, high), segment)
-    peak = float(raster.level.max())
+    against, offset = _REFERENCES[unit]
+    level = raster.level + np.float32(offset)
+    peak = float(level.max())
     figure, axes = _figure(5.0)
     axes.grid(visible=False)
     kilo = 1e3 if high >= 2e3 else 1.0
     milli = 1e3 if raster.duration < 0.5 else 1.0
     shown = axes.imshow(
-        raster.level, origin="lower", aspect="auto", cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
+        level, origin="lower", aspect="auto", cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
         extent=(0.0, raster.duration * milli, raster.low / kilo, raster.high / kilo),
     )  # fmt: skip
     for k, (times, frequencies, label) in enumerate(overlay or []):
@@ -85,7 +91,7 @@ def spectrogram(
         xlabel="time (ms)" if milli > 1.0 else "time (s)", ylabel="frequency (kHz)" if kilo > 1.0 else "frequency (Hz)",
         title=title, xlim=(0.0, raster.duration * milli), ylim=(low / kilo, high / kilo),
     )  # fmt: skip
-    figure.colorbar(shown, pad=0.015, aspect=30).set_label("level (dB re 20 µPa)", fontsize=12)
+    figure.colorbar(shown, pad=0.015, aspect=30).set_label(f"level (dB re {against})", fontsize=12)
     _save(figure, path)
 
 
@@ -172,6 +178,7 @@ def envelope(
     *,
     title: str,
     arrivals: list[tuple[float, str, bool]],
+    unit: str = "Pa",
 ) -> None:
     """Draw the Hilbert envelope over time, with the predicted arrivals.
 
@@ -187,6 +194,8 @@ def envelope(
         Above the picture.
     arrivals : list of (time, label, direct)
         Predicted times, s.
+    unit : str
+        Of the samples.
     """
     from scipy.fft import next_fast_len
     from scipy.signal import hilbert
@@ -202,7 +211,7 @@ def envelope(
             linestyle="-" if direct else "--", label=label if label not in seen else None,
         )  # fmt: skip
         seen.add(label)
-    axes.set(xlabel="time (ms)", ylabel="envelope (Pa)", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
+    axes.set(xlabel="time (ms)", ylabel=f"envelope ({unit})", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
     if arrivals:
         axes.legend(loc="upper right", framealpha=0.9)
     _save(figure, path)

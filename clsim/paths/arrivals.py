@@ -143,7 +143,7 @@ def arrivals(
     stretch = (1.0 - mach) ** -MACH_EXPONENT[amplitude] if retarded else np.ones_like(mach)
     rate = (receding - mach) / (1.0 - mach) if retarded else receding - mach
     found = Arrivals(delay, rate, np.empty(0), departure, arrival, distance, emitted, stretch)
-    gain = responses(scene, group, found, times, np.array([source.signal.centre_frequency]))[..., 0]
+    gain = responses(scene, group, found, times, np.array([source.emitted.centre_frequency]))[..., 0]
     return replace(found, gain=gain)
 
 

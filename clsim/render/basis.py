@@ -99,7 +99,9 @@ def chebyshev_points(low: float, high: float, count: int) -> Floats:
     return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle))
 
 
-def scene_basis(tracks: SceneTracks, source: int, band: Band, until: float, sampling_rate: float, error_db: float) -> Basis:
+def scene_basis(
+    tracks: SceneTracks, source: int, band: Band, until: float, sampling_rate: float, error_db: float
+) -> Basis:
     """Return the fewest functions that hold the responses of a source's paths within an error.
 
     Parameters
@@ -193,7 +195,9 @@ def _sampled(
         if not chance.any():
             continue
         share = -(-count // len(groups))
-        chosen = rng.choice(len(chance), min(share, int(np.count_nonzero(chance))), replace=False, p=chance / chance.sum())
+        chosen = rng.choice(
+            len(chance), min(share, int(np.count_nonzero(chance))), replace=False, p=chance / chance.sum()
+        )
         p, t = np.unravel_index(chosen, level.shape)
         for at in np.unique(t):
             mine = p[t == at]

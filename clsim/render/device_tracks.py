@@ -93,9 +93,12 @@ class DeviceTracks:
             reflection[:, here] = np.where(slots.filling[here], 0.0, paths.part(rows).reflections(scene, basis.nodes).T)
             receiver_of[here] = i
         rate = plan.sampling_rate
-        longest = max(self._tracks.delay_range(i, start / rate, (start + length) / rate)[1].max() for i in slots.groups)
+        ranges = [self._tracks.delay_range(i, start / rate, (start + length) / rate) for i in slots.groups]
+        longest = max(float(high.max()) for _, high in ranges)
+        shortest = min(0.0, *(float(low.min()) for low, _ in ranges))  # below 0 s by a receiver's own clock
         knots, first = motion_knots(
-            scene.sources[source], start / rate - 1.01 * longest - 0.05, (start + length) / rate + 0.05,
+            scene.sources[source], start / rate - longest - 0.01 * abs(longest) - 0.05,
+            (start + length) / rate - shortest + 0.05,
             self._knot_rates[source],
         )  # fmt: skip
         images = tuple(self._upload(a) for a in (matrix, offset, reflection, receiver_of))
@@ -152,13 +155,15 @@ class DeviceTracks:
         }
 
     def _receivers_at(self, slots: Slots, times: Floats) -> Floats:
-        """Return position, velocity and axis of the batch's receivers at the nodes, (receivers, nodes, 9)."""
-        out = np.empty((len(slots.groups), len(times), 9))
+        """Return position, velocity, axis and clock of the batch's receivers at the nodes, (receivers, nodes, 11)."""
+        out = np.empty((len(slots.groups), len(times), 11))
         for i, r in enumerate(slots.receiver):
             receiver = self._tracks.scene.receivers[r]
-            out[i, :, :3] = receiver.trajectory.position(times)
-            out[i, :, 3:6] = receiver.trajectory.velocity(times)
-            out[i, :, 6:] = rotate(receiver.orientation(times), _AXIS)
+            ahead = receiver.clock_ahead(times)
+            out[i, :, :3] = receiver.trajectory.position(times + ahead)
+            out[i, :, 3:6] = receiver.trajectory.velocity(times + ahead)
+            out[i, :, 6:9] = rotate(receiver.orientation(times + ahead), _AXIS)
+            out[i, :, 9], out[i, :, 10] = ahead, receiver.pace
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:

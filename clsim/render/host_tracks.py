@@ -63,7 +63,11 @@ class HostTracks:
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
             made[:, 4:] = np.where(heard.T[:, None], made[:, 4:], 0.0)
             cubics[:, :, here] = made
-            np.maximum(error, _by_segment(np.where(heard, wrong, 0.0), np.abs(gain).sum(axis=0)[:, 1:-2] * heard, block), out=error)
+            np.maximum(
+                error,
+                _by_segment(np.where(heard, wrong, 0.0), np.abs(gain).sum(axis=0)[:, 1:-2] * heard, block),
+                out=error,
+            )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
         return HostNodes(self._upload(whole), self._upload(cubics), error, shortest, longest)
 

@@ -16,7 +16,7 @@ from clsim.render.basis import Basis, band_of, flat_basis, scene_basis
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.render.transition import DEFAULT_TRANSITION
-from clsim.scene.scene import Scene
+from clsim.scene.scene import Receiver, Scene
 from clsim.scene.signal import Signal
 
 if TYPE_CHECKING:
@@ -114,7 +114,11 @@ class Plan:
         rows = max(len(e.bank.taps) for e in self.emissions)
         functions = max(len(e.basis) for e in self.emissions)
         rows *= functions
-        per_segment = (20 + 16 * functions) * (SEGMENT // BLOCKS[-1]) * max((len(group) for group in self.tracks.groups), default=0)
+        per_segment = (
+            (20 + 16 * functions)
+            * (SEGMENT // BLOCKS[-1])
+            * max((len(group) for group in self.tracks.groups), default=0)
+        )
         nodes = max(NODE_BUDGET, per_segment)
         paths = self.path_count * 150
         return int(4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths)
@@ -123,6 +127,16 @@ class Plan:
     def receiver_count(self) -> int:
         """Number of receivers."""
         return len(self.tracks.receiver_names)
+
+    @property
+    def receivers(self) -> tuple[Receiver, ...]:
+        """The scene's receivers; none for tracks computed elsewhere."""
+        return tuple(self.tracks.scene.receivers) if isinstance(self.tracks, SceneTracks) else ()
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each receiver's samples: Pa, or V."""
+        return tuple(r.unit for r in self.receivers) or ("Pa",) * self.receiver_count
 
     def longest_delay(self, source: int) -> float:
         """Return a bound on the delays of a source over the whole run, s."""
@@ -149,6 +163,11 @@ class Plan:
             )
             held = f" within {e.basis.error_db:.1f} dB" if np.isfinite(e.basis.error_db) else ""
             lines.append(f"source {i}: {len(e.basis)} functions of frequency carry air, walls and beams{held}")
+        for i, r in enumerate(self.receivers):
+            if r.electronics is not None or r.transducer is not None:
+                name = "" if r.transducer is None else f"; transducer {r.transducer.name or 'without a name'}"
+                what = "ideal" if r.electronics is None else r.electronics.describe(r.unit)
+                lines.append(f"receiver {i}: recorded in {r.unit}{name}; {what}")
         return lines
 
 
@@ -172,8 +191,10 @@ def plan_render(
         raise InputError("scene", f"must be a Scene, but is {scene!r:.80}")
     if isinstance(paths, PathSet) and paths.scene is not scene:
         raise InputError("paths", "must be those of the scene that is rendered, but belong to another one")
+    rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+    ringing = _check_receivers(scene, rate)
     return plan_tracks(
-        [source.signal for source in scene.sources],
+        [source.emitted for source in scene.sources],
         track(paths, motion=motion, amplitude=amplitude, transition=transition),
         sampling_rate,
         starts=[source.start for source in scene.sources],
@@ -183,6 +204,7 @@ def plan_render(
         device=device,
         duration=duration,
         chunk=chunk,
+        ringing=ringing,
     )
 
 
@@ -198,8 +220,9 @@ def plan_tracks(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    ringing: float = 0.0,
 ) -> Plan:
-    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`."""
+    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`; receivers ring on, s."""
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
     as_choice("engine", engine, ENGINES)
     interpolator = Bandlimited() if interpolator is None else interpolator
@@ -213,7 +236,7 @@ def plan_tracks(
     if len(signals) != tracks.source_count:
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
-    samples = _samples(signals, starts, tracks, rate, duration)
+    samples = _samples(signals, starts, tracks, rate, duration, ringing)
     if response_error_db is not None:
         as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
     emissions = []
@@ -226,8 +249,28 @@ def plan_tracks(
     return Plan(tracks, tuple(emissions), interpolator, rate, samples, _chunk(draft, chunk), engine, device)
 
 
+def _check_receivers(scene: Scene, rate: float) -> float:
+    """Check that transducers and electronics work at the sampling rate; return how long a receiver rings, s."""
+    longest = 0
+    for i, receiver in enumerate(scene.receivers):
+        try:
+            if receiver.transducer is not None:
+                longest = max(longest, len(receiver.transducer.impulse_response(rate)) - 1)
+            if receiver.electronics is not None:
+                receiver.electronics.check_rate(rate)
+        except InputError as error:
+            inside = "" if error.field.startswith("transducer") else ".electronics"
+            raise error.within(f"receivers[{i}]{inside}") from error
+    return longest / rate
+
+
 def _samples(
-    signals: Sequence[Signal], starts: Sequence[float], tracks: Tracks, rate: float, duration: float | None
+    signals: Sequence[Signal],
+    starts: Sequence[float],
+    tracks: Tracks,
+    rate: float,
+    duration: float | None,
+    ringing: float,
 ) -> int:
     """Return the length: as asked, or until all that was emitted has been heard."""
     last = tracks.last_time()
@@ -237,7 +280,7 @@ def _samples(
         tail = max(
             (float(tracks.delay_range(i, known, known)[1].max()) for i in range(len(tracks.groups))), default=0.0
         )
-        duration = min(last, end + tail)
+        duration = min(last, end + tail + ringing)
     else:
         duration = as_number("duration", duration, above=0.0, unit="s")
         if duration > last * (1 + 1e-12) + 0.5 / rate:
@@ -271,7 +314,14 @@ def _delay_filters(
 
 
 def _basis(
-    index: int, signal: Signal, high: float, tracks: Tracks, until: float, rate: float, error_db: float | None, engine: str
+    index: int,
+    signal: Signal,
+    high: float,
+    tracks: Tracks,
+    until: float,
+    rate: float,
+    error_db: float | None,
+    engine: str,
 ) -> Basis:
     """Return the functions of frequency that a source's paths need."""
     if error_db is None or not isinstance(tracks, SceneTracks):

@@ -67,5 +67,7 @@ def _sum_paths(plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: F
     for p in range(len(emitted)):
         if np.any(gain[:, p]):
             seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
-            total += np.einsum("nk,fnk,fn->n", plan.interpolator.taps(emission.bank, mu[p]), seen, gain[:, p], optimize=True)
+            total += np.einsum(
+                "nk,fnk,fn->n", plan.interpolator.taps(emission.bank, mu[p]), seen, gain[:, p], optimize=True
+            )
     return total

@@ -8,6 +8,7 @@ import numpy as np
 
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
+from clsim.render.receiving import Receiving
 from clsim.render.reference import ReferenceEngine
 from clsim.render.tracks import SceneTracks, Tracks
 from clsim.render.transition import DEFAULT_TRANSITION
@@ -74,7 +75,7 @@ def render(
     Returns
     -------
     Recording
-        Sound pressure in Pa, float32.
+        Sound pressure in Pa, float32; volts of receivers with a transducer.
 
     Raises
     ------
@@ -82,6 +83,11 @@ def render(
         If an argument breaks a rule.
     DeviceError
         If there is no OpenCL device, or it fails.
+
+    Warns
+    -----
+    ClsimWarning
+        If a receiver's converter clips.
 
     Notes
     -----
@@ -155,23 +161,30 @@ def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
     ------
     start : int
         First sample of the piece.
-    pressure : ndarray (receivers, n) float32
-        Sound pressure, Pa.
+    samples : ndarray (receivers, n) float32
+        Sound pressure in Pa, or V of receivers with a transducer: see ``plan.units``.
     """
+    receiving = Receiving(plan)
+    yield from _pieces(plan, receiving)
+    receiving.warn()
+
+
+def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[np.float32]]]:
     engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
     for start in range(0, plan.samples, plan.chunk):
-        yield (
-            start,
-            engine.render(start, min(start + plan.chunk, plan.samples)).astype(np.float32, copy=False),
-        )
+        yield start, receiving(start, engine.render(start, min(start + plan.chunk, plan.samples)))
 
 
 def _record(plan: Plan) -> Recording:
     from clsim.recording import Recording
 
-    pressure = np.empty((plan.receiver_count, plan.samples), dtype=np.float32)
-    for start, piece in render_chunks(plan):
-        pressure[:, start : start + piece.shape[1]] = piece
-    pressure.flags.writeable = False
+    samples = np.empty((plan.receiver_count, plan.samples), dtype=np.float32)
+    receiving = Receiving(plan)
+    for start, piece in _pieces(plan, receiving):
+        samples[:, start : start + piece.shape[1]] = piece
+    receiving.warn()
+    samples.flags.writeable = False
     paths = plan.tracks.paths if isinstance(plan.tracks, SceneTracks) else None
-    return Recording(pressure, plan.sampling_rate, plan.tracks.receiver_names, paths, tuple(plan.describe()))
+    notes = (*plan.describe(), *receiving.describe())
+    names = plan.tracks.receiver_names
+    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiving.clipped)

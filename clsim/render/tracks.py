@@ -18,7 +18,7 @@ from clsim.render.transition import DEFAULT_TRANSITION, as_transition
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.scene.scene import Scene
+    from clsim.scene.scene import Receiver, Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +123,11 @@ class Tracks(ABC):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneTracks(Tracks):
-    """Tracks of a scene's paths: computed when asked for, exactly."""
+    """Tracks of a scene's paths: computed when asked for, exactly.
+
+    Times are those of the receivers' clocks, and delays what a receiver must take from its own time to find the time of
+    emission: for a clock of its own, less than the sound's by as much as samples are taken later than told.
+    """
 
     paths: PathSet
     motion: str
@@ -154,28 +158,37 @@ class SceneTracks(Tracks):
     ) -> tuple[Floats, Floats, Floats]:
         """Return delay, its derivative and gains, in float64 without approximation."""
         paths = self.path_groups[group] if rows is None else self.path_groups[group].part(rows)
-        found = arrivals(self.scene, paths, times, self.motion, self.amplitude)
-        response = responses(self.scene, paths, found, times, basis.nodes)
-        return found.delay, found.delay_rate, np.moveaxis(response @ basis.projection.T, -1, 0)
+        receiver = self.scene.receivers[paths.receiver]
+        ahead, pace = receiver.clock_ahead(times), receiver.pace
+        found = arrivals(self.scene, paths, times + ahead, self.motion, self.amplitude)
+        response = responses(self.scene, paths, found, times + ahead, basis.nodes)
+        gain = np.moveaxis(response @ basis.projection.T, -1, 0)
+        return found.delay - ahead, found.delay_rate * pace - (pace - 1.0), gain
 
     def max_rate(self, source: int) -> float:
-        """Return ``(v_s + v_r) / (c - v_s)`` with the peak speeds of the source and the fastest receiver."""
-        return self._rate(source, max(self.receiver_speed))
+        """Return ``(v_s + v_r) / (c - v_s)`` with peak speeds, by the clock of the receiver where it is most."""
+        paces = [r.pace for r in self.scene.receivers]
+        speeds = zip(self.receiver_speed, paces, strict=True)
+        return max(self._rate(source, speed) * pace + abs(pace - 1.0) for speed, pace in speeds)
 
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds from the distance at mid-time and the peak speeds."""
         paths = self.path_groups[group]
+        told = np.array([start, end])
+        ahead = self.scene.receivers[paths.receiver].clock_ahead(told)
+        start, end = (told + ahead).tolist()
         c, middle = self.scene.air.sound_speed, np.array([0.5 * (start + end)])
         x_s = self.scene.sources[paths.source].trajectory.position(middle)[0]
         x_r = self.scene.receivers[paths.receiver].trajectory.position(middle)[0]
         distance = np.linalg.norm(paths.matrix @ x_s + paths.offset - x_r, axis=1)
         v_s, v_r = self.source_speed[paths.source], self.receiver_speed[paths.receiver]
         slack = 0.5 * (end - start) * (v_s + v_r)
-        return np.maximum(distance - slack, 0.0) / (c + v_s), (distance + slack) / (c - v_s)
+        low, high = np.maximum(distance - slack, 0.0) / (c + v_s), (distance + slack) / (c - v_s)
+        return low - ahead.max(), high - ahead.min()
 
     def last_time(self) -> float:
         """Return the end of the first moving receiver's trajectory, or infinity."""
-        return min(r.trajectory.end for r in self.scene.receivers)
+        return float(min(_told(r, np.array([r.trajectory.end]))[0] for r in self.scene.receivers))
 
     def _rate(self, source: int, receiver_speed: float) -> float:
         speed = self.source_speed[source]
@@ -200,13 +213,14 @@ class SampledTracks(Tracks):
         """Return the splines' values, one gain for all frequencies; outside a path's stretch continued from its nearer end, where it is not heard."""
         shape = (len(self.groups[group]), len(times))
         delay, rate, gain = np.empty(shape), np.empty(shape), np.empty(shape)
-        step = times[1] - times[0] if len(times) > 1 else 0.0  # a node next to the stretch continues the gain's slope
+        # The gain's slope goes on through the transition, and to the next node.
+        reach = max(0.5 * self.transition, times[1] - times[0] if len(times) > 1 else 0.0)
         for which, spline in self.splines[group]:
             inside = np.clip(times, spline.x[0], spline.x[-1])
             values, slopes = spline(inside), spline(inside, 1)
             delay[which] = values[:, :, 0].T + slopes[:, :, 0].T * (times - inside)
             rate[which] = slopes[:, :, 0].T
-            gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -step, step)
+            gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -reach, reach)
         if rows is None:
             return delay, rate, gain[None]
         return delay[rows], rate[rows], gain[None, rows]
@@ -258,7 +272,9 @@ def track(
     scene = paths.scene
     groups, path_groups = [], []
     for rows, group in paths.groups():
-        groups.append(TrackGroup(group.source, group.receiver, paths.start[rows], paths.end[rows]))
+        receiver = scene.receivers[group.receiver]
+        interval = (read_only(_told(receiver, times[rows])) for times in (paths.start, paths.end))
+        groups.append(TrackGroup(group.source, group.receiver, *interval))
         path_groups.append(group)
     # Speeds are sampled; 2 % covers what lies between the samples.
     speeds = [1.02 * item.trajectory.peak_speed(*scene.span(item))[0] for _, item in scene.named_ends()]
@@ -273,6 +289,11 @@ def track(
         tuple(speeds[count:]),
         as_transition(transition),
     )
+
+
+def _told(receiver: Receiver, times: Floats) -> Floats:
+    """Return what the receiver's clock tells at true times (n,), s."""
+    return (times - receiver.clock_ahead(np.zeros(1))) / receiver.pace
 
 
 def _from_samples(

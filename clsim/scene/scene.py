@@ -14,10 +14,12 @@ from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError
 from clsim.scene.air import Air
 from clsim.scene.directivity import Directivity, Omni
+from clsim.scene.electronics import Electronics
 from clsim.scene.mesh_contact import NEAREST, first_contact
 from clsim.scene.mesh_room import MeshRoom
 from clsim.scene.room import Shoebox
 from clsim.scene.trajectory import Trajectory
+from clsim.scene.transducer import Transducer
 
 if TYPE_CHECKING:
     from clsim.scene.signal import Signal
@@ -35,7 +37,7 @@ class Source:
     name : str
         Unique among the scene's sources.
     signal : Signal
-        Sound pressure at 1 m on the source's axis in free field, Pa.
+        Sound pressure at 1 m on the source's axis in free field, Pa; with a transducer the voltage that drives it, V.
     trajectory : Trajectory
         Where it is and how it is turned.
     directivity : Directivity
@@ -44,6 +46,13 @@ class Source:
         A fixed direction in which the axis points; for trajectories without orientations of their own.
     start : float
         Time at which the signal begins, s, at least 0.
+    transducer : Transducer, optional
+        Response on the axis, Pa at 1 m per V.
+
+    Attributes
+    ----------
+    emitted : Signal
+        Sound pressure at 1 m on the axis: the signal, or what the transducer makes of it, ring-down included.
     """
 
     name: str
@@ -52,14 +61,18 @@ class Source:
     directivity: Directivity = field(default_factory=Omni)
     aim: Any = None
     start: float = 0.0
+    transducer: Transducer | None = None
+    emitted: Signal = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_ends(self))
         object.__setattr__(self, "start", as_number("start", self.start, at_least=0.0, unit="s"))
+        emitted = self.signal if self.transducer is None else self.transducer.drive(self.signal)
+        object.__setattr__(self, "emitted", emitted)
 
     @property
     def end(self) -> float:
-        """Time at which the signal ends, s."""
+        """Time at which the signal ends, s; a transducer rings on."""
         return self.start + self.signal.duration
 
     def orientation(self, times: Floats) -> Floats:
@@ -69,7 +82,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Receiver:
-    """A receiver of sound; its output is the sound pressure weighted by its directivity.
+    """A receiver of sound; its output is the sound pressure weighted by its directivity, or a voltage.
 
     Parameters
     ----------
@@ -81,15 +94,37 @@ class Receiver:
         Gain by direction, 1 on the axis.
     aim : array_like (3,), optional
         A fixed direction in which the axis points; for trajectories without orientations of their own.
+    transducer : Transducer, optional
+        Response on the axis, V per Pa.
+    electronics : Electronics, optional
+        Noise, filters, amplifier, converter and clock.
     """
 
     name: str
     trajectory: Trajectory
     directivity: Directivity = field(default_factory=Omni)
     aim: Any = None
+    transducer: Transducer | None = None
+    electronics: Electronics | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_ends(self))
+        if self.electronics is not None and not isinstance(self.electronics, Electronics):
+            raise InputError("electronics", f"must be Electronics, but is {self.electronics!r:.80}")
+
+    @property
+    def unit(self) -> str:
+        """Unit of what it records: ``"Pa"``, or ``"V"`` with a transducer."""
+        return "Pa" if self.transducer is None else "V"
+
+    @property
+    def pace(self) -> float:
+        """True seconds per second told by the receiver's clock."""
+        return 1.0 if self.electronics is None else 1.0 + 1e-6 * self.electronics.clock_ppm
+
+    def clock_ahead(self, times: Floats) -> Floats:
+        """Return how much later than told by the receiver's clock its samples are taken (n,), s."""
+        return np.zeros_like(times) if self.electronics is None else self.electronics.clock_ahead(times)
 
     def orientation(self, times: Floats) -> Floats:
         """Return unit quaternions x y z w at `times` (n,), shape (n, 4)."""
@@ -144,6 +179,7 @@ class Scene:
                     f"must last as long as the signal, which ends at {source.end:g} s, "
                     f"but ends at {source.trajectory.end:g} s",
                 )
+        _check_bands(self)
 
     def named_ends(self) -> list[tuple[str, Source | Receiver]]:
         """Return every source and receiver with the name of its field, e.g. ``"sources[0]"``."""
@@ -176,6 +212,8 @@ def _checked_ends(item: Source | Receiver) -> Floats | None:
         raise InputError("trajectory", f"must be a Trajectory, but is {item.trajectory!r:.80}")
     if not callable(getattr(item.directivity, "gain", None)):
         raise InputError("directivity", f"must be a directivity, but is {item.directivity!r:.80}")
+    if item.transducer is not None and not isinstance(item.transducer, Transducer):
+        raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")
     if item.trajectory.start > 0.0:
         raise InputError("trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s")
     if item.aim is None:
@@ -254,6 +292,18 @@ def _check_walls(scene: Scene, field_name: str, name: str, positions: Floats, ti
 def _place(positions: Floats, times: Floats, i: int) -> str:
     where = ", ".join(f"{x:.6g}" for x in positions[i])
     return f"({where}) m at {times[max(i - len(positions) + len(times), 0)]:.6g} s"
+
+
+def _check_bands(scene: Scene) -> None:
+    """Refuse a receiver whose transducer is not known over the band of a source."""
+    for i, receiver in enumerate(scene.receivers):
+        if receiver.transducer is None or math.isinf(receiver.transducer.model.band[1]):
+            continue
+        for source in scene.sources:
+            try:
+                receiver.transducer.check_covers(source.emitted.band(), f"what {source.name!r} emits")
+            except InputError as error:
+                raise error.within(f"receivers[{i}]") from error
 
 
 def _check_distance(scene: Scene, index: int, source: Source, receiver: Receiver) -> None:

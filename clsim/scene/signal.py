@@ -100,6 +100,13 @@ class Signal:
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         return frequencies, energy / length
 
+    def band(self) -> tuple[float, float]:
+        """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz."""
+        frequencies, energy = self.energy_spectrum()
+        share = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+        low, high = np.minimum(np.searchsorted(share, [0.005, 0.995]), len(share) - 1)
+        return float(frequencies[low]), float(frequencies[high])
+
     @classmethod
     def tone(
         cls,

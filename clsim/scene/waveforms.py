@@ -209,13 +209,13 @@ class Noise:
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
         """Return samples."""
         if self.band is None:
-            return self.rms * self._white(first, last)
+            return self.rms * white_noise(self.seed, first, last)
         from scipy.fft import irfft, rfft
 
         # Overlap-save with the generator's own blocks, one by one: the rounding is the same however one reads.
         response = _band_response(*self.band, sampling_rate)
         start, stop = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
-        white = self._white(start * _NOISE_BLOCK - _NOISE_HALF, stop * _NOISE_BLOCK + _NOISE_HALF)
+        white = white_noise(self.seed, start * _NOISE_BLOCK - _NOISE_HALF, stop * _NOISE_BLOCK + _NOISE_HALF)
         length = _NOISE_BLOCK + 2 * _NOISE_HALF
         out = np.empty((stop - start, _NOISE_BLOCK))
         for k, row in enumerate(out):
@@ -228,14 +228,6 @@ class Noise:
         if self.band is not None:
             _fits("band[1]", self.band[1], new)
         return self
-
-    def _white(self, first: int, last: int) -> Floats:
-        a, b = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
-        parts = []
-        for k in range(a, b):
-            stream = np.random.Philox(key=np.array([self.seed % 2**64, k % 2**64], dtype=np.uint64))
-            parts.append(np.random.Generator(stream).standard_normal(_NOISE_BLOCK))
-        return np.concatenate(parts)[first - a * _NOISE_BLOCK : last - a * _NOISE_BLOCK]
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,6 +292,16 @@ class Samples:
 
     def _resampler(self, sampling_rate: float) -> Resampler:
         return Resampler.between(self.recorded, sampling_rate)
+
+
+def white_noise(seed: int, first: int, last: int) -> Floats:
+    """Return samples `first` to `last` of endless Gaussian noise of unit variance, the same however they are cut."""
+    a, b = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
+    parts = []
+    for k in range(a, b):
+        stream = np.random.Philox(key=np.array([seed % 2**64, k % 2**64], dtype=np.uint64))
+        parts.append(np.random.Generator(stream).standard_normal(_NOISE_BLOCK))
+    return np.concatenate(parts)[first - a * _NOISE_BLOCK : last - a * _NOISE_BLOCK]
 
 
 @lru_cache(maxsize=16)

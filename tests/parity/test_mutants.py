@@ -37,7 +37,7 @@ def _paths(turned: bool) -> PathSet:
         clsim.Shoebox(np.full(3, 25.0) if turned else (6, 5, 4), [clsim.Material.from_reflection(f) for f in factors]),
         clsim.Air(),
         [clsim.Source("s", tone, trajectory(np.array([2.0, 2.5, 2.0]), 0.3), clsim.Piston(0.004), aim=turn @ (1, 0.3, -0.2))],
-        [clsim.Receiver("r", trajectory(np.array([4.2, 2.4, 2.1]), 1.9), clsim.Cardioid(0.4), aim=turn @ (-0.8, 0.1, 0.4))],
+        [clsim.Receiver("r", trajectory(np.array([4.2, 2.4, 2.1]), 1.9), clsim.Cardioid(0.4), aim=turn @ (-0.8, 0.1, 0.4), electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=2e-3))],
     )  # fmt: skip
     if not turned:
         return clsim.find_paths(scene, 2)
@@ -79,7 +79,7 @@ def test_kernels_as_they_are_pass(difference_db, turned: bool) -> None:
     assert difference_db(turned) < TOLERANCE_DB
 
 
-NEWTON = "newton_step(&path, position, velocity, time, &a);\n        }"
+NEWTON = "newton_step(&path, position, velocity, time + ahead, &a);\n        }"
 MUTANTS = {
     "one tap further": ("branches", "TAPS - 1 - k]", "TAPS - 1 - (k + 1) % TAPS]"),
     "tap order": ("branches", "row * TAPS + TAPS - 1 - k", "row * TAPS + k"),
@@ -105,6 +105,10 @@ MUTANTS = {
     "Doppler's sign": ("tracks", "(receding - mach) * a->stretch", "(receding + mach) * a->stretch"),
     "curvature of the delay": ("tracks", "c[2 * slots] = (float)(0.25 * (e1", "c[2 * slots] = (float)(0.2 * (e1"),
     "absorption from 0 m": ("tracks", "(distance - 1.0f)", "distance"),
+    "clock's delay": ("tracks", "a.delay - ahead;", "a.delay;"),
+    "clock at prediction": ("tracks", "velocity, time + ahead, &a);\n        }\n        for", "velocity, time, &a);\n        }\n        for"),
+    "clock's pace": ("tracks", "a.rate * pace - (pace - 1.0)", "a.rate - (pace - 1.0)"),
+    "clock's own rate": ("tracks", "a.rate * pace - (pace - 1.0)", "a.rate * pace"),
     "emission at reception": ("tracks", "RETARDED ? time - a->delay : time", "time"),
     "Mach exponent": ("tracks", "#if MACH_EXPONENT >= 1", "#if MACH_EXPONENT >= 2"),
     "Mach exponent twice": ("tracks", "#if MACH_EXPONENT >= 2", "#if MACH_EXPONENT >= 1"),

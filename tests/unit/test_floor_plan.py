@@ -18,7 +18,9 @@ def test_a_room_over_a_plan_is_watertight_and_has_its_volume(turn: int) -> None:
     corners = room.vertices[room.triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     assert area.sum() == pytest.approx(2 * (8 * 5 + 4 * 4 - 2) + 3 * (34 + 8), rel=1e-12)
-    inside = room.contains([(0.5, 0.5, 1), (1.5, 1.5, 1), (3, 3, 1), (2.2, 2.2, 2), (6, 7, 1), (3, 8, 2.9), (3, 8, 3.1)])
+    inside = room.contains(
+        [(0.5, 0.5, 1), (1.5, 1.5, 1), (3, 3, 1), (2.2, 2.2, 2), (6, 7, 1), (3, 8, 2.9), (3, 8, 3.1)]
+    )
     assert inside.tolist() == [True, False, False, True, False, True, False]
 
 

@@ -56,8 +56,7 @@ def test_import_loads_nothing_heavy() -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_files_are_small(path: Path) -> None:
-    limit = 520 if path.name == "scene_file.py" else 420  # the scene file's models are declarations
-    assert len(path.read_text("utf-8").splitlines()) <= limit
+    assert len(path.read_text("utf-8").splitlines()) <= 420
 
 
 def test_public_names_are_documented_and_exist() -> None:

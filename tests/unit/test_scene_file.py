@@ -28,6 +28,7 @@ signal = { kind = "tone", frequency = 40e3, duration = 0.05, sampling_rate = 192
 trajectory = { kind = "circle", center = [4, 3, 1.5], radius = 1.0, period = 1.0, duration = 2.0 }
 directivity = { kind = "piston", radius = 0.0047 }
 aim = [1.0, 0.0, 0.0]
+transducer = { kind = "resonance", frequency = 40e3, width = 2.4e3, sensitivity = 0.5 }
 [[sources]]
 name = "beacon"
 start = 0.01
@@ -38,6 +39,8 @@ directivity = { kind = "named", name = "MA40S4S" }
 name = "ceiling"
 trajectory = { kind = "fixed", position = [1.0, 1.0, 2.9] }
 directivity = { kind = "cardioid", weight = 0.5 }
+transducer = { kind = "table", frequencies = [10e3, 40e3, 90e3], magnitudes = [0.001, 0.002, 0.001], outside = "zero" }
+electronics = { ambient_noise_db = 10.0, self_noise_db = 5.0, seed = 3, low_cut = 20e3, high_cut = 80e3, order = 4, gain_db = 40.0, adc_bits = 12, adc_full_scale = 1.0, clock_ppm = 50.0, clock_offset = 0.001 }
 [paths]
 max_order = 2
 [render]
@@ -77,7 +80,7 @@ def test_the_file_says_what_the_constructors_say(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(EXAMPLE)
     file = load_scene(tmp_path / "scene.toml")
     robot, beacon = file.scene.sources
-    assert file.max_order == 2
+    assert file.paths["max_order"] == 2
     assert file.render["interpolator"] == clsim.Bandlimited(-90)
     assert robot.directivity == clsim.Piston(0.0047)
     assert beacon.start == 0.01

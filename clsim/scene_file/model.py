@@ -1,0 +1,32 @@
+"""What the models of a scene file's tables share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from clsim.errors import InputError
+
+T = TypeVar("T")
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class Model(BaseModel):
+    """Unknown keys, texts for numbers, NaN and infinity are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the fields as arguments of the constructor: all but the kind."""
+        return {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
+
+
+def within(parent: str, build: Callable[[], T]) -> T:
+    """Return what `build` makes; an InputError's field then begins with `parent`."""
+    try:
+        return build()
+    except InputError as error:
+        raise error.within(parent) from error

@@ -1,0 +1,183 @@
+"""Tables of rooms and what they are made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag
+
+from clsim.errors import InputError
+from clsim.scene.material import Material
+from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.mesh_walls import FLATNESS
+from clsim.scene.room import Shoebox
+from clsim.scene_file.model import Model, Vector, within
+
+Corners = list[Annotated[list[float], Field(min_length=2, max_length=2)]]
+
+
+class AbsorptionModel(Model):
+    """Absorption coefficients by frequency."""
+
+    frequencies: list[float]
+    coefficients: list[float]
+
+
+class MaterialModel(Model):
+    """One of the ways to say what a wall is made of."""
+
+    reflection: float | None = None
+    named: str | None = None
+    absorption: AbsorptionModel | None = None
+
+    def build(self) -> Material:
+        """Return the material."""
+        given = self.model_dump(exclude_none=True)
+        if len(given) != 1:
+            raise InputError(
+                "", f"must have one of reflection, named, absorption, but has {', '.join(given) or 'none'}"
+            )
+        if self.reflection is not None:
+            factor = self.reflection
+            if not -1.0 <= factor <= 1.0:
+                raise InputError("reflection", f"must be from -1 to 1, but is {factor:g}")
+            return Material.from_reflection(factor)
+        if self.named is not None:
+            return Material.named(self.named)
+        return within("absorption", lambda: Material.from_absorption(**given["absorption"]))
+
+
+def _is_one_material(value: Any) -> bool:
+    """Return whether a table is one material, not materials by name."""
+    return isinstance(value, dict) and all(
+        key in MaterialModel.model_fields and (key == "absorption" or not isinstance(entry, dict))
+        for key, entry in value.items()
+    )
+
+
+class WallsModel(Model):
+    """Materials of a shoebox's walls by name."""
+
+    default: MaterialModel | None = None
+    x_min: MaterialModel | None = None
+    x_max: MaterialModel | None = None
+    y_min: MaterialModel | None = None
+    y_max: MaterialModel | None = None
+    z_min: MaterialModel | None = None
+    z_max: MaterialModel | None = None
+
+    def build(self) -> dict[str, Material]:
+        """Return the materials."""
+        given = {name: material for name, material in self.arguments().items() if material is not None}
+        return {name: within(name, material.build) for name, material in given.items()}
+
+
+def _walls_kind(value: Any) -> str:
+    keys = set(value) if isinstance(value, dict) else set()
+    return "walls" if keys & set(WallsModel.model_fields) else "material"
+
+
+Materials = Annotated[
+    Annotated[MaterialModel, Tag("material")] | Annotated[dict[str, MaterialModel], Tag("materials")],
+    Discriminator(lambda value: "material" if _is_one_material(value) else "materials"),
+]
+
+
+def _build_materials(materials: MaterialModel | dict[str, MaterialModel]) -> Material | dict[str, Material]:
+    if isinstance(materials, MaterialModel):
+        return materials.build()
+    return {name: within(name, material.build) for name, material in materials.items()}
+
+
+class MeshModel(Model):
+    """A mesh file."""
+
+    kind: Literal["mesh"] = "mesh"
+    path: str
+    scale: float = 1.0
+    up: Literal["x", "y", "z"] = "z"
+    flatness: float = FLATNESS
+    materials: Materials
+
+    def build(self, base: Path) -> MeshRoom:
+        """Return the mesh."""
+        materials = within("materials", lambda: _build_materials(self.materials))
+        return MeshRoom.from_file(base / self.path, self.scale, self.up, materials, flatness=self.flatness)
+
+
+class PlanModel(Model):
+    """A floor plan with pillars."""
+
+    kind: Literal["plan"]
+    outline: Corners
+    height: float
+    materials: Materials
+    pillars: list[Corners] = []
+
+    def build(self, base: Path) -> MeshRoom:
+        """Return the room."""
+        materials = within("materials", lambda: _build_materials(self.materials))
+        return MeshRoom.from_plan(self.outline, self.height, materials, [np.array(p) for p in self.pillars])
+
+
+def _obstacle_kind(value: Any) -> str:
+    return str(value.get("kind", "mesh")) if isinstance(value, dict) else "mesh"
+
+
+ObstacleModel = Annotated[
+    Annotated[MeshModel, Tag("mesh")] | Annotated[PlanModel, Tag("plan")], Discriminator(_obstacle_kind)
+]
+
+
+class _WithObstacles(Model):
+    obstacles: list[ObstacleModel] = []
+
+    def joined(self, room: Shoebox | MeshRoom, base: Path) -> Shoebox | MeshRoom:
+        """Return the room with what stands in it."""
+        if not self.obstacles:
+            return room
+        parts = [
+            within(f"obstacles[{i}]", lambda model=model: model.build(base))  # type: ignore[misc]
+            for i, model in enumerate(self.obstacles)
+        ]
+        return MeshRoom.joined([room, *parts])
+
+
+class ShoeboxRoomModel(_WithObstacles):
+    """A box-shaped room."""
+
+    kind: Literal["shoebox"]
+    size: Vector
+    walls: Annotated[
+        Annotated[MaterialModel, Tag("material")] | Annotated[WallsModel, Tag("walls")], Discriminator(_walls_kind)
+    ]
+
+    def build(self, base: Path) -> Shoebox | MeshRoom:
+        """Return the room."""
+        walls: Any = self.walls
+        return self.joined(Shoebox(np.array(self.size), within("walls", walls.build)), base)
+
+
+class MeshRoomModel(_WithObstacles, MeshModel):
+    """A room from a mesh file."""
+
+    kind: Literal["mesh"]
+
+    def build(self, base: Path) -> MeshRoom:
+        """Return the room."""
+        return self.joined(super().build(base), base)  # type: ignore[return-value]
+
+
+class PlanRoomModel(_WithObstacles, PlanModel):
+    """A room over a floor plan."""
+
+    kind: Literal["plan"]
+
+    def build(self, base: Path) -> MeshRoom:
+        """Return the room."""
+        return self.joined(super().build(base), base)  # type: ignore[return-value]
+
+
+RoomModel = Annotated[ShoeboxRoomModel | MeshRoomModel | PlanRoomModel, Field(discriminator="kind")]

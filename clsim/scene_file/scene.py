@@ -1,0 +1,305 @@
+"""Scene files: TOML with the words of the constructors, checked field by field."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import Field, ValidationError
+
+from clsim.errors import InputError
+from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
+from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.transition import DEFAULT_TRANSITION
+from clsim.scene.air import Air
+from clsim.scene.directivity import Cardioid, Directivity, Omni, Piston, named_directivity
+from clsim.scene.scene import Receiver, Scene, Source
+from clsim.scene_file.model import Model, Vector, within
+from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
+from clsim.scene_file.rooms import RoomModel
+from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
+
+
+class _Air(Model):
+    temperature_celsius: float = 20.0
+    relative_humidity: float = 0.5
+    pressure: float = 101_325.0
+    speed_of_sound: float | Literal["iso9613"] | None = None
+
+
+class _Omni(Model):
+    kind: Literal["omni"] = "omni"
+
+    def build(self) -> Directivity:
+        return Omni()
+
+
+class _Cardioid(Model):
+    kind: Literal["cardioid"]
+    weight: float = 0.5
+
+    def build(self) -> Directivity:
+        return Cardioid(self.weight)
+
+
+class _Piston(Model):
+    kind: Literal["piston"]
+    radius: float
+
+    def build(self) -> Directivity:
+        return Piston(self.radius)
+
+
+class _Named(Model):
+    kind: Literal["named"]
+    name: str
+
+    def build(self) -> Directivity:
+        return named_directivity(self.name)
+
+
+_Directivity = Annotated[_Omni | _Cardioid | _Piston | _Named, Field(discriminator="kind")]
+
+
+class _End(Model):
+    name: str
+    trajectory: TrajectoryModel
+    directivity: _Directivity = _Omni()
+    aim: Vector | None = None
+    transducer: TransducerModel | None = None
+
+    def parts(self, base: Path) -> dict[str, Any]:
+        """Return the arguments that sources and receivers share."""
+        model = self.transducer
+        return {
+            "name": self.name,
+            "trajectory": within("trajectory", lambda: self.trajectory.build(base)),
+            "directivity": within("directivity", self.directivity.build),
+            "aim": self.aim,
+            "transducer": None if model is None else within("transducer", lambda: model.build(base)),
+        }
+
+
+class _Receiver(_End):
+    electronics: ElectronicsModel | None = None
+
+    def build(self, base: Path) -> Receiver:
+        model = self.electronics
+        electronics = None if model is None else within("electronics", model.build)
+        return Receiver(**self.parts(base), electronics=electronics)
+
+
+class _Source(_End):
+    signal: SignalModel
+    start: float = 0.0
+
+    def build(self, base: Path) -> Source:
+        signal = within("signal", lambda: self.signal.build(base))
+        return Source(**self.parts(base), signal=signal, start=self.start)
+
+
+class _Lagrange(Model):
+    kind: Literal["lagrange"]
+    order: int = 12
+
+    def build(self) -> Interpolator:
+        return Lagrange(self.order)
+
+
+class _TruncatedLagrange(Model):
+    kind: Literal["truncated-lagrange"]
+    order: int
+    length: int
+
+    def build(self) -> Interpolator:
+        return TruncatedLagrange(self.order, self.length)
+
+
+class _Bandlimited(Model):
+    kind: Literal["bandlimited"] = "bandlimited"
+    error_db: float = -90.0
+
+    def build(self) -> Interpolator:
+        return Bandlimited(self.error_db)
+
+
+_Interpolator = Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")]
+
+
+class _Paths(Model):
+    max_order: int
+    finder: Literal["auto", "beam-tree", "shooting"] = "auto"
+    resolution: float | None = None
+    path_limit: int = DEFAULT_PATH_LIMIT
+
+
+class _Render(Model):
+    sampling_rate: float
+    interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = _Bandlimited()
+    motion: Literal["retarded", "quasi-static"] = "retarded"
+    amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
+    transition: float | Literal["gate"] = DEFAULT_TRANSITION
+    engine: Literal["opencl", "reference"] = "opencl"
+    device: str | None = None
+    duration: float | None = None
+    chunk: int | None = None
+
+
+class SceneModel(Model):
+    """A whole scene file."""
+
+    format: Annotated[int, Field(ge=1, le=1)]
+    min_distance: float = 0.01
+    room: RoomModel
+    air: _Air = _Air()
+    sources: list[_Source]
+    receivers: list[_Receiver]
+    paths: _Paths
+    render: _Render
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneFile:
+    """A scene as read from a file.
+
+    Attributes
+    ----------
+    scene : Scene
+        What it describes.
+    paths : dict
+        Arguments of `find_paths`, but for the scene.
+    render : dict
+        Keyword arguments of `render`.
+    model : SceneModel
+        The file itself, defaults included.
+    base : Path
+        Folder to which the file's paths are relative.
+    """
+
+    scene: Scene
+    paths: dict[str, Any]
+    render: dict[str, Any]
+    model: SceneModel
+    base: Path
+
+
+def load_scene(path: str | os.PathLike[str]) -> SceneFile:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or no TOML, or a field breaks a rule; the message names file or field, rule and value.
+    """
+    path = Path(path)
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), f"is no TOML file: {error}") from error
+    return build_scene(content, path.parent)
+
+
+def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
+    """Return the scene that the content of a scene file describes.
+
+    Raises
+    ------
+    InputError
+        If a field breaks a rule.
+    """
+    try:
+        model = SceneModel.model_validate(content)
+    except ValidationError as error:
+        raise _explain(error, content) from error
+    sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
+    receivers = [within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
+    room = within("room", lambda: model.room.build(base))
+    air = within("air", lambda: Air(**model.air.arguments()))
+    scene = Scene(room, air, sources, receivers, model.min_distance)
+    arguments = model.render.arguments()
+    arguments["interpolator"] = within("render.interpolator", model.render.interpolator.build)
+    search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
+    return SceneFile(scene, search, arguments, model, base)
+
+
+def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
+    """Return the text of a scene file with every default written out, that works from another folder.
+
+    Parameters
+    ----------
+    file : SceneFile
+        What was read.
+    folder : Path
+        Where the text will be kept: paths are made relative to it.
+    **resolved
+        Values of ``[render]`` that were chosen for this run.
+    """
+    import tomli_w
+
+    content = file.model.model_dump(exclude_none=True, warnings=False)
+    content["render"] |= resolved
+    parts = [content["room"], *content["room"]["obstacles"]]
+    for end in [*content["sources"], *content["receivers"]]:
+        signal = end.get("signal", {})
+        parts += [end["trajectory"], end.get("transducer", {}), signal, signal.get("pulse", {})]
+    for part in parts:
+        if "path" in part:
+            part["path"] = Path(os.path.relpath(file.base / part["path"], folder)).as_posix()
+    return tomli_w.dumps(content)
+
+
+def scene_schema() -> dict[str, Any]:
+    """Return the JSON schema of scene files, for editors."""
+    return SceneModel.model_json_schema()
+
+
+def _explain(error: ValidationError, content: Any) -> InputError:
+    """Return the first of pydantic's complaints in our words, with the field's path."""
+    first = error.errors(include_url=False)[0]
+    field, at = "", content
+    steps = first["loc"]
+    for i, step in enumerate(steps):
+        known = isinstance(at, dict | list) and (step in at if isinstance(at, dict) else isinstance(step, int))
+        if isinstance(step, str) and not known and i < len(steps) - 1:
+            continue  # the name of a union's member, which no file holds
+        if isinstance(step, str) and not known and first["type"] not in ("missing", "extra_forbidden"):
+            continue
+        field += f"[{step}]" if isinstance(step, int) else f".{step}" if field else step
+        at = at[step] if known else None
+    kind, context = first["type"], first.get("ctx", {})
+    if kind == "missing":
+        return InputError(field, "must be given, but is missing")
+    if kind == "extra_forbidden":
+        return InputError(field, "is no known key")
+    if kind == "union_tag_not_found":
+        return InputError(f"{field}.kind", f"must be one of {_choices(field)}, but is missing")
+    if kind == "union_tag_invalid":
+        return InputError(f"{field}.kind", f"must be one of {context['expected_tags']}, but is {context['tag']!r:.80}")
+    message = first["msg"].replace("Input should be ", "must be ")
+    return InputError(field, f"{message}, but is {first['input']!r:.80}")
+
+
+def _choices(field: str) -> str:
+    """Return the kinds that a field can be of."""
+    unions: dict[str, Any] = {
+        "trajectory": TrajectoryModel,
+        "signal": SignalModel,
+        "directivity": _Directivity,
+        "pulse": PulseModel,
+        "transducer": TransducerModel,
+        "room": RoomModel,
+    }
+    union = unions.get(field.rpartition(".")[2], _Interpolator)
+    members = get_args(get_args(union)[0])
+    return ", ".join(repr(get_args(member.model_fields["kind"].annotation)[0]) for member in members)
