@@ -124,7 +124,9 @@ def test_the_slider_moves_what_is_drawn(browser_page, paths: clsim.PathSet) -> N
 def test_paths_of_an_order_can_be_hidden(browser_page) -> None:
     names = browser_page.evaluate("clsim.state().names")
     assert {"reflection 0.9", "carpet </script>", "direct sound", "order 1", "order 2"} <= set(names)
-    browser_page.locator(".legendtoggle").nth([n for n in names if n not in ("edges", "way of robot")].index("order 2")).click()
+    browser_page.locator(".legendtoggle").nth(
+        [n for n in names if n not in ("edges", "way of robot")].index("order 2")
+    ).click()
     browser_page.wait_for_function(f"clsim.state().visible[{names.index('order 2')}] === false", timeout=5000)
 
 
