@@ -20,7 +20,7 @@ STEP = 1.0 / 48e3
 
 def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Trajectory], int]]:
     """Return rooms with ends that move past edges, slowly and fast."""
-    l, pillar = clsim.MeshRoom(*l_room(), WALL), clsim.MeshRoom(*pillar_room(), WALL)
+    corner, pillar = clsim.MeshRoom(*l_room(), WALL), clsim.MeshRoom(*pillar_room(), WALL)
     slats = [screen((2.0 + 0.25 * i, 2.0, 0.4), (0.1, 0.05, 0.0), 2.0) for i in range(8)]
     carpet = (
         np.array([[0.5, 0.5, 0], [7.5, 0.5, 0], [7.5, 4, 0], [0.5, 4, 0]], float),
@@ -35,7 +35,7 @@ def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Tra
     still = clsim.Trajectory.fixed((3.1, 3.6, 1.1))
     turn = clsim.Trajectory.circle((4.7, 3.6, 1.4), 1.4, 0.5, 1.0)
     return {
-        "L": (l, walk, [spin, clsim.Trajectory.fixed((7.2, 1.2, 2.0))], 2),
+        "L": (corner, walk, [spin, clsim.Trajectory.fixed((7.2, 1.2, 2.0))], 2),
         "pillar": (pillar, turn, [clsim.Trajectory.fixed((1.0, 6.5, 1.4))], 3),
         "slats": (boards, fast, [still, clsim.Trajectory.line((4.4, 3.3, 1.0), (3.0, 3.7, 1.6), 0.1)], 2),
     }
