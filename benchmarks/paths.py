@@ -158,7 +158,7 @@ def draw(grown: dict[str, list[dict[str, float]]]) -> None:
         x = [f[axis] if axis else i + 1 for i, f in enumerate(found)]
         axes.plot(x, [f["seconds"] for f in found], "o-", color="#c1272d", label="all")
         axes.plot(x, [f["search"] for f in found], "s--", color="#1f77b4", label="validation and intervals")
-        axes.set(xlabel=title, ylabel="time (s)", yscale="log", xscale="linear" if not axis else "log")
+        axes.set(xlabel=title, ylabel="time (s)", yscale="log", xscale="log" if axis == "walls" else "linear")
         axes.grid(alpha=0.3, which="both")
         axes.legend(fontsize=9)
     figure.savefig(HERE / "paths.png", dpi=120)
