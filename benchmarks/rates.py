@@ -19,7 +19,7 @@ import numpy as np
 import pyopencl as cl
 
 import clsim
-from clsim.render import device as device_module
+from clsim.opencl import device as device_module
 
 HERE = Path(__file__).parent
 RATE = 192e3

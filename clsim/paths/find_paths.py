@@ -51,7 +51,7 @@ def find_paths(
         How wall sequences are found in a mesh: by a tree of beams, which misses none, or by rays, which can miss small
         walls and needs embreex; "auto" shoots only where the tree would be far too large, with a warning.
     resolution : float, optional
-        To which ends of intervals are found in a mesh, s; one sample of the fastest sampled signal when left out.
+        To which ends of intervals are found in a mesh, s; 1/16 sample of the fastest sampled signal when left out.
     engine : {"opencl", "reference"}
         What validates paths in a mesh: a device with float64, or NumPy, also taken (with a warning) where there is no
         such device.

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 FINDERS = ("auto", "beam-tree", "shooting")
 BEAM_LIMIT = 5_000_000  # of one tree
 _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not help a tree
+# Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
+# them would be heard at -102 dB.
+_OF_A_SAMPLE = 1.0 / 16.0
 _BATCH = 50_000  # candidates searched at a time
 
 
@@ -99,7 +102,7 @@ class MeshSearch:
         longest = (self.max_order + 1) * _diameter(room, [source.trajectory, *trajectories]) / c
         last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
         ends = movers(source.trajectory, trajectories)
-        resolution = self.resolution or 1.0 / max(s.signal.sampling_rate for s in scene.sources)
+        resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
         question = Question(room.walls, ends, c, np.zeros(len(last)), last, resolution)
         shoot = self._shoots(room.walls, source.trajectory, trajectories)
         parts: list[FoundPaths] = []

@@ -56,8 +56,8 @@ def test_frames_must_fit() -> None:
     none = ViewedPaths((), np.empty(0, dtype=np.int32), ())
     with pytest.raises(clsim.InputError, match="frames: must be one per time, 2"):
         write_page("x.html", title="t", walls=[wall], ends=[end], times=np.array([0.0, 1.0]), frames=[none, none])
+    pair = ViewedEnd("s", "source", np.zeros((2, 3)), np.zeros((1, 3)))
     with pytest.raises(clsim.InputError, match="times: must increase"):
-        pair = ViewedEnd("s", "source", np.zeros((2, 3)), np.zeros((1, 3)))
         write_page("x.html", title="t", walls=[wall], ends=[pair], times=np.zeros(2), frames=[none, none])
     assert not Path("x.html").exists()
 

@@ -1,0 +1,156 @@
+"""The search for paths on the device against its NumPy twin, and with one thing wrong at a time."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from made_meshes import joined, l_room, pillar_room, screen
+
+import clsim
+from clsim.opencl import device as device_module
+from clsim.paths.beam_tree import Balls, BeamTree, Candidates
+from clsim.paths.device_intervals import DeviceSearch
+from clsim.paths.intervals import Intervals, Question, find_intervals
+from clsim.paths.movers import bounding_ball, movers
+
+pytestmark = pytest.mark.usefixtures("device")
+WALL = clsim.Material.from_reflection(0.9)
+STEP = 1.0 / 48e3
+
+
+def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Trajectory], int]]:
+    """Return rooms with ends that move past edges, slowly and fast."""
+    corner, pillar = clsim.MeshRoom(*l_room(), WALL), clsim.MeshRoom(*pillar_room(), WALL)
+    slats = [screen((2.0 + 0.25 * i, 2.0, 0.4), (0.1, 0.05, 0.0), 2.0) for i in range(8)]
+    carpet = (
+        np.array([[0.5, 0.5, 0], [7.5, 0.5, 0], [7.5, 4, 0], [0.5, 4, 0]], float),
+        np.array([[0, 1, 2], [0, 2, 3]]),
+    )
+    boards = clsim.MeshRoom(*joined(l_room(), *slats, carpet), WALL)
+    walk = clsim.Trajectory.waypoints(
+        [0.0, 0.7, 1.12, 1.2], [(2, 8, 1.4), (2, 7.6, 1.2), (2.2, 7, 1.4), (6.5, 3, 1.5)], smooth=False
+    )
+    spin = clsim.Trajectory.circle((6.4, 2.2, 1.9), 0.6, 0.3, 1.2)
+    fast = clsim.Trajectory.line((1.0, 1.2, 1.3), (7.0, 1.6, 1.5), 0.1)  # 60 m/s past slats 0.25 m apart
+    still = clsim.Trajectory.fixed((3.1, 3.6, 1.1))
+    turn = clsim.Trajectory.circle((4.7, 3.6, 1.4), 1.4, 0.5, 1.0)
+    return {
+        "L": (corner, walk, [spin, clsim.Trajectory.fixed((7.2, 1.2, 2.0))], 2),
+        "pillar": (pillar, turn, [clsim.Trajectory.fixed((1.0, 6.5, 1.4))], 3),
+        "slats": (boards, fast, [still, clsim.Trajectory.line((4.4, 3.3, 1.0), (3.0, 3.7, 1.6), 0.1)], 2),
+    }
+
+
+def question(room, source, receivers, _order) -> Question:
+    last = np.array([min(source.end + 0.1, r.end) for r in receivers])
+    return Question(room.walls, movers(source, receivers), 343.0, np.zeros(len(last)), last, STEP)
+
+
+def candidates(room, source, receivers, order) -> list[Candidates]:
+    balls = [bounding_ball(r) for r in receivers]
+    tree = BeamTree(
+        room.walls,
+        *bounding_ball(source),
+        Balls(np.array([b[0] for b in balls]), np.array([b[1] for b in balls])),
+        10**6,
+    )
+    found = [c for c in tree.candidates(order) if len(c.row)]
+    orders = sorted({c.sequence.shape[1] for c in found})
+    return [Candidates.joined([c for c in found if c.sequence.shape[1] == n]) for n in orders]
+
+
+CASES = scenes()
+WANTED: dict[str, list[tuple[Candidates, Intervals]]] = {}
+
+
+@pytest.fixture(scope="module")
+def wanted() -> dict[str, list[tuple[Candidates, Intervals]]]:
+    """Return what the NumPy twin finds."""
+    for name, case in CASES.items():
+        if name not in WANTED:
+            asked = question(*case)
+            WANTED[name] = [(c, find_intervals(asked, c.sequence[c.row], c.receiver)) for c in candidates(*case)]
+    return WANTED
+
+
+def same(got: Intervals, twin: Intervals) -> bool:
+    """Return whether intervals agree to a step; those of a few steps may be missing on either side."""
+
+    def long(found: Intervals) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        keep = found.end - found.begin > 3 * STEP
+        return found.path[keep], found.begin[keep], found.end[keep]
+
+    (p, a, b), (q, c, d) = long(got), long(twin)
+    if p.tolist() != q.tolist():
+        return False
+    return bool(np.all(np.abs(a - c) <= 1.01 * STEP) and np.all(np.abs(b - d) <= 1.01 * STEP))
+
+
+def agree(wanted: dict[str, list[tuple[Candidates, Intervals]]]) -> bool:
+    for name, parts in wanted.items():
+        search = DeviceSearch(question(*CASES[name]))
+        for c, twin in parts:
+            if not same(search.find(c.sequence[c.row], c.receiver), twin):
+                return False
+    return True
+
+
+def test_both_find_the_same(wanted) -> None:
+    assert agree(wanted)
+    counts = {name: sum(len(found.path) for _, found in parts) for name, parts in wanted.items()}
+    assert min(counts.values()) > 40
+    short = [np.min(f.end - f.begin) for _, f in wanted["slats"] if len(f.path)]
+    assert min(short) < 3e-3, "some paths are heard for a few milliseconds only"
+
+
+MUTANTS = {
+    "legs not drawn out": ("path->slack[k] = reach * inverse;", "path->slack[k] = 0.0;"),
+    "edges of the first walls only": (
+        "for (int wall = 0; wall < walls->count; wall++) {\n            const double4 ball",
+        "for (int wall = 0; wall < walls->count / 2; wall++) {\n            const double4 ball",
+    ),
+    "balls without the clearance": ("(ball.w + clear) * (ball.w + clear)", "0.25 * ball.w * ball.w"),
+    "clearance of the farthest edge": ("least = squared < least ? squared : least", "least = squared > least || least > 1e200 ? squared : least"),
+    "any wall that blocks is certain": ("const double apart = sqrt(edges_apart(walls, wall, from, to, *clear * *clear, EVER));", "const double apart = 1e9;"),
+    "a missed wall is certain": ("sure = sqrt(edges_apart(walls, wall, path->from[k], path->to[k], *clear * *clear, EVER));", "sure = 1e9;"),
+    "order of walls not looked at": ("path->tau[k - 1] >= path->tau[k]", "path->tau[k - 1] >= 2.0 * path->tau[k]"),
+    "twins not looked at": ("if (sure < 0.0 && holds(walls, walls->twin[i], hit))", "if (sure < -2.0 && holds(walls, walls->twin[i], hit))"),
+    "legs through walls": ("valid = 0;\n            const double before = height", "valid = 1;\n            const double before = height"),
+    "ends of a leg block it": ("if (same_plane(walls, sequence, leg, wall) ||", "if (same_plane(walls, sequence, leg + 1, wall) ||"),
+    "walls a little larger": (">= -walls->tolerance", ">= -0.002"),
+    "emission at reception": ("const double emitted = time - a.delay;", "const double emitted = time;"),
+    "speeds of half the span": ("emitted - stretch * within, emitted + stretch * within", "emitted, emitted"),
+    "the source moves half as far": ("*reach = within * fmax(stretch * speed_over", "*reach = within * fmax(0.3 * speed_over"),
+    "receivers stand still": ("speed_over(&s->receiver, time - within, time + within)", "0.0"),
+    "more is done than is certain": ("0.999 * clear / reach", "3.0 * clear / reach"),
+    "the left rest is forgotten": ("push(p, now.begin, from, 0, 0);", ""),
+    "the right rest is forgotten": ("push(p, until, now.end, 0, 0);", ""),
+    "mirrored by half": ("times(-2.0 * height(plane, x), normal)", "times(-1.9 * height(plane, x), normal)"),
+    "segments' nearest points": ("unit_range((uv * s + vw) / vv)", "unit_range((vw - uv * s) / vv)"),
+    "the receiver's nudge": ("sum(receiver, other_nudge)", "sum(receiver, times(3e4, other_nudge))"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def agree_with(monkeypatch: pytest.MonkeyPatch, wanted) -> Callable[[str, str], bool]:
+    original = device_module.kernel_source
+
+    def check(old: str, new: str) -> bool:
+        assert original("intervals").count(old) == 1
+
+        def mutated(program: str) -> str:
+            text = original(program)
+            return text.replace(old, new) if program == "intervals" else text
+
+        monkeypatch.setattr(device_module, "kernel_source", mutated)
+        try:
+            return agree(wanted)
+        except clsim.ClsimError:  # the search did not end
+            return False
+
+    return check
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_mutants_are_caught(name: str, agree_with) -> None:
+    assert not agree_with(*MUTANTS[name])

@@ -1,0 +1,225 @@
+"""When paths of moving ends are heard, against a brute force that looks at every sample."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_meshes import l_room, pillar_room
+from mesh_oracle import Oracle
+
+import clsim
+from clsim.paths import mesh_paths
+from clsim.scene.mesh_reading import read_mesh
+
+DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
+WALL = clsim.Material.from_reflection(0.9)
+C = 343.0
+AIR = clsim.Air(speed_of_sound=C)
+
+
+def scene_of(room, source: clsim.Trajectory, *receivers: clsim.Trajectory, rate: float = 192e3) -> clsim.Scene:
+    signal = clsim.Signal.tone(0.2 * rate, min(source.end, 1.0), rate)
+    ears = [clsim.Receiver(f"r{i}", r) for i, r in enumerate(receivers)]
+    return clsim.Scene(room, AIR, [clsim.Source("s", signal, source)], ears)
+
+
+def emitted(oracle: Oracle, sequence, source: clsim.Trajectory, at: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return the source's positions when it emitted what is received, by fixed-point iteration."""
+    delay = np.zeros(len(times))
+    for _ in range(30):
+        position = source.position(np.clip(times - delay, 0.0, source.end))
+        delay = np.linalg.norm(oracle.images(sequence, position) - at, axis=1) / C
+    return source.position(np.clip(times - delay, 0.0, source.end))
+
+
+def truth(oracle: Oracle, sequence, scene: clsim.Scene, times: np.ndarray, receiver: int = 0) -> np.ndarray:
+    """Return whether a path is valid at times of reception."""
+    at = scene.receivers[receiver].trajectory.position(times)
+    return oracle.valid(sequence, emitted(oracle, sequence, scene.sources[0].trajectory, at, times), at)
+
+
+def all_sequences(planes: int, order: int):
+    for n in range(order + 1):
+        for sequence in itertools.product(range(planes), repeat=n):
+            if all(a != b for a, b in itertools.pairwise(sequence)):
+                yield sequence
+
+
+def by_sequence(paths: clsim.PathSet, oracle: Oracle, receiver: int = 0) -> dict[tuple[int, ...], list]:
+    """Return the intervals of every sequence of the oracle's planes."""
+    plane = np.empty(len(paths.scene.room.walls), dtype=int)
+    plane[paths.scene.room.walls.of_triangle] = oracle.plane_of
+    found: dict[tuple[int, ...], list] = {}
+    for r, walls, start, end in zip(paths.receiver, paths.walls, paths.start, paths.end, strict=True):
+        if r == receiver:
+            found.setdefault(tuple(plane[walls[walls >= 0]].tolist()), []).append((start, end))
+    return found
+
+
+def differing_samples(intervals: list, valid: np.ndarray, times: np.ndarray) -> int:
+    """Return how many samples are in an interval but not valid, or the other way round, ends less a sample left out."""
+    inside = np.zeros(len(times), dtype=bool)
+    near = np.zeros(len(times), dtype=bool)
+    step = times[1] - times[0]
+    for start, end in intervals:
+        inside |= (times >= start) & (times < end)
+        near |= (np.abs(times - start) <= 1.001 * step) | (np.abs(times - end) <= 1.001 * step)
+    return int(np.sum((inside != valid) & ~near))
+
+
+@pytest.mark.parametrize("engine", ["opencl", "reference"])
+@pytest.mark.parametrize("moving_receiver", [False, True])
+def test_every_sample_of_a_walk_round_a_corner(engine: str, moving_receiver: bool, request) -> None:
+    if engine == "opencl":
+        request.getfixturevalue("device")
+    room = clsim.MeshRoom(*l_room(), WALL)
+    oracle = Oracle(room.vertices, room.triangles)
+    source = clsim.Trajectory.waypoints([0.0, 0.2, 0.4, 0.6], [(2, 8, 1.4), (2, 5, 1.2), (3, 3, 1.4), (6.5, 2, 1.5)])
+    receiver = clsim.Trajectory.fixed((7.2, 1.2, 2.0))
+    if moving_receiver:
+        receiver = clsim.Trajectory.circle((6.4, 2.2, 1.9), 0.6, 0.35, 0.6)
+    rate = 4000.0
+    scene = scene_of(room, source, receiver)
+    order = 2 if engine == "opencl" else 1
+    paths = clsim.find_paths(scene, order, resolution=1.0 / rate, engine=engine)
+    found = by_sequence(paths, oracle)
+    times = np.arange(round(0.6 * rate)) / rate
+    ever = 0
+    for sequence in all_sequences(oracle.planes, order):
+        valid = truth(oracle, sequence, scene, times)
+        ever += bool(valid.any())
+        assert differing_samples(found.pop(sequence, []), valid, times) == 0, sequence
+    assert not found
+    assert ever > (20 if order == 2 else 5)
+    assert np.sum(np.isfinite(paths.start)) >= 5, "paths are born on the way"
+
+
+@pytest.mark.usefixtures("device")
+def test_ends_are_right_to_a_sample_at_192_khz() -> None:
+    room = clsim.MeshRoom(*l_room(), WALL)
+    oracle = Oracle(room.vertices, room.triangles)
+    source = clsim.Trajectory.waypoints([0.0, 1.0, 2.0, 3.0], [(2, 8, 1.4), (2, 5, 1.2), (3, 3, 1.4), (6.5, 2, 1.5)])
+    scene = scene_of(room, source, clsim.Trajectory.circle((6.4, 2.2, 1.9), 0.6, 1.5, 3.0))
+    found = by_sequence(clsim.find_paths(scene, 3), oracle)
+    step, ends, wrong = 1.0 / 192e3, 0, 0
+    for sequence, intervals in found.items():
+        for start, end in intervals:
+            for instant, before, after in ((start, False, True), (end, True, False)):
+                if np.isfinite(instant) and end - start > 3 * step:
+                    seen = truth(oracle, sequence, scene, instant + step * np.array([-1.5, 1.5]))
+                    ends += 1
+                    wrong += seen.tolist() != [before, after]
+    assert ends > 60
+    assert wrong == 0
+
+
+@pytest.mark.usefixtures("device")
+def test_a_real_motion_in_a_real_room() -> None:
+    mesh, motion = DATA / "meshes" / "bedroom.obj", DATA / "trajectories" / "freiburg1_xyz-groundtruth.txt"
+    if not (mesh.exists() and motion.exists()):
+        pytest.skip("no bedroom.obj and measured motion to test against")
+    read = read_mesh(mesh, up="y")
+    room = clsim.MeshRoom(read.vertices, read.triangles, WALL)
+    oracle = Oracle(room.vertices, room.triangles)
+    # 30 s within a ball of 0.36 m about (1.3, 0.6, 1.5).
+    source = clsim.Trajectory.from_file(motion, "tum", max_gap=0.2, translate=(-1.5, -0.5, -1.4))
+    rate = 200.0
+    scene = scene_of(room, source, clsim.Trajectory.fixed((1.2, -2.0, 1.0)))
+    paths = clsim.find_paths(scene, 2, resolution=1.0 / rate)
+    found = by_sequence(paths, oracle)
+    assert len(paths) > len(found) + 20, "paths come and go"
+    times = np.arange(round(source.end * rate)) / rate
+    for sequence, intervals in found.items():
+        assert differing_samples(intervals, truth(oracle, sequence, scene, times), times) == 0, sequence
+    # And nothing else is heard at any of 40 instants.
+    for time in np.linspace(0.05, source.end - 0.05, 40):
+        at = scene.receivers[0].trajectory.position(np.array([time]))
+        now = {s for s, spans in found.items() if any(a <= time < b for a, b in spans)}
+        for n in range(3):
+            rough = oracle.paths(source.position(time - 0.01), at[0], n)  # 3 mm from where it emitted
+            extra = [s for s in rough if s not in now and truth(oracle, s, scene, np.array([time]))[0]]
+            assert not extra
+
+
+@pytest.mark.usefixtures("device")
+def test_the_direct_sound_vanishes_behind_a_pillar_and_comes_back() -> None:
+    room = clsim.MeshRoom(*pillar_room(), WALL)
+    way = clsim.Trajectory.line((2.0, 1.5, 1.4), (8.0, 1.5, 1.4), 2.0)
+    paths = clsim.find_paths(scene_of(room, way, clsim.Trajectory.fixed((4.7, 6.5, 1.4))), 0)
+    assert len(paths) == 2
+    # The pillar's corners (4.2, 3.1) to (5.2, 4.1) as seen from (4.7, 6.5): shadow edges through its upper corners.
+    left, right = (4.7 + (x - 4.7) / (4.1 - 6.5) * (1.5 - 6.5) for x in (4.2, 5.2))
+    for instant, x in ((paths.end[0], left), (paths.start[1], right)):
+        delay = np.hypot(x - 4.7, 5.0) / C
+        assert instant == pytest.approx((x - 2.0) / 3.0 + delay, abs=2.0 / 192e3)
+
+
+@pytest.mark.usefixtures("device")
+def test_intervals_of_a_path_neither_touch_nor_overlap() -> None:
+    room = clsim.MeshRoom(*pillar_room(), WALL)
+    way = clsim.Trajectory.circle((4.7, 3.6, 1.4), 1.5, 0.7, 1.4)
+    paths = clsim.find_paths(scene_of(room, way, clsim.Trajectory.fixed((1.0, 6.5, 1.4))), 3)
+    spans: dict[tuple, list] = {}
+    for walls, start, end in zip(paths.walls.tolist(), paths.start, paths.end, strict=True):
+        assert start < end
+        spans.setdefault(tuple(walls), []).append((start, end))
+    assert max(len(s) for s in spans.values()) >= 2
+    for some in spans.values():
+        for (_, end), (start, _) in itertools.pairwise(some):
+            assert end < start
+
+
+@pytest.mark.usefixtures("device")
+def test_a_source_in_the_plane_of_an_inner_wall_settles_quickly() -> None:
+    # Sliding along x = 4, the plane of the L-room's inner wall: the shadow's edge runs through both ends all the time.
+    room = clsim.MeshRoom(*l_room(), WALL)
+    way = clsim.Trajectory.line((4.0, 1.0, 1.4), (4.0, 4.5, 1.4), 1.0)
+    paths = clsim.find_paths(scene_of(room, way, clsim.Trajectory.fixed((4.0, 0.5, 1.2))), 2)
+    assert paths.order.min() == 0
+    assert np.all(np.isneginf(paths.start[paths.order == 0]))
+
+
+@pytest.mark.usefixtures("device")
+def test_smaller_cells_find_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    room = clsim.MeshRoom(*l_room(), WALL)
+    way = clsim.Trajectory.waypoints([0.0, 0.3, 0.6, 1.0], [(2, 8, 1.4), (2, 5, 1.2), (3, 3, 1.4), (6.5, 2, 1.5)])
+    scene = scene_of(room, way, clsim.Trajectory.fixed((7.2, 1.2, 2.0)))
+    whole = clsim.find_paths(scene, 2)
+    monkeypatch.setattr(mesh_paths, "BEAM_LIMIT", 60)
+    parts = clsim.find_paths(scene, 2, finder="beam-tree")
+    assert parts.walls.tolist() == whole.walls.tolist()
+    np.testing.assert_allclose(parts.start, whole.start, atol=1.5 / 192e3)
+    np.testing.assert_allclose(parts.end, whole.end, atol=1.5 / 192e3)
+    monkeypatch.setattr(mesh_paths, "BEAM_LIMIT", 5)
+    with pytest.raises(clsim.InputError, match="max_order: must give at most 5 beams"):
+        clsim.find_paths(scene, 2, finder="beam-tree")
+
+
+@pytest.mark.usefixtures("device")
+def test_shooting_finds_the_same_in_a_small_room_and_says_that_it_can_miss() -> None:
+    pytest.importorskip("embreex")
+    room = clsim.MeshRoom(*l_room(), WALL)
+    way = clsim.Trajectory.line((2.0, 8.0, 1.4), (3.0, 2.0, 1.4), 1.0)
+    scene = scene_of(room, way, clsim.Trajectory.fixed((7.2, 1.2, 2.0)))
+    tree = clsim.find_paths(scene, 2, finder="beam-tree")
+    with pytest.warns(clsim.ClsimWarning, match="paths by small walls can be missed"):
+        shot = clsim.find_paths(scene, 2, finder="shooting")
+    assert shot.walls.tolist() == tree.walls.tolist()
+    np.testing.assert_array_equal(shot.start, tree.start)
+    np.testing.assert_array_equal(shot.end, tree.end)
+
+
+@pytest.mark.usefixtures("device")
+def test_a_path_limit_stops_with_what_to_change() -> None:
+    room = clsim.MeshRoom(*l_room(), WALL)
+    way = clsim.Trajectory.fixed((2.0, 8.0, 1.4))
+    scene = scene_of(
+        room, clsim.Trajectory.line((2, 8, 1), (2, 7, 1), 1.0), clsim.Trajectory.fixed((1.0, 1.0, 1.0)), way
+    )
+    with pytest.raises(clsim.InputError, match=r"max_order: must give at most 10 paths \(path_limit\)"):
+        clsim.find_paths(scene, 3, path_limit=10)
+    shares: list[float] = []
+    clsim.find_paths(scene, 3, progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
