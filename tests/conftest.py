@@ -1,11 +1,19 @@
 """What all tests share: seeded random numbers, and the engines."""
 
 import zlib
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from clsim.opencl.device import list_devices
+
+
+@pytest.fixture(autouse=True)
+def _print_options() -> Iterator[None]:
+    """Undo what packages do to NumPy's print options (trimesh does, on writing DXF)."""
+    with np.printoptions():
+        yield
 
 
 @pytest.fixture
