@@ -24,7 +24,7 @@ _TIMES = 24  # instants of a run at which paths are looked at
 _ROWS = 512  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
 _EMPHASES = 5  # times that responses which are held badly are given more weight
-_QUIETEST = 0.03  # weight of frequencies at which a signal has next to nothing
+_QUIETEST = 0.01  # weight of frequencies at which a signal has next to nothing
 _SEED = 20_160_914
 
 
@@ -87,7 +87,7 @@ def band_of(low: float, high: float, frequencies: Floats, energy: Floats) -> Ban
     """Return a signal's band from its energy spectrum; `low` and `high` in Hz."""
     high = max(high, low * (1.0 + 1e-6))
     grid = chebyshev_points(low, high, _GRID)
-    width = (high - low) / 16.0
+    width = (high - low) / 64.0
     spectrum = np.array([energy[np.abs(frequencies - f) <= max(width, frequencies[1])].max(initial=0.0) for f in grid])
     weight = np.sqrt(spectrum / max(float(spectrum.max()), 1e-300))
     return Band(low, high, grid, np.maximum(weight, _QUIETEST))

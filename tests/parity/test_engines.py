@@ -34,7 +34,14 @@ def scene(source_beam=None, receiver_beam=None, signal: clsim.Signal = TONE, sta
 
 
 def plan(world: clsim.Scene, order: int = 3, **options) -> Plan:
-    return plan_render(world, clsim.find_paths(world, order), RATE, duration=options.pop("duration", 0.08), **options)
+    return plan_render(
+        world,
+        clsim.find_paths(world, order),
+        RATE,
+        duration=options.pop("duration", 0.08),
+        response_error_db=None,
+        **options,
+    )
 
 
 def pressure(made: Plan, **options) -> np.ndarray:
@@ -47,7 +54,9 @@ def difference_db(got: np.ndarray, wanted: np.ndarray) -> float:
 
 def reference(world: clsim.Scene, order: int = 3, **options) -> np.ndarray:
     paths = clsim.find_paths(world, order)
-    return clsim.render(world, paths, RATE, engine="reference", duration=0.08, **options).pressure
+    return clsim.render(
+        world, paths, RATE, engine="reference", duration=0.08, response_error_db=None, **options
+    ).pressure
 
 
 CASES = {
