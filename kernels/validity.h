@@ -74,6 +74,14 @@ static int blocks(const room* walls, int wall, triple a, triple b)
     return share > 1e-9 && share < 1.0 - 1e-9 && holds(walls, wall, sum(a, times(share, difference(b, a))));
 }
 
+// How far the ends of a path may move while a leg from a to b still reaches through a plane that it crosses.
+static double end_clearance(double4 plane, int leg, triple a, triple b, double reach, const unfolded* path)
+{
+    const double high = fabs(height(plane, a)), low = fabs(height(plane, b));
+    const double slope = (high + low) / (path->tau[leg + 1] - path->tau[leg]);
+    return reach * fmin(high / (reach + path->slack[leg] * slope), low / (reach + path->slack[leg + 1] * slope));
+}
+
 // The legs: crossed by no other wall. Returns whether all are free; `clear` is that of the surest obstacle.
 static int passes(const room* walls, __global const int* sequence, double reach, const unfolded* path, double* clear)
 {
@@ -90,6 +98,9 @@ static int passes(const room* walls, __global const int* sequence, double reach,
                 const double apart = sqrt(edges_apart(walls, wall, from, to, *clear * *clear, EVER));
                 *clear = fmax(*clear, fmin(apart, fmin(fabs(before), fabs(behind))));
                 if (*clear > reach) return 0;
+            } else {  // nearer to an end of the leg than that can move: sure only while both ends move less
+                const double apart = sqrt(edges_apart(walls, wall, a, b, *clear * *clear, EVER));
+                *clear = fmax(*clear, fmin(apart, end_clearance(walls->plane[wall], leg, a, b, reach, path)));
             }
         }
     }

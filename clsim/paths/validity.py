@@ -14,7 +14,9 @@ most ``reach / |distance of one mirrored end to wall k - that of the other|``. H
   what these can move: a path can become invalid only by touching an edge (ends that touch a wall are refused before);
 - a path stays invalid if one of its defects does: ends farther than `reach` on one side of a wall; a wall missed, with
   all its edges farther than `reach` from the whole line; an order that is wrong by more than both shares can change; or
-  an obstacle that crosses what is always part of a leg, its edges and both ends of that part farther than `reach`.
+  an obstacle that crosses what is always part of a leg, its edges and both ends of that part farther than `reach`. An
+  obstacle nearer to an end of its leg than that can move has the largest reach for which this holds as its clearance:
+  0 is left to what touches an edge (or a wall) at this very instant.
 """
 
 from __future__ import annotations
@@ -126,7 +128,7 @@ def path_status(walls: Walls, sequence: Ints, source: Floats, receiver: Floats, 
     paths = unfold(walls, sequence, source, receiver, reach)
     valid, clear = _reflects(walls, sequence, paths)
     rows = np.flatnonzero(valid)
-    free, blocked_clear = _passes(walls, sequence[rows], paths.part(rows))
+    free, blocked_clear = _passes(walls, sequence[rows], paths.part(rows), reach[rows])
     valid[rows], clear[rows] = free, blocked_clear
     rows = np.flatnonzero(valid)
     clear[rows] = _edge_clearance(walls, paths.part(rows), reach[rows])
@@ -163,7 +165,7 @@ def _reflects(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Flo
     return valid, clear
 
 
-def _passes(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Floats]:
+def _passes(walls: Walls, sequence: Ints, paths: Unfolded, reach: Floats) -> tuple[Bools, Floats]:
     """Return which paths no wall crosses, and the clearance of the surest obstacle of the others."""
     count, order = sequence.shape
     valid, clear = np.ones(count, dtype=bool), np.zeros(count)
@@ -181,6 +183,14 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Float
             before, behind = (end @ walls.normal[wall] - walls.offset[wall] for end in ends)
             apart = np.minimum(_edges_apart(walls, wall, *ends), np.minimum(np.abs(before), np.abs(behind)))
             clear[some] = np.where(before * behind < 0.0, np.maximum(clear[some], apart), clear[some])
+            # Nearer to an end of the leg than that can move: sure only while both ends move less.
+            unsure = np.concatenate([rows[first[rows] >= last[rows]], some[before * behind >= 0.0]])
+            apart = _edges_apart(walls, wall, a[unsure], b[unsure])
+            high, low = (np.abs(end[unsure] @ walls.normal[wall] - walls.offset[wall]) for end in (a, b))
+            slope = (high + low) / (paths.tau[unsure, leg + 1] - paths.tau[unsure, leg])
+            for end, k in ((high, leg), (low, leg + 1)):
+                apart = np.minimum(apart, reach[unsure] * end / (reach[unsure] + paths.slack[unsure, k] * slope))
+            clear[unsure] = np.maximum(clear[unsure], apart)
     return valid, clear
 
 
