@@ -53,7 +53,7 @@ def linear_phase_filters(
     edges = 2.0 * math.pi * np.array([low, high]) / sampling_rate
     half = 8
     while 2 * half + 1 <= _LONGEST:
-        w = np.union1d(np.linspace(0.0, math.pi, 8 * half + 64), np.linspace(*edges, 4 * half + 64))
+        w = np.union1d(np.linspace(0.0, math.pi, 8 * half + 64), np.linspace(edges[0], edges[1], 4 * half + 64))
         inside = (w >= edges[0]) & (w <= edges[1])
         x = np.clip((2.0 * w - edges.sum()) / max(edges[1] - edges[0], 1e-12), -1.0, 1.0)
         target = np.atleast_2d(chebyshev.chebval(x, coefficients.T))

@@ -55,7 +55,7 @@ class Basis:
     @property
     def half(self) -> int:
         """Taps on either side of the filters' middle."""
-        return self.filters.shape[1] // 2
+        return int(self.filters.shape[1] // 2)
 
 
 def flat_basis(frequency: float) -> Basis:
@@ -146,8 +146,8 @@ def scene_basis(
         if count == MOST_FUNCTIONS:
             raise InputError(
                 "response_error_db",
-                f"must be reached by {MOST_FUNCTIONS} functions of frequency, but {error_db:g} dB needs more for source "
-                f"{source}; ask for less, narrow the signal's band, or smooth the tables of walls and beams",
+                f"must be reached by {MOST_FUNCTIONS} functions of frequency, but {error_db:g} dB needs more for "
+                f"source {source}; ask for less, narrow the signal's band, or smooth the tables of walls and beams",
             )
         # What is held worst joins the rows; if that is little, one more function is needed.
         rows = np.concatenate([rows, held_out[np.argsort(-wrong)[:64]]])
@@ -221,14 +221,14 @@ def _functions(rows: Floats, count: int, allowed: float, band: Band) -> tuple[Fl
     return functions, nodes, projection
 
 
-def _projection(functions: Floats) -> tuple[Floats, Floats]:
+def _projection(functions: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return indices of about twice as many frequencies as functions, and the least squares from them to gains."""
     count = min(-(-2 * len(functions) // 8) * 8, functions.shape[1])
     nodes = np.round((np.arange(count) + 0.5) * functions.shape[1] / count - 0.5).astype(np.int64)
-    return nodes, np.linalg.pinv(functions[:, nodes].T)
+    return nodes, np.asarray(np.linalg.pinv(functions[:, nodes].T))
 
 
-def _error(rows: Floats, functions: Floats, nodes: Floats, projection: Floats, band: Band) -> Floats:
+def _error(rows: Floats, functions: Floats, nodes: NDArray[np.int64], projection: Floats, band: Band) -> Floats:
     """Return the root mean square error of every response over the signal's spectrum, (n,)."""
     made = rows[:, nodes] @ projection.T @ functions
     return np.asarray(np.sqrt(np.mean(((made - rows) * band.weight) ** 2, axis=1) / np.mean(band.weight**2)))

@@ -125,9 +125,9 @@ class DeviceTracks:
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
             np.int32(blocks + 3), chunk.knots, np.int32(chunk.knot_count), np.float64(chunk.knot_first),
             np.float64(self._knot_rates[chunk.source]), np.float64(start / rate), np.float64(rate), np.float64(c),
-            self._nepers[chunk.source], self._projections[chunk.source], np.float64(emission.start * rate - emission.bank.shift),
-            np.float64(emission.start), np.float64(emission.start + emission.signal.duration),
-            np.float32(2.0 * math.pi * emission.band), self._source_beams[chunk.source],
+            self._nepers[chunk.source], self._projections[chunk.source],
+            np.float64(emission.start * rate - emission.bank.shift), np.float64(emission.start),
+            np.float64(emission.start + emission.signal.duration), np.float32(2.0 * math.pi * emission.band), self._source_beams[chunk.source],
             self._upload(np.concatenate(beams)), np.int32(blocks), delay, cubics, on_device,
         )  # fmt: skip
         cl.enqueue_copy(self._queue, found, on_device)
@@ -182,7 +182,7 @@ def _relative_error(found: NDArray[np.float32], slots: Slots) -> Floats:
 
 
 def _beam_cells(directivity: Directivity, frequencies: Floats, speed_of_sound: float) -> NDArray[np.float32]:
-    """Return a beam as cubics on equal cells of the cosine from -1 to 1, lowest power first, (cells, frequencies, 4)."""
+    """Return a beam as cubics on equal cells of the cosine, lowest power first, (cells, frequencies, 4)."""
     from scipy.interpolate import CubicSpline
 
     cosine = np.linspace(-1.0, 1.0, _CELLS + 1)

@@ -55,7 +55,7 @@ def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats:
 
 
 def _sum_paths(plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: Floats, gain: Floats) -> Floats:
-    """Apply taps and gains (K, P, n) of every path and sample to the streams around the emitted sample; sum over paths."""
+    """Apply taps and gains (K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
     length, centre = emission.bank.taps.shape[1], emission.bank.centre
     total = np.zeros(emitted.shape[1])
     first = int(emitted.min()) + centre - length + 1

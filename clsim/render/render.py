@@ -108,7 +108,8 @@ def render(
     """
     plan = plan_render(
         scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
-        transition=transition, response_error_db=response_error_db, engine=engine, device=device, duration=duration, chunk=chunk,
+        transition=transition, response_error_db=response_error_db, engine=engine, device=device,
+        duration=duration, chunk=chunk,
     )  # fmt: skip
     return _record(plan)
 

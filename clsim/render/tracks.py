@@ -59,7 +59,7 @@ class Tracks(ABC):
     def evaluate(
         self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return delay (s) and its derivative (paths, times) and gains (K, paths, times) of a group, or some rows of it."""
+        """Return delay (s) and its derivative (paths, times) and gains (K, paths, times) of a group or some rows."""
 
     @abstractmethod
     def max_rate(self, source: int) -> float:
@@ -210,7 +210,7 @@ class SampledTracks(Tracks):
     def evaluate(
         self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the splines' values, one gain for all frequencies; outside a path's stretch continued from its nearer end, where it is not heard."""
+        """Return the splines' values, one gain for all frequencies; outside its stretch a path goes on straight."""
         shape = (len(self.groups[group]), len(times))
         delay, rate, gain = np.empty(shape), np.empty(shape), np.empty(shape)
         # The gain's slope goes on through the transition, and to the next node.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_meshes import box, joined, l_room, pillar_room, screen
+from made_meshes import l_room, pillar_room
 from mesh_oracle import Oracle
 
 import clsim
