@@ -127,8 +127,9 @@ class DeviceTracks:
             np.float64(self._knot_rates[chunk.source]), np.float64(start / rate), np.float64(rate), np.float64(c),
             self._nepers[chunk.source], self._projections[chunk.source],
             np.float64(emission.start * rate - emission.bank.shift), np.float64(emission.start),
-            np.float64(emission.start + emission.signal.duration), np.float32(2.0 * math.pi * emission.band), self._source_beams[chunk.source],
-            self._upload(np.concatenate(beams)), np.int32(blocks), delay, cubics, on_device,
+            np.float64(emission.start + emission.signal.duration), np.float32(2.0 * math.pi * emission.band),
+            self._source_beams[chunk.source], self._upload(np.concatenate(beams)), np.int32(blocks), delay, cubics,
+            on_device,
         )  # fmt: skip
         cl.enqueue_copy(self._queue, found, on_device)
         return DeviceNodes(

@@ -71,7 +71,11 @@ class Emission:
             return np.zeros((len(self.basis), last - first))
         from scipy.signal import oaconvolve
 
-        return np.asarray(oaconvolve(signal[None], self.basis.filters, mode="valid", axes=1))
+        out = np.asarray(oaconvolve(signal[None], self.basis.filters, mode="valid", axes=1))
+        # What no sound reaches is silent, without the rounding of the transforms.
+        sounding = np.concatenate([[0], np.cumsum(signal != 0.0)])
+        out[:, sounding[2 * half + 1 :] == sounding[: last - first]] = 0.0
+        return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
