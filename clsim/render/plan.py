@@ -27,7 +27,6 @@ SEGMENT = 18432  # samples; chunks are whole segments, and the block length is c
 BLOCKS = (768, 384, 192, 96)  # samples in a block, divisors of a segment, tried in this order
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 _PRESSURE_BUDGET = 64 * 2**20  # bytes of output held at a time
-RESPONSE_ERROR_DB = -80.0  # of a path's response by frequency, relative to the strongest arrival
 EXACT_DB = -100.0  # the same for the reference engine
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
 _LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
@@ -165,8 +164,11 @@ class Plan:
                 f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
                 f"{e.bank.error_db:.1f} dB; share of the signal above: {removed}"
             )
-            held = f" within {e.basis.error_db:.1f} dB" if np.isfinite(e.basis.error_db) else ""
-            lines.append(f"source {i}: {len(e.basis)} functions of frequency carry air, walls and beams{held}")
+            if np.isfinite(e.basis.error_db):
+                held = f"within {e.basis.error_db:.1f} dB"
+                lines.append(f"source {i}: {len(e.basis)} functions of frequency carry air, walls and beams {held}")
+            else:
+                lines.append(f"source {i}: air, walls and beams are those at {e.basis.nodes[0]:.6g} Hz")
         for i, r in enumerate(self.receivers):
             if r.electronics is not None or r.transducer is not None:
                 name = "" if r.transducer is None else f"; transducer {r.transducer.name or 'without a name'}"
@@ -184,7 +186,7 @@ def plan_render(
     motion: str = "retarded",
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
-    response_error_db: float | None = RESPONSE_ERROR_DB,
+    response_error_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -219,7 +221,7 @@ def plan_tracks(
     *,
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
-    response_error_db: float | None = RESPONSE_ERROR_DB,
+    response_error_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.render.opencl import OpenclEngine
-from clsim.render.plan import RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
+from clsim.render.plan import Plan, plan_render, plan_tracks
 from clsim.render.receiving import Receiving
 from clsim.render.reference import ReferenceEngine
 from clsim.render.tracks import SceneTracks, Tracks
@@ -34,7 +34,7 @@ def render(
     motion: str = "retarded",
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
-    response_error_db: float | None = RESPONSE_ERROR_DB,
+    response_error_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -59,9 +59,10 @@ def render(
     transition : float or "gate"
         Seconds in which a path begins and ends, by a raised cosine centred on the boundary; or at once, which
         splatters.
-    response_error_db : float or None
+    response_error_db : float, optional
         Bound on the error of each path's response over the signal's band (air, walls, beams), dB relative to the
-        strongest arrival; None takes everything at the signal's centre frequency.
+        strongest arrival: -80 for broadband signals. Left out, everything is taken at the signal's centre frequency, which
+        is faster.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -121,7 +122,7 @@ def render_tracks(
     *,
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
-    response_error_db: float | None = RESPONSE_ERROR_DB,
+    response_error_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,

@@ -14,7 +14,6 @@ from pydantic import Field, ValidationError
 from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.plan import RESPONSE_ERROR_DB
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.air import Air
 from clsim.scene.directivity import Cardioid, Directivity, Omni, Piston, named_directivity
@@ -144,7 +143,7 @@ class _Render(Model):
     motion: Literal["retarded", "quasi-static"] = "retarded"
     amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
     transition: float | Literal["gate"] = DEFAULT_TRANSITION
-    response_error_db: float | Literal["centre"] = RESPONSE_ERROR_DB
+    response_error_db: float | None = None
     engine: Literal["opencl", "reference"] = "opencl"
     device: str | None = None
     duration: float | None = None
@@ -230,8 +229,6 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     air = within("air", lambda: Air(**model.air.arguments()))
     scene = Scene(room, air, sources, receivers, model.min_distance)
     arguments = model.render.arguments()
-    if arguments["response_error_db"] == "centre":
-        arguments["response_error_db"] = None
     arguments["interpolator"] = within("render.interpolator", model.render.interpolator.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)
