@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.render.plan import Plan
-    from clsim.scene.scene import Scene
     from clsim.scene_file import SceneFile
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
@@ -99,7 +98,8 @@ def _run(options: argparse.Namespace) -> int:
     from clsim.output.atomic import atomic_path
     from clsim.scene_file import completed_scene
 
-    file, paths, plan = _planned(options.scene, _overrides(options))
+    file = _loaded(options.scene)
+    paths, plan = _planned(file, _overrides(options))
     folder: Path = options.output
     names = _file_names(plan.tracks.receiver_names)
     if not options.force and (folder / "scene.toml").exists():
@@ -128,8 +128,16 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    file, paths, plan = _planned(options.scene, {})
-    for line in [*_diagnosis(file.scene, paths), *plan.describe()]:
+    from clsim.scene.mesh_diagnosis import diagnose, diagnose_ends
+    from clsim.scene.mesh_room import MeshRoom
+
+    file = _loaded(options.scene)
+    room = file.scene.room
+    if isinstance(room, MeshRoom):  # before the search, which may take long or give up
+        for line in [*diagnose(room, file.model.room.common_scale()), *diagnose_ends(file.scene)]:
+            print(line, flush=True)
+    paths, plan = _planned(file, {})
+    for line in [*([_comings_and_goings(paths)] if isinstance(room, MeshRoom) else []), *plan.describe()]:
         print(line)
     for field, item in file.scene.named_ends():
         for note in item.trajectory.notes:
@@ -138,21 +146,14 @@ def _check(options: argparse.Namespace) -> int:
     return 0
 
 
-def _diagnosis(scene: Scene, paths: PathSet) -> list[str]:
-    """Return what a mesh is like, who is inside, and how paths come and go; nothing for a shoebox."""
-    from clsim.scene.mesh_diagnosis import diagnose
-    from clsim.scene.mesh_room import MeshRoom
-
-    if not isinstance(scene.room, MeshRoom):
-        return []
-    lines = diagnose(scene.room)
-    if scene.room.shape.watertight:
-        for field, item in scene.named_ends():
-            inside = bool(scene.room.contains(item.trajectory.position(0.0))[0])
-            lines.append(f"{field}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")
-    always = int(np.sum(np.isneginf(paths.start) & np.isposinf(paths.end)))
-    lines.append(f"paths: {always} are heard all the time; {len(paths) - always} intervals of others begin or end")
-    return lines
+def _comings_and_goings(paths: PathSet) -> str:
+    always = np.isneginf(paths.start) & np.isposinf(paths.end)
+    others = np.column_stack([paths.source, paths.receiver, paths.walls])[~always]
+    count = len(np.unique(others, axis=0))
+    return (
+        f"paths: {always.sum() + count}, of which {always.sum()} are heard all the time "
+        f"and {count} come and go ({len(others)} intervals; the same walls in another order are another path)"
+    )
 
 
 def _view(options: argparse.Namespace) -> int:
@@ -160,14 +161,15 @@ def _view(options: argparse.Namespace) -> int:
 
     from clsim.output.view import view_scene
 
-    if options.frames < 1:
-        raise InputError("--frames", f"must be at least 1, but is {options.frames}")
-    _, paths, plan = _planned(options.scene, {})
+    for name in ("frames", "limit"):
+        if getattr(options, name) < 1:
+            raise InputError(f"--{name}", f"must be at least 1, but is {getattr(options, name)}")
+    paths, plan = _planned(_loaded(options.scene), {})
     page: Path = options.output or options.scene.with_suffix(".html")
     with _progress("drawing", options.frames) as advance:
         view_scene(
             paths, page, duration=plan.duration, frames=options.frames, limit=options.limit, title=options.scene.stem,
-            motion=plan.tracks.motion, progress=advance,  # type: ignore[attr-defined]
+            motion=plan.tracks.motion, amplitude=plan.tracks.amplitude, progress=advance,  # type: ignore[attr-defined]
         )  # fmt: skip
     print(page)
     if options.open:
@@ -178,7 +180,7 @@ def _view(options: argparse.Namespace) -> int:
 def _paths(options: argparse.Namespace) -> int:
     from clsim.output.table import write_table
 
-    _, paths, plan = _planned(options.scene, {})
+    paths, plan = _planned(_loaded(options.scene), {})
     if not 0.0 <= options.at <= plan.duration:
         raise InputError("--at", f"must lie within the recording, 0 to {plan.duration:g} s, but is {options.at:g} s")
     table = _table(paths, plan, np.array([options.at]))
@@ -189,15 +191,16 @@ def _paths(options: argparse.Namespace) -> int:
     rows = np.argsort(table.delay[:, 0], kind="stable")
     rows = rows[np.isfinite(table.delay[rows, 0])]  # those that are heard
     print(f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10} {'doppler':>9}  walls")
-    for p in rows[: max(options.limit, 0)]:
+    most = max(options.limit, 0)
+    for p in rows[:most]:
         gain = 20 * np.log10(max(abs(table.gain[p, 0]), 1e-30))
-        walls = " ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct"
+        walls = ", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct"
         print(
             f"{table.receiver_names[table.receiver[p]]:<16} {table.source_names[table.source[p]]:<16} "
             f"{table.order[p]:>5} {table.delay[p, 0] * 1e3:>11.4f} {gain:>10.1f} {table.doppler[p, 0]:>9.6f}  {walls}"
         )
-    if len(rows) > options.limit:
-        print(f"and {len(rows) - options.limit} more (--limit)")
+    if len(rows) > most:
+        print(f"and {len(rows) - most} more (--limit)")
     return 0
 
 
@@ -230,12 +233,16 @@ def _overrides(options: argparse.Namespace) -> dict[str, Any]:
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 
 
-def _planned(path: Path, overrides: dict[str, Any]) -> tuple[SceneFile, PathSet, Plan]:
-    from clsim.paths.find_paths import find_paths
-    from clsim.render.plan import plan_render
+def _loaded(path: Path) -> SceneFile:
     from clsim.scene_file import load_scene
 
-    file = load_scene(path)
+    return load_scene(path)
+
+
+def _planned(file: SceneFile, overrides: dict[str, Any]) -> tuple[PathSet, Plan]:
+    from clsim.paths.find_paths import find_paths
+    from clsim.render.plan import plan_render
+
     search = file.paths | {name: overrides[name] for name in ("engine", "device") if name in overrides}
     try:
         with _progress("finding paths", 1.0) as advance:
@@ -250,7 +257,7 @@ def _planned(path: Path, overrides: dict[str, Any]) -> tuple[SceneFile, PathSet,
     except InputError as error:
         raise error.within("paths") from error
     try:
-        return file, paths, plan_render(file.scene, paths, **(file.render | overrides))
+        return paths, plan_render(file.scene, paths, **(file.render | overrides))
     except InputError as error:
         raise error.within("render") from error
 

@@ -39,7 +39,7 @@ _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not
 # Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
 # them would be heard at -102 dB.
 _OF_A_SAMPLE = 1.0 / 16.0
-_BATCH = 50_000  # candidates searched at a time
+_BATCH = 16_384  # candidates searched at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +92,8 @@ class MeshSearch:
         Raises
         ------
         InputError
-            If there are more paths than the limit, or more beams than can be looked at.
+            If there are more paths than the limit, or more beams than can be looked at, or the source may be as fast as
+            sound.
         DeviceError
             If the device fails.
         """
@@ -102,6 +103,13 @@ class MeshSearch:
         longest = (self.max_order + 1) * _diameter(room, [source.trajectory, *trajectories]) / c
         last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
         ends = movers(source.trajectory, trajectories)
+        fastest = float(ends.scales[0, 2])
+        if fastest >= c:  # a bound: at a sharp corner up to twice the speed
+            raise InputError(
+                "sources.trajectory",
+                f"must surely stay below the speed of sound, {c:.6g} m/s, for paths in a mesh, but {source.name!r} is "
+                f"only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
+            )
         resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
         question = Question(room.walls, ends, c, np.zeros(len(last)), last, resolution)
         shoot = self._shoots(room.walls, source.trajectory, trajectories)
@@ -147,8 +155,8 @@ class MeshSearch:
     def _heard(self, question: Question, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
         search = _searcher(question, self.engine, self.device)
-        parts, count = [FoundPaths.none(self.max_order)], 0
-        for batch in _batches(finder.candidates(self.max_order)):
+        parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
+        for batch, waiting in _batches(finder.candidates(self.max_order)):
             sequence, receiver = batch.sequence[batch.row], batch.receiver
             found = search(sequence, receiver)
             walls = np.full((len(found.path), self.max_order), -1, dtype=np.int32)
@@ -162,7 +170,8 @@ class MeshSearch:
                     f"must give at most {self.path_limit} paths (path_limit), but {self.max_order} gives more from "
                     f"{name!r}, after {finder.share:.0%} of the search",
                 )
-            progress(finder.share)
+            done += len(receiver)
+            progress(finder.share * done / (done + waiting))
         return FoundPaths.joined(parts)
 
 
@@ -202,18 +211,24 @@ def _searcher(question: Question, engine: str, device: str | None) -> Search:
     return partial(find_intervals, question)
 
 
-def _batches(candidates: Iterator[Candidates]) -> Iterator[Candidates]:
-    """Join candidates of the same order until they are worth a launch."""
+def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:
+    """Join candidates of the same order until they are worth a launch; yield also how many others wait."""
     waiting: dict[int, list[Candidates]] = {}
+    count = 0
     for found in candidates:
         if not len(found.row):
             continue
         order = found.sequence.shape[1]
         waiting.setdefault(order, []).append(found)
+        count += len(found.row)
         if sum(len(c.row) for c in waiting[order]) >= _BATCH:
-            yield Candidates.joined(waiting.pop(order))
+            batch = Candidates.joined(waiting.pop(order))
+            count -= len(batch.row)
+            yield batch, count
     for some in waiting.values():
-        yield Candidates.joined(some)
+        batch = Candidates.joined(some)
+        count -= len(batch.row)
+        yield batch, count
 
 
 def _last(source: Motion, longest: float, receiver: Motion) -> float:

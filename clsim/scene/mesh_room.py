@@ -254,7 +254,14 @@ class MeshRoom:
 def _as_mesh(box: Shoebox) -> MeshRoom:
     """Return a shoebox as twelve triangles."""
     corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * box.size
-    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]  # as in WALLS
+    sides = [
+        (0, 1, 3, 2),
+        (4, 6, 7, 5),
+        (0, 4, 5, 1),
+        (2, 3, 7, 6),
+        (0, 2, 6, 4),
+        (1, 5, 7, 3),
+    ]  # as in WALLS, outwards
     triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
     materials = [m for m in box.materials for _ in range(2)]
     return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
