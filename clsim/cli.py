@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import sys
 import time
@@ -34,7 +35,12 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with _one_line_warnings():
             command: Callable[[argparse.Namespace], int] = options.command
-            return command(options)
+            status = command(options)
+            sys.stdout.flush()
+            return status
+    except BrokenPipeError:  # who reads has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (ClsimError, OSError) as error:
         print(f"clsim: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -256,6 +262,9 @@ def _planned(file: SceneFile, overrides: dict[str, Any]) -> tuple[PathSet, Plan]
             paths = find_paths(file.scene, **search, progress=report)
     except InputError as error:
         raise error.within("paths") from error
+    for i in np.setdiff1d(np.arange(len(file.scene.receivers)), paths.receiver):
+        name = file.scene.receivers[i].name
+        warnings.warn(f"receivers[{i}]: no path reaches {name!r}; it will hear nothing", ClsimWarning, stacklevel=2)
     try:
         return paths, plan_render(file.scene, paths, **(file.render | overrides))
     except InputError as error:

@@ -53,10 +53,9 @@ class MaterialModel(Model):
 
 
 def _is_one_material(value: Any) -> bool:
-    """Return whether a table is one material, not materials by name."""
-    return isinstance(value, dict) and all(
-        key in MaterialModel.model_fields and (key == "absorption" or not isinstance(entry, dict))
-        for key, entry in value.items()
+    """Return whether a table is one material, not materials by name, which are tables themselves."""
+    return not isinstance(value, dict) or all(
+        key == "absorption" or not isinstance(entry, dict) for key, entry in value.items()
     )
 
 
