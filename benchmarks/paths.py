@@ -19,7 +19,7 @@ import numpy as np
 import clsim
 from clsim.opencl import device as device_module
 from clsim.paths import beam_tree, device_intervals
-from clsim.paths.movers import bounding_ball
+from clsim.paths.movers import movers
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[1] / "shared" / "data"
@@ -62,7 +62,7 @@ def make_scene(name: str, motion: str, share: float) -> clsim.Scene:
         file, kind = MOTIONS[motion]
         file = DATA / "trajectories" / file
         whole = clsim.Trajectory.from_file(file, kind, max_gap=0.2)
-        shift = middle - bounding_ball(whole)[0]
+        shift = middle - movers(whole, []).ball(0)[0]
         times = np.linspace(0.0, share * whole.end, round(share * whole.end * 100.0))
         part = clsim.Trajectory.waypoints(times, whole.position(times) + shift)
         sources = [clsim.Source("s", tone, part)]

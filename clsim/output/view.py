@@ -26,12 +26,13 @@ _FAINTEST = 1e-15  # gain, in place of zero
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What a page shows: walls, ends, and the paths at F times, s; see `view_page`."""
+    """What a page shows: walls, ends, and the paths at F times, s; see `view_page`. Notes tell what it leaves out."""
 
     walls: tuple[ViewedWall, ...]
     ends: tuple[ViewedEnd, ...]
     times: Floats
     frames: tuple[ViewedPaths, ...]
+    notes: tuple[str, ...]
 
 
 def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: Any) -> None:
@@ -49,7 +50,9 @@ def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: A
         As in `viewed`.
     """
     view = viewed(paths, **options)
-    write_page(page, title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames)
+    write_page(
+        page, title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes
+    )
 
 
 def viewed(
@@ -96,7 +99,9 @@ def viewed(
         if progress is not None:
             progress(1.0)
     still = tuple(replace(end, positions=end.positions[kept]) for end in ends)
-    return View(tuple(_walls(scene)), still, times[kept], tuple(shown))
+    most = max(len(frame.order) for frame in shown)
+    notes = (f"Only the {limit} strongest paths are drawn and counted.",) if most == limit else ()
+    return View(tuple(_walls(scene)), still, times[kept], tuple(shown), notes)
 
 
 def _alike(one: Floats, other: Floats) -> bool:

@@ -12,20 +12,21 @@ import numpy as np
 
 from clsim.errors import ClsimWarning, DeviceError, InputError
 from clsim.opencl.device import find_device
-from clsim.paths.beam_tree import Balls, BeamTree, Candidates, TooManyBeamsError
+from clsim.paths.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.device_intervals import DeviceSearch
 from clsim.paths.intervals import Question, find_intervals
-from clsim.paths.movers import bounding_ball, movers
+from clsim.paths.movers import Balls, movers
 from clsim.paths.shooting import ShotRays
 from clsim.scene.mesh_room import MeshRoom
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.intervals import Intervals
+    from clsim.paths.movers import Movers
     from clsim.scene.mesh_walls import Walls
     from clsim.scene.motion import Motion
     from clsim.scene.scene import Scene, Source
@@ -100,9 +101,9 @@ class MeshSearch:
         room, c = scene.room, scene.air.sound_speed
         assert isinstance(room, MeshRoom)
         trajectories = [r.trajectory for r in scene.receivers]
-        longest = (self.max_order + 1) * _diameter(room, [source.trajectory, *trajectories]) / c
-        last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
         ends = movers(source.trajectory, trajectories)
+        longest = (self.max_order + 1) * _diameter(room, ends) / c
+        last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
         fastest = float(ends.scales[0, 2])
         if fastest >= c:  # a bound: at a sharp corner up to twice the speed
             raise InputError(
@@ -112,14 +113,13 @@ class MeshSearch:
             )
         resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
         question = Question(room.walls, ends, c, np.zeros(len(last)), last, resolution)
-        shoot = self._shoots(room.walls, source.trajectory, trajectories)
+        shoot = self._shoots(room.walls, ends)
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
         while cells:
             begin, end = cells.pop()
-            balls = [bounding_ball(t, begin, end) for t in trajectories]
-            receivers = Balls(np.array([b[0] for b in balls]), np.array([b[1] for b in balls]))
-            centre, radius = bounding_ball(source.trajectory, begin - longest, end)
+            receivers = ends.receiver_balls(begin, end)
+            centre, radius = ends.ball(0, begin - longest, end)
             finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
             if shoot:
                 finder = ShotRays(room, source.trajectory, receivers)
@@ -132,10 +132,10 @@ class MeshSearch:
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
         return _sorted(parts, last)
 
-    def _shoots(self, walls: Walls, source: Motion, receivers: Sequence[Motion]) -> bool:
+    def _shoots(self, walls: Walls, ends: Movers) -> bool:
         """Return whether to shoot rays: asked for, or where a tree would be far too large."""
         if self.finder == "auto":
-            centre, radius = bounding_ball(source)
+            centre, radius = ends.ball(0)
             tree = BeamTree(walls, centre, min(radius, _SMALLEST_CELL * walls.size), Balls.none(), BEAM_LIMIT)
             beams = tree.estimate(self.max_order)
             if beams <= BEAM_LIMIT:
@@ -199,9 +199,9 @@ def _searcher(question: Question, engine: str, device: str | None) -> Search:
     """Return what finds intervals: a device with float64, or NumPy."""
     if engine == "opencl":
         try:
-            info, _ = find_device(device)
+            info, chosen = find_device(device)
             if info.fp64:
-                return DeviceSearch(question, device).find
+                return DeviceSearch(question, chosen).find
             reason = f"{info.name} has no float64"
         except DeviceError:
             if device is not None:
@@ -239,9 +239,9 @@ def _last(source: Motion, longest: float, receiver: Motion) -> float:
     return max(last, 1e-3)
 
 
-def _diameter(room: MeshRoom, motions: Sequence[Motion]) -> float:
+def _diameter(room: MeshRoom, ends: Movers) -> float:
     """Return a bound on the length of a leg, m."""
-    balls = [bounding_ball(m) for m in motions]
+    balls = [ends.ball(row) for row in range(len(ends.places))]
     low = np.minimum(room.extent[0], np.min([c - r for c, r in balls], axis=0))
     high = np.maximum(room.extent[1], np.max([c + r for c, r in balls], axis=0))
     return float(np.linalg.norm(high - low))

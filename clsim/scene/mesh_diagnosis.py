@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.scene.mesh_cleaning import clusters
 from clsim.scene.mesh_room import MeshRoom
 
 if TYPE_CHECKING:
@@ -83,14 +84,9 @@ def _absurd_size(size: float, scale: float | None) -> list[str]:
 
 def _shells(triangles: NDArray[np.int64]) -> tuple[int, int]:
     """Return how many parts a mesh has that share no vertex, and how many of those are watertight."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
-    size = int(triangles.max()) + 1
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(size, size))
-    count, part = connected_components(graph, directed=False)
+    count, part = clusters(int(triangles.max()) + 1, edges)
     return count, count - len(np.unique(part[edges[uses % 2 == 1, 0]]))
 
 
@@ -110,13 +106,9 @@ def _openings(edges: Floats) -> list[str]:
 
 def _holes(edges: Floats) -> list[tuple[Floats, Floats, int]]:
     """Return centre, extent and number of edges of every hole, the largest first, from open edges (n, 2, 3)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     points, index = np.unique(edges.reshape(-1, 3), axis=0, return_inverse=True)
     pairs = index.reshape(-1, 2)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
-    count, part = connected_components(graph, directed=False)
+    count, part = clusters(len(points), pairs)
     found = []
     for i in range(count):
         mine = points[part == i]

@@ -8,10 +8,10 @@ from made_meshes import box, joined, l_room, pillar_room, screen
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.paths.beam_tree import Balls, BeamTree, Candidates
+from clsim.paths.beam_tree import BeamTree, Candidates
 from clsim.paths.device_intervals import DeviceSearch
 from clsim.paths.intervals import Intervals, Question, find_intervals
-from clsim.paths.movers import bounding_ball, movers
+from clsim.paths.movers import movers
 
 pytestmark = pytest.mark.usefixtures("device")
 WALL = clsim.Material.from_reflection(0.9)
@@ -59,13 +59,8 @@ def question(room, source, receivers, _order) -> Question:
 
 
 def candidates(room, source, receivers, order) -> list[Candidates]:
-    balls = [bounding_ball(r) for r in receivers]
-    tree = BeamTree(
-        room.walls,
-        *bounding_ball(source),
-        Balls(np.array([b[0] for b in balls]), np.array([b[1] for b in balls])),
-        10**6,
-    )
+    ends = movers(source, receivers)
+    tree = BeamTree(room.walls, *ends.ball(0), ends.receiver_balls(), 10**6)
     found = [c for c in tree.candidates(order) if len(c.row)]
     orders = sorted({c.sequence.shape[1] for c in found})
     return [Candidates.joined([c for c in found if c.sequence.shape[1] == n]) for n in orders]
@@ -182,6 +177,7 @@ MUTANTS = {
     "more is done than is certain": ("0.999 * clear / reach", "3.0 * clear / reach"),
     "the left rest is forgotten": ("push(p, now.begin, from, 0, 0);", ""),
     "the right rest is forgotten": ("push(p, until, now.end, 0, 0);", ""),
+    "walls on one side of a leg": ("fmin(fabs(first), fabs(last)) > clear +", "fmax(fabs(first), fabs(last)) > clear +"),
     "mirrored by half": ("times(-2.0 * height(plane, x), normal)", "times(-1.9 * height(plane, x), normal)"),
     "segments' nearest points": ("unit_range((uv * s + vw) / vv)", "unit_range((vw - uv * s) / vv)"),
     "the receiver's nudge": ("sum(receiver, other_nudge)", "sum(receiver, times(3e4, other_nudge))"),

@@ -263,6 +263,8 @@ def test_view_shows_walls_and_what_is_heard(mesh_scene: Path) -> None:
         np.testing.assert_allclose(corners[[0, -1]], [[1, 2, 1], [7, 2, 1]], atol=1e-9)
     two = viewed(paths, duration=duration, frames=1, limit=2)
     assert two.frames[0].labels == first.labels[:2] != first.labels
+    assert two.notes == ("Only the 2 strongest paths are drawn and counted.",)
+    assert view.notes == ()
 
 
 def test_view_keeps_one_of_the_instants_between_which_nothing_moves(mesh_scene: Path) -> None:
