@@ -1,7 +1,6 @@
 // From four neighbouring nodes to the cubics of the block between the middle two: Hermite for the delay, whose
 // derivatives are exact, Catmull-Rom for the gain. Cubics are in t, -1 at the block's start and 1 at its end.
 
-#define COEFFICIENTS (4 + 4 * FUNCTIONS)
 #define ROUNDING 6755399441055744.0  // 1.5 * 2^52: adding and taking it away rounds to a whole number
 
 typedef struct {

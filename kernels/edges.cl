@@ -1,8 +1,6 @@
 // Adds the paths that begin or end within a block, sample by sample, with a weight that rises and falls. Work-item:
 // dimension 0 counts the samples of a block, dimension 1 the places: a receiver and one of its blocks each.
 
-#define COEFFICIENTS (4 + 4 * FUNCTIONS)
-
 // Raised cosine from 0 to 1 over one unit about 0; a step at 0 without ramp.
 static float weight(float samples, float per_ramp)
 {

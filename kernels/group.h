@@ -10,7 +10,6 @@
 #endif
 
 #define GROUP (WORKERS * VECTORS * LANES)
-#define COEFFICIENTS (4 + 4 * FUNCTIONS)  // cubics of the delay and of FUNCTIONS gains
 
 typedef struct {
     int whole[BATCH];             // whole delay, samples

@@ -92,8 +92,9 @@ static void put(__global progress* p, double begin, double end, int path, __glob
     p->end = end;
 }
 
-__kernel void intervals(int walls, double tolerance, __global const double4* plane, __global const double4* ball,
-                        __global const int* same, __global const int* first_edge, __global const int* first_piece,
+__kernel void intervals(int walls, double tolerance, double thickness, __global const double4* plane,
+                        __global const double4* ball, __global const int* same, __global const int* first_edge,
+                        __global const int* first_piece,
                         __global const int* first_line, __global const int* first_twin, __global const double* edge,
                         __global const double4* line, __global const int* twin,
                         __global const long* places,    // [ends][3]: first knot, first speed, knots; the source first
@@ -110,8 +111,8 @@ __kernel void intervals(int walls, double tolerance, __global const double4* pla
 {
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
-    const search s = {{walls, tolerance, plane, ball, same, first_edge, first_piece, first_line, first_twin, edge, line,
-                       twin}, mover_at(places, scales, knots, speeds, speed_of_sound, 0),
+    const search s = {{walls, tolerance, thickness, plane, ball, same, first_edge, first_piece, first_line, first_twin, edge,
+                       line, twin}, mover_at(places, scales, knots, speeds, speed_of_sound, 0),
                       mover_at(places, scales, knots, speeds, speed_of_sound, 1 + receiver_of[path]),
                       sequences + ORDER * path};
     __global progress* p = states + path;

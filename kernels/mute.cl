@@ -1,7 +1,5 @@
 // Takes the paths that were added sample by sample out of their blocks. Work-item: one slot and block.
 
-#define COEFFICIENTS (4 + 4 * FUNCTIONS)
-
 __kernel void mute(__global const int* slot, __global const int* block, __global float* nodes, int slots)
 {
     const int e = get_global_id(0);

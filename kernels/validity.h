@@ -118,6 +118,9 @@ static double edge_clearance(const room* walls, double reach, const unfolded* pa
             const double4 ball = walls->ball[wall];
             const triple centre = {ball.x, ball.y, ball.z};
             if (point_apart(centre, a, b) > (ball.w + clear) * (ball.w + clear)) continue;
+            // Edges lie in the plane of their wall: a leg that stays on one side of it is no nearer to them.
+            const double first = height(walls->plane[wall], a), last = height(walls->plane[wall], b);
+            if (first * last > 0.0 && fmin(fabs(first), fabs(last)) > clear + walls->thickness) continue;
             clear = sqrt(edges_apart(walls, wall, a, b, 0.0025 * reach * reach, clear * clear));
             if (clear < 0.05 * reach) return clear;
         }

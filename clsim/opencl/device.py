@@ -6,10 +6,15 @@ import logging
 import uuid
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from clsim.errors import DeviceError
 from clsim.opencl.kernel_source import kernel_source
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 INSTALL = (
     "install a driver: `pip install pocl-binary-distribution` (Linux x86-64), "
@@ -96,6 +101,14 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
             )  # fmt: skip
             found.append((info, device))
     return found
+
+
+def upload(context: Any, array: NDArray[Any]) -> Any:
+    """Return a buffer of a context that holds a copy of an array."""
+    import pyopencl as cl
+
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array))
 
 
 class Compiler:

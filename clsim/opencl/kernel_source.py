@@ -8,11 +8,11 @@ from clsim.errors import ClsimError
 
 PROGRAMS = {
     "branches": ("vector.h", "branches.cl"),
-    "tracks": ("motion.h", "delay.h", "gain.h", "block.h", "tracks.cl"),
+    "tracks": ("motion.h", "delay.h", "gain.h", "nodes.h", "block.h", "tracks.cl"),
     "intervals": ("motion.h", "delay.h", "walls.h", "validity.h", "intervals.cl"),
-    "edges": ("edges.cl",),
-    "mute": ("mute.cl",),
-    "render": ("vector.h", "group.h", "farrow.h", "render.cl"),
+    "edges": ("nodes.h", "edges.cl"),
+    "mute": ("nodes.h", "mute.cl"),
+    "render": ("vector.h", "nodes.h", "group.h", "farrow.h", "render.cl"),
 }
 
 

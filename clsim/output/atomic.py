@@ -24,11 +24,20 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     ----------
     path : path-like
         Where the file is to be; its folder must exist.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; it names the file.
     """
     final = Path(path)
     temporary = temporary_path(final)
     try:
         yield temporary
         temporary.replace(final)
+    except OSError as error:
+        if error.filename is None and error.errno is not None:  # writing does not tell the name, opening does
+            raise OSError(error.errno, error.strerror, str(final)) from error
+        raise
     finally:
         temporary.unlink(missing_ok=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,19 +20,22 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
 _TRAIL = 400  # points of a drawn trajectory
+_SEEN = 1e-4  # m, to which the page rounds
+_FAINTEST = 1e-15  # gain, in place of zero
 
 
-def view_scene(
-    paths: PathSet,
-    page: Path,
-    *,
-    duration: float,
-    frames: int = 120,
-    limit: int = 300,
-    title: str = "scene",
-    motion: str = "retarded",
-    progress: Callable[[float], None] | None = None,
-) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What a page shows: walls, ends, and the paths at F times, s; see `view_page`. Notes tell what it leaves out."""
+
+    walls: tuple[ViewedWall, ...]
+    ends: tuple[ViewedEnd, ...]
+    times: Floats
+    frames: tuple[ViewedPaths, ...]
+    notes: tuple[str, ...]
+
+
+def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: Any) -> None:
     """Write a page that shows the room, the trajectories and the paths over time.
 
     Parameters
@@ -40,15 +44,42 @@ def view_scene(
         What is shown, with its scene.
     page : Path
         Of the HTML file.
+    title : str
+        Above the picture.
+    **options
+        As in `viewed`.
+    """
+    view = viewed(paths, **options)
+    write_page(
+        page, title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes
+    )
+
+
+def viewed(
+    paths: PathSet,
+    *,
+    duration: float,
+    frames: int = 120,
+    limit: int = 300,
+    motion: str = "retarded",
+    amplitude: str = "wave-equation",
+    progress: Callable[[float], None] | None = None,
+) -> View:
+    """Return the room, the trajectories and the paths over time, as they are drawn.
+
+    Parameters
+    ----------
+    paths : PathSet
+        What is shown, with its scene.
     duration : float
         Of the run, s.
     frames : int
-        Instants between 0 and `duration` to choose from; one if nothing moves.
+        Instants between 0 and `duration` to choose from; of those between which nothing moves only the first is kept.
     limit : int
-        Paths that are drawn at a time, the strongest.
-    title : str
-        Above the picture.
+        Paths that are drawn at a time, the strongest; levels are told against the strongest of them.
     motion : {"retarded", "quasi-static"}
+        As in `render`.
+    amplitude : {"wave-equation", "static", "convective"}
         As in `render`.
     progress : callable, optional
         Called with 1 for every frame.
@@ -56,26 +87,47 @@ def view_scene(
     scene = paths.scene
     moves = any(np.isfinite(item.trajectory.end) for _, item in scene.named_ends())
     times = np.linspace(0.0, duration, frames) if moves and frames > 1 else np.zeros(1)
-    shown = []
-    for time in times:
-        shown.append(_paths_at(paths, float(time), limit, motion))
+    ends = _ends(scene, times)
+    shown: list[ViewedPaths] = []
+    kept: list[int] = []
+    for i, time in enumerate(times):
+        now = _paths_at(paths, float(time), limit, motion, amplitude)
+        rests = bool(kept) and all(_alike(end.positions[i], end.positions[kept[-1]]) for end in ends)
+        if not (rests and _same(now, shown[-1])):
+            shown.append(now)
+            kept.append(i)
         if progress is not None:
             progress(1.0)
-    write_page(page, title=title, walls=_walls(scene), ends=_ends(scene, times), times=times, frames=shown)
+    still = tuple(replace(end, positions=end.positions[kept]) for end in ends)
+    most = max(len(frame.order) for frame in shown)
+    notes = (f"Only the {limit} strongest paths are drawn and counted.",) if most == limit else ()
+    return View(tuple(_walls(scene)), still, times[kept], tuple(shown), notes)
 
 
-def _paths_at(paths: PathSet, time: float, limit: int, motion: str) -> ViewedPaths:
+def _alike(one: Floats, other: Floats) -> bool:
+    """Return whether points are where others are, as far as the page shows."""
+    return bool(np.all(np.abs(one - other) < _SEEN))
+
+
+def _same(one: ViewedPaths, other: ViewedPaths) -> bool:
+    """Return whether two frames show the same paths."""
+    return one.labels == other.labels and all(map(_alike, one.corners, other.corners))
+
+
+def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
     """Return the strongest paths that are heard at a time."""
-    table = paths.table(np.array([time]), motion)
+    table = paths.table(np.array([time]), motion, amplitude)
     heard = np.flatnonzero(np.isfinite(table.delay[:, 0]))
-    level = 20.0 * np.log10(np.maximum(np.abs(table.gain[heard, 0]), 1e-15))
-    heard = heard[np.argsort(-level, kind="stable")[:limit]]
+    gain = np.maximum(np.abs(table.gain[heard, 0]), _FAINTEST)
+    level = 20.0 * np.log10(gain / gain.max(initial=_FAINTEST))
+    strongest = np.argsort(-level, kind="stable")[:limit]
+    heard, level = heard[strongest], level[strongest]
     corners = paths.corners(time, motion)[heard]
     names = [
         f"{table.source_names[table.source[p]]} to {table.receiver_names[table.receiver[p]]}, "
         + (", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct")
-        + f": {table.delay[p, 0] * 1e3:.3f} ms, {20.0 * np.log10(max(abs(table.gain[p, 0]), 1e-15)):.1f} dB"
-        for p in heard
+        + f": {table.delay[p, 0] * 1e3:.3f} ms, {decibels + 0.0:.1f} dB"
+        for p, decibels in zip(heard, level, strict=True)
     ]
     order = table.order[heard]
     return ViewedPaths(tuple(c[: n + 2] for c, n in zip(corners, order, strict=True)), order, tuple(names))

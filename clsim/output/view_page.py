@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,10 @@ class ViewedWall:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewedEnd:
-    """A source or receiver: name, kind, positions (F, 3) at the frames and its whole way (M, 3), m."""
+    """A source or receiver: name, kind, positions (F, 3) at the frames and its whole way (M, 3), m.
+
+    A position that is not known is NaN: nothing is drawn there.
+    """
 
     name: str
     kind: str
@@ -66,6 +70,7 @@ def write_page(
     ends: Sequence[ViewedEnd],
     times: Floats,
     frames: Sequence[ViewedPaths],
+    notes: Sequence[str] = (),
 ) -> None:
     """Write one HTML file that holds everything, the drawing library included.
 
@@ -81,79 +86,123 @@ def write_page(
         Of the frames, increasing, s.
     frames : sequence of ViewedPaths
         One per time.
+    notes : sequence of str
+        Lines below the title.
 
     Raises
     ------
     InputError
-        If lengths differ or times do not increase.
+        If lengths differ, times do not increase or a path has another number of corners than its order asks for.
     """
-    if len(frames) != len(times) or any(len(end.positions) != len(times) for end in ends):
-        raise InputError("frames", f"must be one per time, {len(times)}, for paths and positions alike")
-    if np.any(np.diff(times) <= 0.0):
-        raise InputError("times", "must increase")
+    _check_times(times, ends, frames)
+    for i, frame in enumerate(frames):
+        _check_paths(f"frames[{i}]", frame)
     from plotly.offline import get_plotlyjs
 
-    last = max((int(f.order.max(initial=0)) for f in frames), default=0)
-    fixed = [*_wall_traces(walls), *_trail_traces(ends)]
-    data = {
+    text = json.dumps(_document(walls, ends, times, frames), separators=(",", ":"), allow_nan=False)
+    parts = {
+        "title": html.escape(title),
+        "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
+        "data": text.replace("<", "\\u003c"),
+        "plotly": get_plotlyjs(),
+    }
+    # In one go: what is put in is not searched again, whatever the names in it are.
+    page = re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _PAGE)
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, "utf-8")
+
+
+def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[ViewedPaths]) -> None:
+    if len(times) == 0:
+        raise InputError("times", "must not be empty")
+    rule = f"must be one per time, {len(times)}, for paths and positions alike, but"
+    if len(frames) != len(times):
+        raise InputError("frames", f"{rule} there are {len(frames)}")
+    for i, end in enumerate(ends):
+        if end.positions.shape != (len(times), 3):
+            shape = " x ".join(map(str, end.positions.shape))
+            raise InputError("frames", f"{rule} ends[{i}].positions has the shape {shape}")
+    for i, time in enumerate(times):
+        if not np.isfinite(time):
+            raise InputError(f"times[{i}]", f"must be finite, but is {time}")
+        if i and time <= times[i - 1]:
+            problem = f"must increase strictly, but [{i}] = {time:g} s follows [{i - 1}] = {times[i - 1]:g} s"
+            raise InputError("times", problem)
+
+
+def _check_paths(field: str, paths: ViewedPaths) -> None:
+    for name, count in (("order", len(paths.order)), ("labels", len(paths.labels))):
+        if count != len(paths.corners):
+            raise InputError(f"{field}.{name}", f"must be one per path, {len(paths.corners)}, but there are {count}")
+    for p, (corners, order) in enumerate(zip(paths.corners, paths.order, strict=True)):
+        if order < 0:
+            raise InputError(f"{field}.order[{p}]", f"must be at least 0, but is {order}")
+        if corners.shape != (order + 2, 3):
+            shape = " x ".join(map(str, corners.shape))
+            problem = f"must have the shape {order + 2} x 3 for a path of order {order}, but has {shape}"
+            raise InputError(f"{field}.corners[{p}]", problem)
+        if not np.isfinite(corners).all():
+            raise InputError(f"{field}.corners[{p}]", "must be finite")
+
+
+def _document(
+    walls: Sequence[ViewedWall], ends: Sequence[ViewedEnd], times: Floats, frames: Sequence[ViewedPaths]
+) -> dict[str, Any]:
+    """Return all that the page draws: traces that stay, those that change, and per frame what goes into them."""
+    last = max(int(np.max(f.order, initial=0)) for f in frames)
+    return {
         "times": [float(f"{t:.9g}") for t in times],
-        "fixed": fixed,
+        "fixed": [*_wall_traces(walls), *_trail_traces(ends)],
         "marks": _mark_trace(ends),
         "places": [[_rounded(end.positions[i]) for end in ends] for i in range(len(times))],
         "orders": [_order_trace(n) for n in range(last + 1)],
         "frames": [_frame(f, last) for f in frames],
     }
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    page = _PAGE.replace("{{title}}", html.escape(title)).replace("{{data}}", text)
-    page = page.replace("{{plotly}}", get_plotlyjs())
-    with atomic_path(path) as temporary:
-        temporary.write_text(page, "utf-8")
+
+
+def _plain(text: str) -> str:
+    """Return a text that plotly, which reads a little HTML, draws letter by letter."""
+    return html.escape(text, quote=False)
 
 
 def _rounded(values: Floats) -> list[Any]:
-    """Return coordinates to a tenth of a millimetre."""
-    rounded: list[Any] = np.round(np.asarray(values, dtype=np.float64), 4).tolist()
-    return rounded
+    """Return coordinates (n,) to a millimetre; what is not known is None."""
+    rounded = np.round(np.asarray(values, dtype=np.float64), 3) + 0.0  # no minus zero
+    return [v if np.isfinite(v) else None for v in rounded.tolist()]
 
 
 def _wall_traces(walls: Sequence[ViewedWall]) -> list[dict[str, Any]]:
-    """Return one surface per material, and all outlines."""
+    """Return for each material its surface and the outlines of its walls, which one legend entry toggles."""
     traces = []
     for m, material in enumerate(dict.fromkeys(wall.material for wall in walls)):
         mine = [wall for wall in walls if wall.material == material]
-        corners = np.concatenate([wall.triangles for wall in mine]).reshape(-1, 3)
-        x, y, z = _rounded(corners.T)
-        i = list(range(0, len(corners), 3))
-        names = [wall.name for wall in mine for _ in range(3 * len(wall.triangles))]
-        traces.append(
-            {
-                "type": "mesh3d",
-                "x": x,
-                "y": y,
-                "z": z,
-                "i": i,
-                "j": [a + 1 for a in i],
-                "k": [a + 2 for a in i],
-                "color": _MATERIALS[m % len(_MATERIALS)],
-                "opacity": 0.18,
-                "flatshading": True,
-                "name": material,
-                "showlegend": True,
-                "text": names,
-                "hovertemplate": "%{text}<extra>" + html.escape(material) + "</extra>",
-            }
-        )
-    lines = np.concatenate([wall.outline for wall in walls])
-    lines = np.concatenate([lines, np.full((len(lines), 1, 3), np.nan)], axis=1).reshape(-1, 3)
-    traces.append(_lines(lines, color="#555555", width=1.5, name="edges"))
+        group = f"material {m}"
+        traces.append(_surface(mine, _MATERIALS[m % len(_MATERIALS)]) | {"legendgroup": group})
+        edges = np.concatenate([wall.outline for wall in mine])
+        edges = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+        traces.append(_lines(edges, color="#555555", width=1.5, name="edges") | {"legendgroup": group})
     return traces
+
+
+def _surface(walls: Sequence[ViewedWall], color: str) -> dict[str, Any]:
+    """Return the surface of walls of one material."""
+    corners = np.concatenate([wall.triangles for wall in walls]).reshape(-1, 3)
+    x, y, z = (_rounded(column) for column in corners.T)
+    first = range(0, len(corners), 3)
+    material = _plain(walls[0].material)
+    return {
+        "type": "mesh3d", "x": x, "y": y, "z": z, "name": material, "showlegend": True, "color": color,
+        "i": [*first], "j": [a + 1 for a in first], "k": [a + 2 for a in first], "opacity": 0.18, "flatshading": True,
+        "text": [_plain(wall.name) for wall in walls for _ in range(3 * len(wall.triangles))],
+        "hovertemplate": "%{text}: %{fullData.name}<extra></extra>",
+    }  # fmt: skip
 
 
 def _lines(points: Floats, *, color: str, width: float, name: str) -> dict[str, Any]:
     """Return lines through points, interrupted at NaN."""
-    columns = [[None if np.isnan(v) else v for v in column] for column in _rounded(points.T)]
+    x, y, z = (_rounded(column) for column in points.T)
     return {
-        "type": "scatter3d", "mode": "lines", "x": columns[0], "y": columns[1], "z": columns[2], "name": name,
+        "type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "name": _plain(name),
         "line": {"color": color, "width": width}, "hoverinfo": "skip", "showlegend": False,
     }  # fmt: skip
 
@@ -172,12 +221,13 @@ def _mark_trace(ends: Sequence[ViewedEnd]) -> dict[str, Any]:
     sources = [end.kind == "source" for end in ends]
     return {
         "type": "scatter3d", "mode": "markers+text", "x": [], "y": [], "z": [], "name": "sources and receivers",
-        "text": [end.name for end in ends], "textposition": "top center",
+        "text": [end.name for end in ends], "textposition": "top center", "textfont": {"size": 15},
+        "hovertext": [_plain(end.name) for end in ends],
         "marker": {
             "size": 6, "color": [_SOURCE if s else _RECEIVER for s in sources],
             "symbol": ["circle" if s else "diamond" for s in sources],
         },
-        "hovertemplate": "%{text}<br>%{x} %{y} %{z}<extra></extra>",
+        "hovertemplate": "%{hovertext}<br>%{x} %{y} %{z} m<extra></extra>",
     }  # fmt: skip
 
 
@@ -192,12 +242,14 @@ def _order_trace(order: int) -> dict[str, Any]:
 
 
 def _frame(paths: ViewedPaths, last: int) -> list[dict[str, Any]]:
-    """Return for each order the points of its paths in a row, the number of points and the label of each path."""
+    """Return for each order the labels of its paths and all their corners in a row: x, y, z, x, ..., whole mm."""
+    order = np.asarray(paths.order)
     orders = []
     for n in range(last + 1):
-        rows = np.flatnonzero(paths.order == n)
+        rows = np.flatnonzero(order == n)
         points = np.concatenate([paths.corners[p] for p in rows]) if len(rows) else np.empty((0, 3))
-        orders.append({"xyz": [_rounded(c) for c in points.T], "labels": [paths.labels[p] for p in rows]})
+        millimetres = np.round(points * 1e3).astype(np.int64).ravel().tolist()
+        orders.append({"mm": millimetres, "labels": [_plain(paths.labels[p]) for p in rows]})
     return orders
 
 
@@ -206,40 +258,46 @@ _PAGE = """<!DOCTYPE html>
 <style>
 html, body { margin: 0; height: 100%; font: 15px system-ui, sans-serif; color: #222; }
 body { display: flex; flex-direction: column; }
-header { padding: 8px 14px; display: flex; gap: 14px; align-items: center; border-bottom: 1px solid #ddd; }
+header {
+  padding: 8px 14px; display: flex; flex-wrap: wrap; gap: 4px 14px; align-items: center; border-bottom: 1px solid #ddd;
+}
 h1 { font-size: 17px; margin: 0; }
 #time { flex: 1; min-width: 120px; }
 #told { min-width: 16em; font-variant-numeric: tabular-nums; }
-#scene { flex: 1; min-height: 0; }
-button { font: inherit; padding: 2px 12px; }
+#drawing { flex: 1; min-height: 0; }
+button { font: inherit; padding: 2px 0; width: 4.5em; }
+#notes { flex-basis: 100%; color: #555; }
+#notes:empty { display: none; }
+#notes p { margin: 2px 0; }
 </style></head><body>
 <header><h1>{{title}}</h1><button id="play">play</button>
-<input id="time" type="range" min="0" step="1" value="0" aria-label="time"><span id="told"></span></header>
-<div id="scene"></div>
+<input id="time" type="range" min="0" step="1" value="0" aria-label="time"><span id="told"></span>
+<div id="notes">{{notes}}</div></header>
+<div id="drawing"></div>
 <script>{{plotly}}</script>
 <script id="data" type="application/json">{{data}}</script>
 <script>
 "use strict";
 const data = JSON.parse(document.getElementById("data").textContent);
-const scene = document.getElementById("scene"), slider = document.getElementById("time");
+const scene = document.getElementById("drawing"), slider = document.getElementById("time");
 const play = document.getElementById("play"), told = document.getElementById("told");
 const marks = data.fixed.length, firstOrder = marks + 1;
-let shown = -1, timer = null;
+let shown = -1, wanted = -1, busy = null, playing = false, turn = 0;
 
 function lines(order, part) {  // points of all paths of an order, a gap behind each
   const out = {x: [], y: [], z: [], text: []};
   let at = 0;
   for (const label of part.labels) {
-    for (let i = 0; i < order + 2; i++, at++) {
-      out.x.push(part.xyz[0][at]); out.y.push(part.xyz[1][at]); out.z.push(part.xyz[2][at]); out.text.push(label);
+    for (let i = 0; i < order + 2; i++, at += 3) {
+      out.x.push(part.mm[at] / 1000); out.y.push(part.mm[at + 1] / 1000); out.z.push(part.mm[at + 2] / 1000);
+      out.text.push(label);
     }
     out.x.push(null); out.y.push(null); out.z.push(null); out.text.push("");
   }
   return out;
 }
 
-function show(index) {
-  if (index === shown) return Promise.resolve();
+function draw(index) {
   shown = index;
   const places = data.places[index], frame = data.frames[index].map((part, order) => lines(order, part));
   const update = {
@@ -252,12 +310,39 @@ function show(index) {
   return Plotly.restyle(scene, update, update.x.map((_, i) => marks + i));
 }
 
+function show(index) {  // a slow machine skips frames rather than lag behind the slider
+  wanted = index;
+  busy ??= (async () => { while (shown !== wanted) await draw(wanted); })().finally(() => { busy = null; });
+  return busy;
+}
+
+async function run(mine) {
+  while (playing && mine === turn) {
+    const started = performance.now();
+    await show((shown + 1) % data.times.length);
+    await new Promise(done => setTimeout(done, Math.max(20, 120 - (performance.now() - started))));
+  }
+}
+
+function pathsFirst() {  // the mouse finds what lies behind a wall: when it picks, all else is nearer than any wall
+  const sub = scene._fullLayout?.scene?._scene, gl = sub?.glplot?.gl;
+  if (!gl) return;
+  const walls = new Set(Object.values(sub.traces).map(trace => trace.mesh));
+  for (const object of sub.glplot.objects) {
+    if (!object.drawPick || Object.hasOwn(object, "drawPick")) continue;
+    const drawPick = object.drawPick, [near, far] = walls.has(object) ? [0.5, 1] : [0, 0.5];
+    object.drawPick = function (camera) { gl.depthRange(near, far); drawPick.call(this, camera); gl.depthRange(0, 1); };
+  }
+}
+
+function plain(text) { return text.replace(/&lt;/g, "<").replace(/&gt;/g, ">").replace(/&amp;/g, "&"); }
+
 function state() {  // what is drawn now, read back from the drawing
   const drawn = scene.data, paths = drawn.slice(firstOrder);
   return {
-    index: shown, text: told.textContent,
+    index: shown, text: told.textContent, names: drawn.map(t => plain(t.name)),
     paths: paths.map(t => t.x.filter(v => v === null).length), visible: drawn.map(t => t.visible !== "legendonly"),
-    places: drawn[marks].x.map((x, i) => [x, drawn[marks].y[i], drawn[marks].z[i]]), names: drawn.map(t => t.name),
+    places: drawn[marks].x.map((x, i) => [x, drawn[marks].y[i], drawn[marks].z[i]]),
   };
 }
 
@@ -265,13 +350,14 @@ slider.max = data.times.length - 1;
 if (data.times.length === 1) { slider.hidden = play.hidden = true; }
 slider.addEventListener("input", () => show(Number(slider.value)));
 play.addEventListener("click", () => {
-  if (timer) { clearInterval(timer); timer = null; play.textContent = "play"; return; }
-  play.textContent = "pause";
-  timer = setInterval(() => show((shown + 1) % data.times.length), 120);
+  playing = !playing;
+  play.textContent = playing ? "pause" : "play";
+  if (playing) run(++turn);
 });
 const axis = title => ({title: {text: title}, showbackground: false, gridcolor: "#e5e5e5", zeroline: false});
 const layout = {
-  margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "kept", legend: {x: 0.01, y: 0.99, bgcolor: "rgba(255,255,255,0.8)"},
+  margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "kept",
+  legend: {x: 0.01, y: 0.99, tracegroupgap: 0, bgcolor: "rgba(255,255,255,0.8)"},
   scene: {
     aspectmode: "data", xaxis: axis("x (m)"), yaxis: axis("y (m)"), zaxis: axis("z (m)"),
     camera: {eye: {x: -1.2, y: -1.75, z: 1.3}},
@@ -280,7 +366,7 @@ const layout = {
 window.clsim = {
   times: data.times, show, state,
   ready: Plotly.newPlot(scene, [...data.fixed, data.marks, ...data.orders], layout, {displaylogo: false})
-    .then(() => show(0)),
+    .then(() => { pathsFirst(); scene.on("plotly_afterplot", pathsFirst); return show(0); }),
 };
 </script></body></html>
 """

@@ -105,3 +105,21 @@ class WavWriter:
                 self._temporary.replace(self._path)
         finally:
             self._temporary.unlink(missing_ok=True)
+
+
+class SoundFile:
+    """Samples of a mono sound file, read where they are cut."""
+
+    def __init__(self, path: Path) -> None:
+        import soundfile
+
+        self._path = path
+        self._count = int(soundfile.info(path).frames)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, part: slice) -> Any:
+        import soundfile
+
+        return soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32")[0]

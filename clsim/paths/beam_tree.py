@@ -15,23 +15,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.movers import Balls
     from clsim.scene.mesh_walls import Walls
 
 _PAIRS = 200_000  # of beam and next wall looked at at a time
 _SLACK = 1e-7  # of the room's size, added to balls against rounding
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Balls:
-    """Balls that hold the ends of paths over the time that matters: centres (n, 3) and radii (n,), m."""
-
-    centre: Floats
-    radius: Floats
-
-    @staticmethod
-    def none() -> Balls:
-        """Return no balls."""
-        return Balls(np.empty((0, 3)), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

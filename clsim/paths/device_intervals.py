@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.device import Compiler, find_device
+from clsim.opencl.device import Compiler, find_device, upload
 from clsim.paths.intervals import GRAZE, MOST_LOOKS, SMALLEST_MOVE, Intervals, Question, merged
 from clsim.scene.mesh_walls import INSIDE
 
@@ -27,8 +27,8 @@ class DeviceSearch:
     ----------
     question : Question
         Room, ends and resolution.
-    device : str, optional
-        As in `render`.
+    device : pyopencl.Device, optional
+        Where; the best one when left out.
 
     Raises
     ------
@@ -36,19 +36,22 @@ class DeviceSearch:
         If there is no device, or it fails.
     """
 
-    def __init__(self, question: Question, device: str | None = None) -> None:
+    def __init__(self, question: Question, device: Any = None) -> None:
         import pyopencl as cl
 
         self._question = question
-        _, chosen = find_device(device)
-        self._queue = cl.CommandQueue(cl.Context([chosen]))
+        self._queue = cl.CommandQueue(cl.Context([device or find_device(None)[1]]))
         self._compiler = Compiler(self._queue.context)
         walls, ends = question.walls, question.movers
         plane = np.concatenate([walls.normal, walls.offset[:, None]], axis=1)
         ball = np.concatenate([walls.centre, walls.radius[:, None]], axis=1)
         whole = (walls.plane, walls.first_edge, walls.first_piece, walls.first_line, walls.first_twin)
+        owner = np.repeat(np.arange(len(walls)), np.diff(walls.first_edge))
+        away = np.einsum("eci,ei->ec", walls.edge, walls.normal[owner]) - walls.offset[owner, None]
+        thickness = float(np.abs(away).max(initial=0.0)) + SMALLEST_MOVE * walls.size
         self._room = (
-            np.int32(len(walls)), np.float64(INSIDE * walls.size), self._upload(plane), self._upload(ball),
+            np.int32(len(walls)), np.float64(INSIDE * walls.size), np.float64(thickness),
+            self._upload(plane), self._upload(ball),
             *(self._upload(column.astype(np.int32)) for column in whole),
             self._upload(walls.edge), self._upload(walls.line), self._upload(np.append(walls.twin, 0).astype(np.int32)),
         )  # fmt: skip
@@ -126,7 +129,4 @@ class DeviceSearch:
         return states
 
     def _upload(self, array: NDArray[Any]) -> Any:
-        import pyopencl as cl
-
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self._queue.context, flags, hostbuf=np.ascontiguousarray(array))
+        return upload(self._queue.context, array)

@@ -12,20 +12,21 @@ import numpy as np
 
 from clsim.errors import ClsimWarning, DeviceError, InputError
 from clsim.opencl.device import find_device
-from clsim.paths.beam_tree import Balls, BeamTree, Candidates, TooManyBeamsError
+from clsim.paths.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.device_intervals import DeviceSearch
 from clsim.paths.intervals import Question, find_intervals
-from clsim.paths.movers import bounding_ball, movers
+from clsim.paths.movers import Balls, movers
 from clsim.paths.shooting import ShotRays
 from clsim.scene.mesh_room import MeshRoom
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.intervals import Intervals
+    from clsim.paths.movers import Movers
     from clsim.scene.mesh_walls import Walls
     from clsim.scene.motion import Motion
     from clsim.scene.scene import Scene, Source
@@ -39,7 +40,7 @@ _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not
 # Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
 # them would be heard at -102 dB.
 _OF_A_SAMPLE = 1.0 / 16.0
-_BATCH = 50_000  # candidates searched at a time
+_BATCH = 16_384  # candidates searched at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,26 +93,33 @@ class MeshSearch:
         Raises
         ------
         InputError
-            If there are more paths than the limit, or more beams than can be looked at.
+            If there are more paths than the limit, or more beams than can be looked at, or the source may be as fast as
+            sound.
         DeviceError
             If the device fails.
         """
         room, c = scene.room, scene.air.sound_speed
         assert isinstance(room, MeshRoom)
         trajectories = [r.trajectory for r in scene.receivers]
-        longest = (self.max_order + 1) * _diameter(room, [source.trajectory, *trajectories]) / c
-        last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
         ends = movers(source.trajectory, trajectories)
+        longest = (self.max_order + 1) * _diameter(room, ends) / c
+        last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
+        fastest = float(ends.scales[0, 2])
+        if fastest >= c:  # a bound: at a sharp corner up to twice the speed
+            raise InputError(
+                "sources.trajectory",
+                f"must surely stay below the speed of sound, {c:.6g} m/s, for paths in a mesh, but {source.name!r} is "
+                f"only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
+            )
         resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
         question = Question(room.walls, ends, c, np.zeros(len(last)), last, resolution)
-        shoot = self._shoots(room.walls, source.trajectory, trajectories)
+        shoot = self._shoots(room.walls, ends)
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
         while cells:
             begin, end = cells.pop()
-            balls = [bounding_ball(t, begin, end) for t in trajectories]
-            receivers = Balls(np.array([b[0] for b in balls]), np.array([b[1] for b in balls]))
-            centre, radius = bounding_ball(source.trajectory, begin - longest, end)
+            receivers = ends.receiver_balls(begin, end)
+            centre, radius = ends.ball(0, begin - longest, end)
             finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
             if shoot:
                 finder = ShotRays(room, source.trajectory, receivers)
@@ -124,10 +132,10 @@ class MeshSearch:
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
         return _sorted(parts, last)
 
-    def _shoots(self, walls: Walls, source: Motion, receivers: Sequence[Motion]) -> bool:
+    def _shoots(self, walls: Walls, ends: Movers) -> bool:
         """Return whether to shoot rays: asked for, or where a tree would be far too large."""
         if self.finder == "auto":
-            centre, radius = bounding_ball(source)
+            centre, radius = ends.ball(0)
             tree = BeamTree(walls, centre, min(radius, _SMALLEST_CELL * walls.size), Balls.none(), BEAM_LIMIT)
             beams = tree.estimate(self.max_order)
             if beams <= BEAM_LIMIT:
@@ -147,8 +155,8 @@ class MeshSearch:
     def _heard(self, question: Question, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
         search = _searcher(question, self.engine, self.device)
-        parts, count = [FoundPaths.none(self.max_order)], 0
-        for batch in _batches(finder.candidates(self.max_order)):
+        parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
+        for batch, waiting in _batches(finder.candidates(self.max_order)):
             sequence, receiver = batch.sequence[batch.row], batch.receiver
             found = search(sequence, receiver)
             walls = np.full((len(found.path), self.max_order), -1, dtype=np.int32)
@@ -162,7 +170,8 @@ class MeshSearch:
                     f"must give at most {self.path_limit} paths (path_limit), but {self.max_order} gives more from "
                     f"{name!r}, after {finder.share:.0%} of the search",
                 )
-            progress(finder.share)
+            done += len(receiver)
+            progress(finder.share * done / (done + waiting))
         return FoundPaths.joined(parts)
 
 
@@ -190,9 +199,9 @@ def _searcher(question: Question, engine: str, device: str | None) -> Search:
     """Return what finds intervals: a device with float64, or NumPy."""
     if engine == "opencl":
         try:
-            info, _ = find_device(device)
+            info, chosen = find_device(device)
             if info.fp64:
-                return DeviceSearch(question, device).find
+                return DeviceSearch(question, chosen).find
             reason = f"{info.name} has no float64"
         except DeviceError:
             if device is not None:
@@ -202,18 +211,24 @@ def _searcher(question: Question, engine: str, device: str | None) -> Search:
     return partial(find_intervals, question)
 
 
-def _batches(candidates: Iterator[Candidates]) -> Iterator[Candidates]:
-    """Join candidates of the same order until they are worth a launch."""
+def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:
+    """Join candidates of the same order until they are worth a launch; yield also how many others wait."""
     waiting: dict[int, list[Candidates]] = {}
+    count = 0
     for found in candidates:
         if not len(found.row):
             continue
         order = found.sequence.shape[1]
         waiting.setdefault(order, []).append(found)
+        count += len(found.row)
         if sum(len(c.row) for c in waiting[order]) >= _BATCH:
-            yield Candidates.joined(waiting.pop(order))
+            batch = Candidates.joined(waiting.pop(order))
+            count -= len(batch.row)
+            yield batch, count
     for some in waiting.values():
-        yield Candidates.joined(some)
+        batch = Candidates.joined(some)
+        count -= len(batch.row)
+        yield batch, count
 
 
 def _last(source: Motion, longest: float, receiver: Motion) -> float:
@@ -224,9 +239,9 @@ def _last(source: Motion, longest: float, receiver: Motion) -> float:
     return max(last, 1e-3)
 
 
-def _diameter(room: MeshRoom, motions: Sequence[Motion]) -> float:
+def _diameter(room: MeshRoom, ends: Movers) -> float:
     """Return a bound on the length of a leg, m."""
-    balls = [bounding_ball(m) for m in motions]
+    balls = [ends.ball(row) for row in range(len(ends.places))]
     low = np.minimum(room.extent[0], np.min([c - r for c, r in balls], axis=0))
     high = np.maximum(room.extent[1], np.max([c + r for c, r in balls], axis=0))
     return float(np.linalg.norm(high - low))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Source
 
 KNOT_COLUMNS = 24  # cubics of the position and of the axis: [power][3] each
-_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
+KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 _AXIS = np.array([1.0, 0.0, 0.0])
 _AXIS_TOLERANCE = 1e-5  # rad
 _SLICE = 20_000  # knots looked at at a time
@@ -40,7 +40,8 @@ def knot_rate(source: Source, end: float, tolerance: float) -> float:
     """
     if math.isinf(source.trajectory.end):
         return 1.0
-    return next((rate for rate in _RATES if _largest_error(source, end, rate, tolerance) <= tolerance), _RATES[-1])
+    good = (rate for rate in KNOT_RATES if _largest_error(source, end, rate, tolerance) <= tolerance)
+    return next(good, KNOT_RATES[-1])
 
 
 def motion_knots(source: Source, start: float, end: float, rate: float) -> tuple[Floats, float]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import read_only
-from clsim.paths.motion_knots import cubics_between
+from clsim.paths.motion_knots import KNOT_RATES, cubics_between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,9 +21,21 @@ if TYPE_CHECKING:
 
 NUDGES = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
 _TOLERANCE = 1e-8  # m, of a position between knots
-_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 _MOST_KNOTS = 2_000_000
 _MOST_STEPS = 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Balls:
+    """Balls that hold the ends of paths over the time that matters: centres (n, 3) and radii (n,), m."""
+
+    centre: Floats
+    radius: Floats
+
+    @staticmethod
+    def none() -> Balls:
+        """Return no balls."""
+        return Balls(np.empty((0, 3)), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +79,29 @@ class Movers:
             a, b = np.where(wide, a // 2, a), np.where(wide, b // 2, b)
         return np.asarray(np.maximum(self.speeds[level + a], self.speeds[level + b]))
 
+    def ball(self, row: int, begin: float = 0.0, end: float = math.inf) -> tuple[Floats, float]:
+        """Return centre and radius of a ball that holds a trajectory between two times, 0 to its end at most, m."""
+        start, count = self.places[row, 0], self.places[row, 2]
+        first, last = (int(min(max(t * self.scales[row, 1], 0.0), count - 1.0)) for t in (begin, end))
+        c = self.knots[start + first : start + last + 1].reshape(-1, 4, 3)
+        # Bézier points of each cubic: it stays within their hull.
+        hull = np.concatenate([c[:, 0], c[:, 0] + c[:, 1] / 3, c[:, 0] + (2 * c[:, 1] + c[:, 2]) / 3, c.sum(axis=1)])
+        centre = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
+        for _ in range(64):  # Ritter's steps towards the farthest point shrink the ball
+            away = hull - centre
+            distance = np.linalg.norm(away, axis=1)
+            i = int(np.argmax(distance))
+            better = centre + 0.05 * away[i]
+            if np.linalg.norm(hull - better, axis=1).max() >= distance[i]:
+                break
+            centre = better
+        return centre, float(np.linalg.norm(hull - centre, axis=1).max())
+
+    def receiver_balls(self, begin: float = 0.0, end: float = math.inf) -> Balls:
+        """Return the balls of all receivers."""
+        balls = [self.ball(row, begin, end) for row in range(1, len(self.places))]
+        return Balls(np.array([b[0] for b in balls]).reshape(-1, 3), np.array([b[1] for b in balls]))
+
     def delay(self, mirrored: Floats, time: Floats, speed_of_sound: float) -> Floats:
         """Return the delays (n,) from the source to places (n, 3) in its own room, s."""
         source = np.zeros(len(time), dtype=np.int64)
@@ -98,25 +133,6 @@ def movers(source: Motion, receivers: Sequence[Motion]) -> Movers:
     return Movers(read_only(places), read_only(scales), read_only(knots), read_only(np.concatenate(levels)))
 
 
-def bounding_ball(motion: Motion, begin: float = 0.0, end: float = math.inf) -> tuple[Floats, float]:
-    """Return centre and radius of a ball that holds a trajectory between two times, from 0 to its end at most, m."""
-    knots, _, rate = _knots(motion)
-    first, last = (min(max(t * rate, 0.0), len(knots) - 1.0) for t in (begin, end))
-    c = knots[math.floor(first) : math.floor(last) + 1].reshape(-1, 4, 3)
-    # Bézier points of each cubic: it stays within their hull.
-    hull = np.concatenate([c[:, 0], c[:, 0] + c[:, 1] / 3, c[:, 0] + (2 * c[:, 1] + c[:, 2]) / 3, c.sum(axis=1)])
-    centre = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
-    for _ in range(64):  # Ritter's steps towards the farthest point shrink the ball
-        away = hull - centre
-        distance = np.linalg.norm(away, axis=1)
-        i = int(np.argmax(distance))
-        better = centre + 0.05 * away[i]
-        if np.linalg.norm(hull - better, axis=1).max() >= distance[i]:
-            break
-        centre = better
-    return centre, float(np.linalg.norm(hull - centre, axis=1).max())
-
-
 def _knots(motion: Motion) -> tuple[Floats, float, float]:
     """Return cubics (n, 12), time of the first knot and knots per second."""
     if math.isinf(motion.end):
@@ -124,7 +140,7 @@ def _knots(motion: Motion) -> tuple[Floats, float, float]:
         still[0, :3] = motion.position(0.0)
         return still, 0.0, 1.0
     length = max(motion.end, 1e-3)
-    for rate in _RATES:
+    for rate in KNOT_RATES:
         count = min(max(1, math.ceil(length * rate)), _MOST_KNOTS)
         times = np.linspace(0.0, length, 2 * count + 1)
         position = motion.position(times)

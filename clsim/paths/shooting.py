@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.errors import ClsimError
-from clsim.paths.beam_tree import Balls, Candidates
+from clsim.paths.beam_tree import Candidates
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.movers import Balls
     from clsim.scene.mesh_room import MeshRoom
     from clsim.scene.motion import Motion
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.geometry import rotate
+from clsim.opencl.device import upload
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.motion_knots import KNOT_COLUMNS, knot_rate, motion_knots
 from clsim.render.plan import SEGMENT, Plan, node_times
@@ -93,9 +94,7 @@ class DeviceTracks:
             reflection[:, here] = np.where(slots.filling[here], 0.0, paths.part(rows).reflections(scene, basis.nodes).T)
             receiver_of[here] = i
         rate = plan.sampling_rate
-        ranges = [self._tracks.delay_range(i, start / rate, (start + length) / rate) for i in slots.groups]
-        longest = max(float(high.max()) for _, high in ranges)
-        shortest = min(0.0, *(float(low.min()) for low, _ in ranges))  # below 0 s by a receiver's own clock
+        longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
         knots, first = motion_knots(
             scene.sources[source], start / rate - longest - 0.01 * abs(longest) - 0.05,
             (start + length) / rate - shortest + 0.05,
@@ -168,10 +167,7 @@ class DeviceTracks:
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:
-        import pyopencl as cl
-
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self._queue.context, flags, hostbuf=np.ascontiguousarray(array))
+        return upload(self._queue.context, array)
 
 
 def _relative_error(found: NDArray[np.float32], slots: Slots) -> Floats:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.opencl.device import upload
 from clsim.render.blocks import block_cubics, block_error
 from clsim.render.plan import SEGMENT, Plan, node_times
 
@@ -72,10 +73,7 @@ class HostTracks:
         return HostNodes(self._upload(whole), self._upload(cubics), error, shortest, longest)
 
     def _upload(self, array: NDArray[Any]) -> Any:
-        import pyopencl as cl
-
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self._queue.context, flags, hostbuf=np.ascontiguousarray(array))
+        return upload(self._queue.context, array)
 
 
 def _by_segment(wrong: Floats, gain: Floats, block: int) -> Floats:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, DeviceError
-from clsim.opencl.device import Compiler, find_device
+from clsim.opencl.device import Compiler, find_device, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
@@ -113,8 +113,8 @@ class OpenclEngine:
                 here = [group.during(plan, start + first * SEGMENT, start + last * SEGMENT) for group in active]
                 functions = len(plan.emissions[source].basis)
                 for some in _batches([group for group in here if len(group.rows)], functions):
-                    run = _Run(self, source, fill_slots(plan, some, BATCH), branches, on_device, length, start)
-                    run.cover(first, last, 0)
+                    slots = fill_slots(plan, some, BATCH)
+                    _Run(self, source, slots, branches, on_device, length, start, first, last).render()
         cl.enqueue_copy(self._queue, pressure, on_device)
         return pressure[:, : stop - start]
 
@@ -161,10 +161,7 @@ class OpenclEngine:
         return _Branches(out, stride, first, least, most)
 
     def _upload(self, array: NDArray[Any]) -> Any:
-        import pyopencl as cl
-
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self._context, flags, hostbuf=np.ascontiguousarray(array))
+        return upload(self._context, array)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +176,7 @@ class _Branches:
 
 
 class _Run:
-    """Renders one batch of receivers over one chunk, choosing the block length for each segment."""
+    """Renders one batch of receivers over some segments of a chunk, choosing the block length for each."""
 
     def __init__(
         self,
@@ -190,18 +187,26 @@ class _Run:
         pressure: Any,
         length: int,
         start: int,
+        first: int,
+        last: int,
     ) -> None:
         self._engine, self._plan = engine, engine._plan
         self._source, self._slots, self._branches = source, slots, branches
         self._pressure, self._length, self._start = pressure, length, start
         self._first_slot, self._row = engine._upload(slots.first_slot), engine._upload(slots.receiver)
         self._bounds = boundaries(self._plan, slots)
-        self._state: Any = engine._tracks.prepare(source, slots, self._bounds, start, length)
+        self._first, self._last = first, last
+        begin, end = first * SEGMENT, min(last * SEGMENT, length)
+        self._state: Any = engine._tracks.prepare(source, slots, self._bounds, start + begin, end - begin)
         error_db = getattr(self._plan.interpolator, "error_db", -90.0)
         self._tolerance = 10 ** ((error_db - 6.0) / 20)
         self._functions = len(self._plan.emissions[source].basis)
 
-    def cover(self, first: int, last: int, level: int) -> None:
+    def render(self) -> None:
+        """Add what is heard to the pressure on the device."""
+        self._cover(self._first, self._last, 0)
+
+    def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
         block = BLOCKS[level]
         step = max(1, NODE_BUDGET // (_bytes_per_node(self._functions) * self._slots.count * (SEGMENT // block)))
@@ -214,7 +219,7 @@ class _Run:
             coarse &= level + 1 < len(BLOCKS)
             for a, b in _stretches(coarse):
                 if coarse[a]:
-                    self.cover(at + a, at + b, level + 1)
+                    self._cover(at + a, at + b, level + 1)
                 else:
                     self._render(nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block)
 

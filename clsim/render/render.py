@@ -61,7 +61,7 @@ def render(
         splatters.
     response_error_db : float, optional
         Bound on the error of each path's response over the signal's band (air, walls, beams), dB relative to the
-        strongest arrival: -80 for broadband signals. Left out, everything is taken at the signal's centre frequency, which
+        strongest arrival: -80 for broadband signals. Left out, all is taken at the signal's centre frequency, which
         is faster.
     engine : {"opencl", "reference"}
         The fast one or the exact one.

@@ -57,6 +57,8 @@ class Slots:
         Row of each slot in its group.
     filling : ndarray (slots,) bool
         Slots that only fill up a batch: silent copies of a path.
+    shortest, longest : float
+        Bounds of all delays over the chunk, s.
     """
 
     groups: tuple[int, ...]
@@ -64,6 +66,8 @@ class Slots:
     first_slot: NDArray[np.int32]
     path: NDArray[np.int64]
     filling: NDArray[np.bool_]
+    shortest: float
+    longest: float
 
     @property
     def count(self) -> int:
@@ -91,4 +95,6 @@ def fill_slots(plan: Plan, active: list[Active], batch: int) -> Slots:
         np.array(first, dtype=np.int32),
         np.concatenate(path),
         np.concatenate(filling),
+        min(float(group.low.min()) for group in active),
+        max(float(group.high.max()) for group in active),
     )

@@ -59,9 +59,7 @@ def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     vertex, welded = _weld(unique)
     corners = vertex[first.ravel()][triangles]
     notes = []
-    area = 0.5 * np.linalg.norm(
-        np.cross(welded[corners[:, 1]] - welded[corners[:, 0]], welded[corners[:, 2]] - welded[corners[:, 0]]), axis=1
-    )
+    area = 0.5 * np.linalg.norm(cross_products(welded[corners]), axis=1)
     flat = area <= SMALLEST_AREA
     if flat.any():
         notes.append(f"{flat.sum()} triangles without area were dropped, the first is face {np.flatnonzero(flat)[0]}")
@@ -76,18 +74,29 @@ def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     return CleanMesh(welded[used], corners.reshape(-1, 3).astype(np.int64), kept, tuple(notes))
 
 
+def cross_products(corners: Floats) -> Floats:
+    """Return the normals of triangles (n, 3, 3) with twice their areas as lengths, (n, 3) m²."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
 def _weld(points: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return the index of each point's cluster, and one place per cluster."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    pairs = cKDTree(points).query_pairs(WELD, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    count, cluster = connected_components(graph, directed=False)
+    count, cluster = clusters(len(points), cKDTree(points).query_pairs(WELD, output_type="ndarray"))
     places = np.empty((count, 3))
     places[cluster[::-1]] = points[::-1]
-    return cluster.astype(np.int64), places
+    return cluster, places
+
+
+def clusters(count: int, pairs: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
+    """Return how many clusters `count` things form that are joined by pairs (n, 2), and the cluster of each."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    found, cluster = connected_components(graph, directed=False)
+    return int(found), cluster.astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,56 +2,113 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.scene.mesh_cleaning import clusters
+from clsim.scene.mesh_room import MeshRoom
+
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from clsim.arrays import Floats
-    from clsim.scene.mesh_room import MeshRoom
+    from clsim.scene.scene import Scene
 
 _LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units
+_USUAL = 5.0  # m, size of a room
 _HOLES_LISTED = 5
 
 
-def diagnose(room: MeshRoom) -> list[str]:
-    """Return what a mesh is like, a line each: size, walls, holes, winding, repairs."""
+def diagnose(room: MeshRoom, scale: float | None = 1.0) -> list[str]:
+    r"""Return what a mesh is like, a line each: size, walls, shells, holes, winding, repairs.
+
+    Parameters
+    ----------
+    room : MeshRoom
+        The mesh.
+    scale : float or None
+        With which its file was read, m; None if it is of several files with several scales.
+
+    Examples
+    --------
+    >>> from clsim import Material, Shoebox
+    >>> box = MeshRoom.joined([Shoebox((8000.0, 6000.0, 3000.0), Material.from_reflection(0.9))])
+    >>> print(*diagnose(box), sep="\n")
+    room: 12 triangles, 6 walls in 6 planes, 8000 x 6000 x 3000 m from (0, 0, 0) m
+    room: 8000 m is large for a room; for a file in millimetres, try scale = 0.001
+    room: watertight
+    """
     low, high = room.extent
     size = high - low
+    shape = room.shape
     lines = [
-        f"room: {len(room.triangles)} triangles, {len(room.walls)} walls in {room.walls.plane.max() + 1} planes, "
+        f"{len(room.triangles)} triangles, {len(room.walls)} walls in {room.walls.plane.max() + 1} planes, "
         f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} m from ({low[0]:.4g}, {low[1]:.4g}, {low[2]:.4g}) m"
     ]
-    if size.max() > _LARGEST:
-        lines.append(f"room: {size.max():.4g} m is large; if the file is in millimetres, say scale = 0.001")
-    if size.max() < _SMALLEST:
-        lines.append(f"room: {size.max():.4g} m is small; if the file is in kilometres or inches, say so by scale")
-    shape = room.shape
-    if shape.watertight:
-        lines.append("room: watertight")
-    else:
-        holes = _holes(shape.open_edges)
-        lines.append(f"room: open: {len(shape.open_edges)} edges belong to one triangle, around {len(holes)} holes")
-        for centre, extent, edges in holes[:_HOLES_LISTED]:
-            at = ", ".join(f"{x:.4g}" for x in centre)
-            across = " x ".join(f"{x:.4g}" for x in extent)
-            lines.append(f"room: a hole of {edges} edges at ({at}) m, {across} m")
+    lines += _absurd_size(float(size.max()), scale)
+    shells, closed = _shells(room.triangles)
+    if shells > 1:
+        lines.append(f"{shells} separate shells, {closed} of them closed")
+    lines += ["watertight"] if shape.watertight else _openings(shape.open_edges)
     if shape.flipped_edges:
-        lines.append(f"room: mixed winding at {shape.flipped_edges} edges; harmless, since walls are two-sided")
+        lines.append(f"mixed winding at {shape.flipped_edges} edges; harmless, since walls are two-sided")
     elif shape.watertight and shape.volume < 0.0:
-        lines.append("room: all triangles face inwards; harmless, since walls are two-sided")
-    return lines + [f"room: {note}" for note in room.notes]
+        lines.append("all triangles face inwards; harmless, since walls are two-sided")
+    return [f"room: {line}" for line in (*lines, *room.notes)]
+
+
+def diagnose_ends(scene: Scene) -> list[str]:
+    """Return which sources and receivers are inside at 0 s, a line each; nothing for rooms that are not watertight."""
+    room = scene.room
+    if not isinstance(room, MeshRoom) or not room.shape.watertight:
+        return []
+    lines = []
+    for field, item in scene.named_ends():
+        inside = bool(room.contains(item.trajectory.position(0.0))[0])
+        lines.append(f"{field}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")
+    return lines
+
+
+def _absurd_size(size: float, scale: float | None) -> list[str]:
+    """Return a line for a room of a size that rooms do not have."""
+    if _SMALLEST <= size <= _LARGEST:
+        return []
+    steps = round(math.log(size / _USUAL, 1000.0)) or (1 if size > _USUAL else -1)
+    factor = 1000.0**-steps
+    advice = f"scale = {scale * factor:g}" if scale is not None else f"{factor:g} times the scale of its files"
+    unit = "for a file in millimetres, " if scale == 1.0 and steps == 1 else ""
+    return [f"{size:.4g} m is {'large' if steps > 0 else 'small'} for a room; {unit}try {advice}"]
+
+
+def _shells(triangles: NDArray[np.int64]) -> tuple[int, int]:
+    """Return how many parts a mesh has that share no vertex, and how many of those are watertight."""
+    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    count, part = clusters(int(triangles.max()) + 1, edges)
+    return count, count - len(np.unique(part[edges[uses % 2 == 1, 0]]))
+
+
+def _openings(edges: Floats) -> list[str]:
+    """Return where a mesh is open, from its open edges (n, 2, 3)."""
+    holes = _holes(edges)
+    around = f"{len(holes)} hole{'s' if len(holes) > 1 else ''}"
+    lines = [f"open: {len(edges)} edges are not shared by two triangles, around {around}"]
+    for centre, extent, count in holes[:_HOLES_LISTED]:
+        at = ", ".join(f"{x:.4g}" for x in centre)
+        across = " x ".join(f"{x:.4g}" for x in extent)
+        lines.append(f"a hole of {count} edges at ({at}) m, {across} m")
+    if len(holes) > _HOLES_LISTED:
+        lines.append(f"and {len(holes) - _HOLES_LISTED} holes that are no larger")
+    return lines
 
 
 def _holes(edges: Floats) -> list[tuple[Floats, Floats, int]]:
     """Return centre, extent and number of edges of every hole, the largest first, from open edges (n, 2, 3)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     points, index = np.unique(edges.reshape(-1, 3), axis=0, return_inverse=True)
     pairs = index.reshape(-1, 2)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
-    count, part = connected_components(graph, directed=False)
+    count, part = clusters(len(points), pairs)
     found = []
     for i in range(count):
         mine = points[part == i]

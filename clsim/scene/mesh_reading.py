@@ -157,9 +157,9 @@ def _read_obj(file: Path) -> MeshFile:
     owner = np.concatenate(owners)
     by_material = any(face.material for face in faces)
     names = [faces[i].material if by_material else faces[i].part for i in owner]
-    groups = tuple(dict.fromkeys(names))
-    group = np.array([groups.index(name) for name in names], dtype=np.int64)
-    return MeshFile(vertices, np.concatenate(triangles), group, groups, _notes(counts))
+    number = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    group = np.array([number[name] for name in names], dtype=np.int64)
+    return MeshFile(vertices, np.concatenate(triangles), group, tuple(number), _notes(counts))
 
 
 def _where(face: _Face) -> str:

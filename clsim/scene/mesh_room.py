@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -254,7 +255,8 @@ class MeshRoom:
 def _as_mesh(box: Shoebox) -> MeshRoom:
     """Return a shoebox as twelve triangles."""
     corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * box.size
-    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]  # as in WALLS
+    # In the order of WALLS, turning outwards.
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
     materials = [m for m in box.materials for _ in range(2)]
     return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
@@ -304,9 +306,9 @@ def _by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str
 
 def _wall_names(labels: list[str]) -> tuple[str, ...]:
     """Return a name for each wall: its label, numbered where several have the same."""
-    names, seen = [], dict.fromkeys(labels, 0)
+    names, seen, count = [], dict.fromkeys(labels, 0), Counter(labels)
     for label in labels:
         seen[label] += 1
-        alone = bool(label) and labels.count(label) == 1
+        alone = bool(label) and count[label] == 1
         names.append(label if alone else f"{label or 'wall'} {seen[label]}")
     return tuple(names)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.scene.mesh_cleaning import clusters, cross_products
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -133,11 +135,8 @@ def _merge(
     vertices: Floats, triangles: NDArray[np.int64], material: NDArray[np.int64], flatness: float
 ) -> NDArray[np.int64]:
     """Return the wall of each triangle, (T,), numbered in the order of their first triangles."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     corners = vertices[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = cross_products(corners)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     a, b = _neighbours(triangles)
 
@@ -147,12 +146,10 @@ def _merge(
 
     together = near(a, b) & near(b, a) & (material[a] == material[b])
     together &= np.abs(np.sum(normal[a] * normal[b], axis=1)) > 0.999
-    a, b = a[together], b[together]
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(triangles),) * 2)
-    count, wall = connected_components(graph, directed=False)
+    count, wall = clusters(len(triangles), np.stack([a[together], b[together]], axis=1))
+    order = np.argsort(wall, kind="stable")
     # A chain of nearly coplanar triangles may bend: such walls are taken apart into triangles.
-    for w in np.flatnonzero(np.bincount(wall) > 2):
-        mine = np.flatnonzero(wall == w)
+    for mine in np.split(order, np.flatnonzero(np.diff(wall[order])) + 1):
         n, d = _plane(corners[mine])
         if np.abs(corners[mine].reshape(-1, 3) @ n - d).max() > 2.0 * flatness:
             wall[mine[1:]] = count + np.arange(len(mine) - 1)
@@ -179,7 +176,7 @@ def _neighbours(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArra
 
 def _plane(corners: Floats) -> tuple[Floats, float]:
     """Return unit normal and offset of the largest triangle's plane, from (n, 3, 3)."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = cross_products(corners)
     area = np.linalg.norm(cross, axis=1)
     i = int(np.argmax(area))
     normal = cross[i] / area[i]
@@ -233,7 +230,7 @@ def _pieces(corners: Floats, hull: Floats, edges: Floats, normal: Floats, size: 
     on_line = np.abs(beyond.reshape(-1, 2, len(lines))) <= 1e-9 * size
     if np.all(np.any(np.all(on_line, axis=1), axis=1)):
         return [lines]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ normal
+    cross = cross_products(corners) @ normal
     return [_lines(c if up > 0.0 else c[::-1], normal) for c, up in zip(corners, cross, strict=True)]
 
 
@@ -246,18 +243,13 @@ def _lines(ring: Floats, normal: Floats) -> Floats:
 
 def _planes(normal: Floats, offset: Floats, hulls: list[Floats], size: float) -> NDArray[np.int64]:
     """Return numbers that are equal for walls in one plane."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     count, first = len(offset), _firsts(hulls)
     corners = np.concatenate(hulls)
     near = np.empty((count, count), dtype=bool)  # near[w, o]: all corners of o lie in the plane of w
     for w in range(count):
         away = np.abs(corners @ normal[w] - offset[w])
         near[w] = np.maximum.reduceat(away, first[:-1]) <= SAME_PLANE * size
-    a, b = np.nonzero(near & near.T)
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(count, count))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    return clusters(count, np.argwhere(near & near.T))[1]
 
 
 def _crossings(

@@ -45,15 +45,17 @@ class MaterialModel(Model):
                 raise InputError("reflection", f"must be from -1 to 1, but is {factor:g}")
             return Material.from_reflection(factor)
         if self.named is not None:
-            return Material.named(self.named)
+            try:
+                return Material.named(self.named)
+            except InputError as error:
+                raise InputError("named", error.problem) from error
         return within("absorption", lambda: Material.from_absorption(**given["absorption"]))
 
 
 def _is_one_material(value: Any) -> bool:
-    """Return whether a table is one material, not materials by name."""
-    return isinstance(value, dict) and all(
-        key in MaterialModel.model_fields and (key == "absorption" or not isinstance(entry, dict))
-        for key, entry in value.items()
+    """Return whether a table is one material, not materials by name, which are tables themselves."""
+    return not isinstance(value, dict) or all(
+        key == "absorption" or not isinstance(entry, dict) for key, entry in value.items()
     )
 
 
@@ -104,7 +106,13 @@ class MeshModel(Model):
     def build(self, base: Path) -> MeshRoom:
         """Return the mesh."""
         materials = within("materials", lambda: _build_materials(self.materials))
-        return MeshRoom.from_file(base / self.path, self.scale, self.up, materials, flatness=self.flatness)
+        file = base / self.path
+        try:
+            return MeshRoom.from_file(file, self.scale, self.up, materials, flatness=self.flatness)
+        except InputError as error:
+            if error.field != str(file):
+                raise
+            raise InputError("path", f"{file}: {error.problem}") from error
 
 
 class PlanModel(Model):
@@ -133,6 +141,11 @@ ObstacleModel = Annotated[
 
 class _WithObstacles(Model):
     obstacles: list[ObstacleModel] = []
+
+    def common_scale(self) -> float | None:
+        """Return the scale of the room's mesh files; None where there is no single one."""
+        scales = {part.scale for part in (self, *self.obstacles) if isinstance(part, MeshModel)}
+        return scales.pop() if len(scales) == 1 else None
 
     def joined(self, room: Shoebox | MeshRoom, base: Path) -> Shoebox | MeshRoom:
         """Return the room with what stands in it."""

@@ -266,8 +266,10 @@ def scene_schema() -> dict[str, Any]:
 
 
 def _explain(error: ValidationError, content: Any) -> InputError:
-    """Return the first of pydantic's complaints in our words, with the field's path."""
-    first = error.errors(include_url=False)[0]
+    """Return one of pydantic's complaints in our words, with the field's path."""
+    # A misspelt key comes before what is then missing.
+    complaints = error.errors(include_url=False)
+    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
     field, at = "", content
     steps = first["loc"]
     for i, step in enumerate(steps):

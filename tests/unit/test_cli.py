@@ -175,3 +175,29 @@ def test_no_platform_is_an_error_that_says_what_to_do(scene: Path, tmp_path: Pat
     assert done.returncode == 2
     assert "install a driver" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_a_misspelt_key_is_told_rather_than_what_is_then_missing(scene: Path, capsys) -> None:
+    scene.write_text((SCENE % "0.05").replace("max_order", "max_ordre"), "utf-8")
+    assert main(["check", str(scene)]) == 2
+    assert capsys.readouterr().err == "clsim: error: paths.max_ordre: is no known key\n"
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(scene: Path) -> None:
+    code = f"from clsim.cli import main; import sys; sys.exit(main(['check', {str(scene)!r}]))"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
+
+
+def test_a_full_disk_names_the_file(scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full on this machine")
+    target = tmp_path / "page.html"
+    monkeypatch.setattr("clsim.output.atomic.temporary_path", lambda path: Path("/dev/full"))
+    monkeypatch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
+    assert main(["view", str(scene), "--frames", "1", "-o", str(target)]) == 2
+    assert capsys.readouterr().err == f"clsim: error: [Errno 28] No space left on device: {str(target)!r}\n"
+    assert not target.exists()

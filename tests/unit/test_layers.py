@@ -20,6 +20,7 @@ LAYERS = [
     ("recording",),
     ("output",),
     ("scene_file",),
+    ("commands",),
     ("cli",),
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}

@@ -1,14 +1,13 @@
-"""Rooms from triangles: walls, materials, contact, diagnosis."""
+"""Rooms from triangles: walls, materials, joining, contact, inside."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_meshes import box, cut_box, joined, l_room, screen
+from made_meshes import box, cut_box, l_room, screen
 
 import clsim
 from clsim.scene.mesh_cleaning import clean_mesh
-from clsim.scene.mesh_diagnosis import diagnose
 
 WALL, SOFT = clsim.Material.from_reflection(0.9), clsim.Material.from_reflection(0.1)
 TONE = clsim.Signal.tone(40e3, 0.1, 192e3)
@@ -152,25 +151,46 @@ def test_ends_near_walls_are_not_refused(source) -> None:
     scene(ROOM, source)
 
 
-def test_a_diagnosis_says_what_is_odd() -> None:
-    vertices, triangles = box((8, 6, 3))
-    assert diagnose(clsim.MeshRoom(vertices, triangles, WALL)) == [
-        "room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m",
-        "room: watertight",
-    ]
-    assert any("scale = 0.001" in line for line in diagnose(clsim.MeshRoom(vertices * 1000, triangles, WALL)))
-    holed = diagnose(clsim.MeshRoom(vertices, triangles[1:], WALL))
-    assert "room: open: 3 edges belong to one triangle, around 1 holes" in holed
-    assert any(line.startswith("room: a hole of 3 edges at (") for line in holed)
-    flipped = np.array(triangles)
-    flipped[3] = flipped[3][::-1]
-    assert "room: mixed winding at 3 edges; harmless, since walls are two-sided" in diagnose(
-        clsim.MeshRoom(vertices, flipped, WALL)
-    )
-    inward = diagnose(clsim.MeshRoom(vertices, triangles[:, ::-1], WALL))
-    assert "room: all triangles face inwards; harmless, since walls are two-sided" in inward
-    two = diagnose(clsim.MeshRoom(*joined((vertices, triangles[1:]), (vertices + 20.0, triangles[2:])), WALL))
-    assert "room: open: 9 edges belong to one triangle, around 3 holes" in two
+def test_receivers_are_held_to_the_same() -> None:
+    scene(ROOM, (1.0, 1.0, 1.0), (4.0, 4.0, 1.0))  # in the screen's plane, beside it
+    with pytest.raises(
+        clsim.InputError,
+        match=r"receivers\[0\]\.trajectory: must stay 1e-06 m away.*'ear' meets the wall 'wall 1' at .* m at 0 s",
+    ):
+        scene(ROOM, (1.0, 1.0, 1.0), (4.0, 2.0, 1.0))
+    with pytest.raises(clsim.InputError, match="'ear' meets the wall 'x_max'"):
+        scene(ROOM, (1.0, 1.0, 1.0), (8.0, 3.0, 1.0))
+
+
+@pytest.mark.parametrize(("up", "low", "high"), [
+    ("x", (0, 0, 0), (3, 2, 4)), ("y", (0, -2, 0), (4, 0, 3)), ("z", (0, 0, 0), (4, 3, 2)),
+])  # fmt: skip
+def test_the_axis_that_points_up(tmp_path: Path, up: str, low: tuple, high: tuple) -> None:
+    path = tmp_path / "corner.obj"
+    path.write_text(OBJ)
+    room = clsim.MeshRoom.from_file(path, up=up, materials=WALL)
+    np.testing.assert_array_equal(room.extent, [low, high])
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "notes.obj").write_text("nothing of note\n")
+    (tmp_path / "folder.obj").mkdir()
+    for name in ("missing.obj", "notes.obj", "folder.obj"):
+        with pytest.raises(clsim.InputError) as caught:
+            clsim.MeshRoom.from_file(tmp_path / name, materials=WALL)
+        assert caught.value.field == str(tmp_path / name)
+
+
+def test_joined_parts_keep_what_they_are() -> None:
+    vertices, triangles = box((2, 2, 2))
+    repaired = clsim.MeshRoom(vertices, np.concatenate([triangles, triangles[:1]]), SOFT, labels=["crate"] * 13)
+    room = clsim.MeshRoom.joined([clsim.MeshRoom(*box((8, 6, 3)), WALL, flatness=1e-4), repaired])
+    assert room.flatness == 1e-4
+    assert room.notes == repaired.notes != ()
+    assert room.shape.watertight
+    crate = [name.startswith("crate") for name in room.wall_names]
+    assert room.reflections(40e3).tolist() == [0.1 if c else 0.9 for c in crate]
+    assert room.contains([(4, 4, 1), (1, 1.3, 1.1), (9, 1, 1)]).tolist() == [True, False, False]
 
 
 def test_inside_is_told_whatever_the_winding(rng) -> None:

@@ -188,7 +188,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 
 def test_schema_names_every_kind() -> None:
     text = str(scene_schema())
-    for word in ("shoebox", "tone", "waypoints", "bandlimited", "piston"):
+    for word in ("shoebox", "mesh", "plan", "obstacles", "beam-tree", "tone", "waypoints", "bandlimited", "piston"):
         assert word in text
 
 
@@ -273,3 +273,69 @@ def test_shoeboxes_and_plans_with_obstacles(tmp_path: Path) -> None:
 def test_rooms_that_are_none_are_refused(tmp_path: Path, room: dict, message: str) -> None:
     with pytest.raises(clsim.InputError, match=message):
         build_scene(mesh_scene(tmp_path, room), tmp_path)
+
+
+MESH_ROOM = {
+    "kind": "mesh", "path": "floor.obj", "scale": 1.0, "up": "y", "flatness": 1e-6,
+    "materials": {"wood": {"named": "concrete"}, "default": {"reflection": 0.9}},
+    "obstacles": [
+        {"path": "screen.obj", "scale": 1.0, "up": "z", "flatness": 1e-5, "materials": {"reflection": 0.9}},
+        {
+            "kind": "plan", "outline": [[5.0, 3.0], [6.0, 3.0], [6.0, 4.0]], "height": 1.0,
+            "materials": {"default": {"absorption": {"frequencies": [1e3, 50e3], "coefficients": [0.1, 0.2]}}},
+        },
+    ],
+}  # fmt: skip
+SEARCH = {"finder": "shooting", "resolution": 1e-5, "path_limit": 1000}
+MESH_LEAVES = [("room", *leaf) for leaf in leaves(MESH_ROOM)] + [("paths", name) for name in SEARCH]
+
+
+def spoiled(tmp_path: Path, path: tuple, value: object) -> dict:
+    """Return the scene in the mesh room, with another value somewhere."""
+    content = mesh_scene(tmp_path, copy.deepcopy(MESH_ROOM), **SEARCH)
+    at = content
+    for step in path[:-1]:
+        at = at[step]
+    at[path[-1]] = value
+    return content
+
+
+def test_what_a_mesh_room_and_its_search_are_told(tmp_path: Path) -> None:
+    file = build_scene(spoiled(tmp_path, ("room", "up"), "y"), tmp_path)
+    assert file.scene.room.flatness == 1e-5
+    assert file.paths == {"max_order": 1, **SEARCH, "engine": "opencl", "device": None}
+    assert file.model.room.common_scale() == 1.0
+    several = spoiled(tmp_path, ("room", "obstacles", 0, "scale"), 0.5)
+    assert build_scene(several, tmp_path).model.room.common_scale() is None
+    content = spoiled(tmp_path, ("render",), {"sampling_rate": 192e3, "engine": "reference", "device": "0:0"})
+    assert build_scene(content, tmp_path).paths["engine"] == "reference"
+    assert build_scene(content, tmp_path).paths["device"] == "0:0"
+
+
+@pytest.mark.parametrize("path", MESH_LEAVES, ids=written)
+@pytest.mark.parametrize("value", [float("nan"), "text", [], {"odd": 1}, True], ids=repr)
+def test_nonsense_in_a_mesh_room_names_the_field(tmp_path: Path, path: tuple, value: object) -> None:
+    if path[-1] == "obstacles" and value == []:
+        return  # there may be none
+    with pytest.raises(clsim.InputError) as caught:
+        build_scene(spoiled(tmp_path, path, value), tmp_path)
+    match = written(path[: -1 if isinstance(path[-1], int) and value == [] else len(path)])
+    assert str(caught.value).startswith(match.rpartition(".kind")[0] or match), str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("room", "scale"), 0.0),
+        (("room", "flatness"), -1e-9),
+        (("room", "obstacles", 1, "height"), -1.0),
+        (("room", "obstacles", 0, "path"), "../nowhere/screen.obj"),
+        (("room", "obstacles", 0, "obstacles"), []),
+    ],
+)
+def test_values_out_of_range_in_a_mesh_room_name_the_field(tmp_path: Path, path: tuple, value: object) -> None:
+    with pytest.raises(clsim.InputError) as caught:
+        build_scene(spoiled(tmp_path, path, value), tmp_path)
+    assert str(caught.value).startswith(f"{written(path)}: "), str(caught.value)
+    if path[-1] == "path":
+        assert str(tmp_path / str(value)) in str(caught.value)

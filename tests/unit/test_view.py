@@ -1,9 +1,9 @@
 """The interactive page: what it holds, and what a browser draws of it."""
 
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,27 +73,16 @@ def test_a_scene_at_rest_has_one_frame(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def browser_page(page: Path) -> Iterator[object]:
-    """Open the page in headless Chromium; a visible skip where that is missing."""
-    api = pytest.importorskip("playwright.sync_api")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("no Chromium on this machine")
-    flags = [
-        "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-        "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
-    ]  # fmt: skip
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=flags)
-        tab = browser.new_page(viewport={"width": 1100, "height": 750})
-        errors: list[str] = []
-        tab.on("pageerror", lambda error: errors.append(str(error)))
-        tab.goto(page.as_uri())
-        tab.wait_for_function("window.clsim && window.clsim.ready.then(() => true)")
-        yield tab
-        browser.close()
-        assert errors == []
+def browser_page(browser: Any, page: Path) -> Iterator[Any]:
+    """Open the page."""
+    tab = browser.new_page(viewport={"width": 1100, "height": 750})
+    errors: list[str] = []
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.goto(page.as_uri())
+    tab.wait_for_function("window.clsim && window.clsim.ready.then(() => true)")
+    yield tab
+    tab.close()
+    assert errors == []
 
 
 def heard(paths: clsim.PathSet, time: float) -> list[int]:

@@ -1,0 +1,44 @@
+"""`clsim check`: what a scene file holds, what is wrong with it, and what would be computed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.commands.planning import planned
+from clsim.scene.mesh_diagnosis import diagnose, diagnose_ends
+from clsim.scene.mesh_room import MeshRoom
+from clsim.scene_file import load_scene
+
+if TYPE_CHECKING:
+    import argparse
+
+    from clsim.paths.path_set import PathSet
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Print what a scene file holds; return the exit status."""
+    file = load_scene(options.scene)
+    room = file.scene.room
+    if isinstance(room, MeshRoom):  # before the search, which may take long or give up
+        for line in [*diagnose(room, file.model.room.common_scale()), *diagnose_ends(file.scene)]:
+            print(line, flush=True)
+    paths, plan = planned(file, {})
+    for line in [*([_comings_and_goings(paths)] if isinstance(room, MeshRoom) else []), *plan.describe()]:
+        print(line)
+    for field, item in file.scene.named_ends():
+        for note in item.trajectory.notes:
+            print(f"{field}.trajectory: {note}")
+    print("the scene file is valid")
+    return 0
+
+
+def _comings_and_goings(paths: PathSet) -> str:
+    always = np.isneginf(paths.start) & np.isposinf(paths.end)
+    others = np.column_stack([paths.source, paths.receiver, paths.walls])[~always]
+    count = len(np.unique(others, axis=0))
+    return (
+        f"paths: {always.sum() + count}, of which {always.sum()} are heard all the time "
+        f"and {count} come and go ({len(others)} intervals; the same walls in another order are another path)"
+    )

@@ -1,0 +1,67 @@
+"""What the command line shows beside its results: progress and warnings."""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from clsim.errors import ClsimWarning
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+_PATIENCE = 2.0  # s after which progress is shown
+
+
+@contextmanager
+def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
+    """Yield a function that advances a bar on a terminal, shown once the work has taken two seconds."""
+    if not sys.stderr.isatty():
+        yield lambda amount: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
+        TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+    )  # fmt: skip
+    task = bar.add_task(what, total=total, rate="")
+    begun = time.monotonic()
+    shown = False
+
+    def advance(amount: float) -> None:
+        nonlocal shown
+        bar.advance(task, amount)
+        spent = time.monotonic() - begun
+        done = bar.tasks[0].completed
+        bar.update(task, rate=f"{done / max(spent, 1e-3) / 1e9:.2f}e9 path-samples/s" if total > 1e6 else "")
+        if spent > _PATIENCE and not shown:
+            bar.start()
+            shown = True
+
+    try:
+        yield advance
+    finally:
+        if shown:
+            bar.stop()
+
+
+@contextmanager
+def one_line_warnings() -> Iterator[None]:
+    """Print each of clsim's warnings once, on one line."""
+    seen: set[str] = set()
+
+    def show(message: Any, *_: Any, **__: Any) -> None:
+        text = " ".join(str(message).split())
+        if text not in seen:
+            seen.add(text)
+            print(f"clsim: warning: {text}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", ClsimWarning)
+        warnings.showwarning = show
+        yield

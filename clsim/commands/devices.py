@@ -1,0 +1,25 @@
+"""`clsim devices`: the OpenCL devices of this machine."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from clsim.errors import DeviceError
+from clsim.opencl.device import INSTALL, list_devices
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def execute(options: argparse.Namespace) -> int:
+    """List them, the best first; return the exit status."""
+    found = list_devices()
+    if not found:
+        raise DeviceError(f"no OpenCL device: {INSTALL}")
+    for info in found:
+        tracks = "float64" if info.fp64 else "no float64: the host computes the tracks, which is slower"
+        print(
+            f"{info.id}  {info.name}  ({info.kind}, {info.platform}, {info.compute_units} units, "
+            f"{info.memory_bytes / 2**30:.1f} GiB, {tracks})"
+        )
+    return 0

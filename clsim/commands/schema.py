@@ -1,0 +1,17 @@
+"""`clsim schema`: the JSON schema of scene files."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+from clsim.scene_file import scene_schema
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Print it; return the exit status."""
+    print(json.dumps(scene_schema(), indent=1))
+    return 0

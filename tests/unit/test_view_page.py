@@ -1,0 +1,279 @@
+"""The interactive page from plain arrays: what it refuses, what it holds, and what Chromium draws of it."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.output.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+
+L = np.array([(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)], dtype=float)
+FAN = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)])
+TIMES = np.linspace(0.0, 2.0, 11)
+WAY = np.linspace((2.0, 8.0, 1.4), (3.0, 2.0, 1.4), len(TIMES))
+EARS = {"near": (7.0, 1.0, 2.0), "<far> & {{data}}": (1.0, 1.0, 2.0)}
+PLASTER, CARPET = "plaster {{plotly}}", "carpet </script><b>"
+NO_PATHS = ViewedPaths((), np.empty(0, dtype=np.int32), ())
+
+
+def l_room() -> list[ViewedWall]:
+    walls = []
+    for w, (a, b) in enumerate(zip(L, np.roll(L, -1, axis=0), strict=True)):
+        corners = np.array([(*a, 0), (*b, 0), (*b, 3), (*a, 3)])
+        outline = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        walls.append(ViewedWall(f"wall {w}", PLASTER, corners[[(0, 1, 2), (0, 2, 3)]], outline))
+    for name, height, material in (("floor", 0.0, CARPET), ("ceiling", 3.0, PLASTER)):
+        corners = np.column_stack([L, np.full(len(L), height)])
+        outline = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        walls.append(ViewedWall(name, material, corners[FAN], outline))
+    return walls
+
+
+def frame(index: int) -> ViewedPaths:
+    """Return 2 direct paths, and a number of bent ones that differs from frame to frame."""
+    rng = np.random.default_rng(index)
+    corners, orders, labels = [], [], []
+    for name, ear in EARS.items():
+        for p in range(12 + index):
+            order = 0 if p == 0 else 1 + p % 3
+            bends = rng.uniform((0, 0, 0), (4, 9, 3), (order, 3))
+            corners.append(np.vstack([WAY[index], bends, ear]))
+            orders.append(order)
+            labels.append(f"robot to {name}, path {p}: 12.31 ms")
+    return ViewedPaths(tuple(corners), np.array(orders, dtype=np.int32), tuple(labels))
+
+
+FRAMES = [frame(i) for i in range(len(TIMES))]
+
+
+def ends() -> list[ViewedEnd]:
+    seen = np.where(TIMES < 1.0, 1.0, np.nan)[:, None] * (5.0, 3.0, 1.0)
+    fixed = [ViewedEnd(n, "receiver", np.tile(p, (len(TIMES), 1)), np.array([p])) for n, p in EARS.items()]
+    return [ViewedEnd("robot", "source", WAY, WAY), *fixed, ViewedEnd("lost </script><script>", "receiver", seen, seen)]
+
+
+def write(path: Path, **changed: Any) -> Path:
+    given = {"title": "a <b>walk</b> {{data}}", "walls": l_room(), "ends": ends(), "times": TIMES, "frames": FRAMES}
+    write_page(path, **(given | {"notes": ["air of 20 °C", "</script><i>note"]} | changed))
+    return path
+
+
+def data_of(path: Path) -> Any:
+    text = path.read_text("utf-8")
+    return json.loads(text.split('<script id="data" type="application/json">')[1].split("</script>")[0])
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("page") / "walk.html")
+
+
+def test_the_page_loads_nothing_and_texts_stay_texts(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert not re.search(r"<(script|link|img|iframe)[^>]*\s(src|href)\s*=", text)
+    assert text.count("</script>") == text.count("<script") - text.count('"<script') == 3
+    assert "<h1>a &lt;b&gt;walk&lt;/b&gt; {{data}}</h1>" in text
+    assert "<p>&lt;/script&gt;&lt;i&gt;note</p>" in text
+    assert [t["name"] for t in data_of(page)["fixed"] if t["type"] == "mesh3d"] == [
+        "plaster {{plotly}}", "carpet &lt;/script&gt;&lt;b&gt;",
+    ]  # fmt: skip
+
+
+def test_the_page_holds_the_arrays_to_a_millimetre(page: Path) -> None:
+    data = data_of(page)
+    np.testing.assert_allclose(data["times"], TIMES, rtol=1e-8)
+    for given, held in zip(FRAMES, data["frames"], strict=True):
+        for order, part in enumerate(held):
+            mine = np.concatenate([c for c, n in zip(given.corners, given.order, strict=True) if n == order])
+            np.testing.assert_allclose(np.reshape(part["mm"], (-1, 3)) / 1e3, mine, rtol=0.0, atol=0.501e-3)
+    assert data["places"][0][3] == [5.0, 3.0, 1.0]
+    assert data["places"][-1][3] == [None, None, None]
+
+
+def test_materials_have_colours_of_their_own(tmp_path: Path) -> None:
+    walls = [ViewedWall(f"w{i}", f"m{i}", np.zeros((1, 3, 3)), np.zeros((1, 2, 3))) for i in range(12)]
+    fixed = data_of(write(tmp_path / "x.html", walls=walls))["fixed"]
+    assert len({t["color"] for t in fixed if t["type"] == "mesh3d"}) == 12
+
+
+def test_a_page_of_nothing_can_be_written(tmp_path: Path) -> None:
+    data = data_of(write(tmp_path / "x.html", walls=[], ends=[], times=np.zeros(1), frames=[NO_PATHS]))
+    assert data["fixed"] == []
+    assert data["frames"] == [[{"mm": [], "labels": []}]]
+
+
+def one_path(corners: int, order: int, labels: int, fill: float = 0.0) -> list[ViewedPaths]:
+    path = ViewedPaths((np.full((corners, 3), fill),), np.array([order], dtype=np.int32), ("a",) * labels)
+    return [path, *FRAMES[1:]]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"frames": FRAMES[:-1]}, "frames: must be one per time, 11, .*, but there are 10"),
+        (
+            {"ends": [ViewedEnd("s", "source", WAY[1:], WAY)]},
+            r"frames: .*, but ends\[0\].positions has the shape 10 x 3",
+        ),
+        ({"times": TIMES[::-1]}, r"times: must increase strictly, but \[1\] = 1.8 s follows \[0\] = 2 s"),
+        ({"times": np.where(TIMES == 0.0, np.nan, TIMES)}, r"times\[0\]: must be finite, but is nan"),
+        ({"times": TIMES[:0], "frames": [], "ends": []}, "times: must not be empty"),
+        ({"frames": one_path(2, 0, 0)}, r"frames\[0\].labels: must be one per path, 1, but there are 0"),
+        ({"frames": one_path(3, 0, 1)}, r"frames\[0\].corners\[0\]: must have the shape 2 x 3 .* but has 3 x 3"),
+        ({"frames": one_path(1, -1, 1)}, r"frames\[0\].order\[0\]: must be at least 0, but is -1"),
+        ({"frames": one_path(2, 0, 1, np.nan)}, r"frames\[0\].corners\[0\]: must be finite"),
+    ],
+)
+def test_what_does_not_fit_is_refused(changed: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(clsim.InputError, match=message):
+        write(tmp_path / "x.html", **changed)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failure_leaves_the_old_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "x.html"
+    path.write_text("old")
+
+    def fail(self: Path, text: str, encoding: str) -> None:
+        self.write_bytes(text[:9].encode(encoding))
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Path, "write_text", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["x.html"]
+    assert path.read_bytes() == b"old"
+
+
+@pytest.fixture(scope="module")
+def loaded(browser: Any, page: Path) -> Iterator[Any]:
+    tab = browser.new_page(viewport={"width": 1000, "height": 700})
+    wrong: list[str] = []
+    tab.on("pageerror", lambda error: wrong.append(str(error)))
+    tab.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    tab.on("request", lambda request: wrong.append(request.url) if not request.url.startswith("file:") else None)
+    tab.goto(page.as_uri())
+    tab.wait_for_function("window.clsim && clsim.ready.then(() => true)")
+    yield tab
+    assert [w for w in wrong if not w.startswith(("data:", "blob:"))] == []
+
+
+@pytest.fixture
+def tab(loaded: Any) -> Any:
+    """Give the page at its first frame."""
+    loaded.evaluate("clsim.show(0)")
+    return loaded
+
+
+def assert_drawn(tab: Any, index: int) -> None:
+    """Compare plotly's own arrays with the frame that was given."""
+    state = tab.evaluate("clsim.state()")
+    given = FRAMES[index]
+    assert state["index"] == index
+    assert state["paths"] == np.bincount(given.order, minlength=4).tolist()
+    assert state["text"] == f"t = {TIMES[index]:.3f} s: {len(given.order)} paths heard"
+    np.testing.assert_allclose(state["places"][0], WAY[index], rtol=0.0, atol=0.501e-3)
+    assert state["places"][3] == ([5, 3, 1] if TIMES[index] < 1.0 else [None] * 3)
+    drawn = tab.evaluate("document.getElementById('drawing').data.slice(-4).map(t => [t.x, t.y, t.z])")
+    for order, columns in enumerate(drawn):
+        points = np.array(columns, dtype=float).T
+        mine = [c for c, n in zip(given.corners, given.order, strict=True) if n == order]
+        gap = np.full((1, 3), np.nan)
+        want = np.concatenate([part for c in mine for part in (c, gap)])
+        np.testing.assert_allclose(points, want, rtol=0.0, atol=0.501e-3)
+
+
+def picture(tab: Any) -> bytes:
+    tab.wait_for_timeout(300)
+    return bytes(tab.locator("#drawing").screenshot())
+
+
+def test_the_slider_moves_what_is_drawn(tab: Any) -> None:
+    assert_drawn(tab, 0)
+    before = picture(tab)
+    slider = tab.locator("#time")
+    slider.focus()
+    for _ in range(7):
+        slider.press("ArrowRight")
+    tab.wait_for_function("clsim.state().index === 7")
+    assert_drawn(tab, 7)
+    assert tab.locator("#told").inner_text() == f"t = 1.400 s: {len(FRAMES[7].order)} paths heard"
+    moved = picture(tab)
+    assert moved != before
+    box = slider.bounding_box()
+    tab.mouse.click(box["x"] + box["width"] - 3, box["y"] + box["height"] / 2)
+    tab.wait_for_function("clsim.state().index === 10")
+    assert_drawn(tab, 10)
+    assert picture(tab) not in (before, moved)
+
+
+@pytest.mark.parametrize("entry", ["order 2", CARPET])
+def test_a_legend_entry_toggles_what_it_names(entry: str, tab: Any) -> None:
+    names = tab.evaluate("clsim.state().names")
+    mine = [names.index(entry)] + ([names.index(entry) + 1] if entry == CARPET else [])  # a material and its outlines
+    toggle = tab.locator(".legend .traces").filter(has_text=entry).locator(".legendtoggle")
+    before = picture(tab)
+    for visible in (False, True):
+        toggle.click()
+        tab.wait_for_function(f"clsim.state().visible[{mine[0]}] === {str(visible).lower()}")
+        state = tab.evaluate("clsim.state().visible")
+        assert [i for i, shown in enumerate(state) if not shown] == ([] if visible else mine)
+        assert visible or picture(tab) != before
+        tab.wait_for_timeout(500)  # two clicks in a row would be a double click
+
+
+def hovered(tab: Any, point: Any) -> str:
+    """Return what the page tells where a point of the room, m, lies on the screen."""
+    x, y = tab.evaluate(
+        """point => {
+          const sub = document.getElementById("drawing")._fullLayout.scene._scene, plot = sub.glplot;
+          const {model, view, projection} = plot.cameraParams;
+          let v = [...point.map((p, i) => p * sub.dataScale[i]), 1];
+          for (const m of [model, view, projection]) v = [0, 1, 2, 3].map(
+            r => [0, 1, 2, 3].reduce((sum, c) => sum + m[4 * c + r] * v[c], 0));
+          const box = plot.canvas.getBoundingClientRect();
+          return [box.x + box.width * (1 + v[0] / v[3]) / 2, box.y + box.height * (1 - v[1] / v[3]) / 2];
+        }""",
+        list(point),
+    )
+    tab.mouse.move(x - 40, y - 40)
+    tab.mouse.move(x, y, steps=4)
+    tab.wait_for_timeout(400)
+    return " ".join(tab.locator("#drawing .hovertext text").all_text_contents())
+
+
+def test_the_mouse_finds_paths_behind_walls_and_walls(tab: Any) -> None:
+    near = FRAMES[0].corners[0]
+    assert "robot to near, path" in hovered(tab, 0.3 * near[0] + 0.7 * near[1])
+    assert "<far> & {{data}}" in hovered(tab, EARS["<far> & {{data}}"])
+    assert f": {PLASTER}" in hovered(tab, (7.7, 0.0, 0.3))
+
+
+def test_play_goes_on_until_pause(tab: Any) -> None:
+    play = tab.locator("#play")
+    play.click()
+    assert play.inner_text() == "pause"
+    tab.wait_for_function("clsim.state().index >= 3")
+    play.click()
+    assert play.inner_text() == "play"
+    tab.wait_for_timeout(400)
+    rests = tab.evaluate("clsim.state().index")
+    tab.wait_for_timeout(400)
+    assert tab.evaluate("clsim.state().index") == rests
+    assert_drawn(tab, rests)
+
+
+def test_a_scene_at_rest_has_no_slider(browser: Any, tmp_path: Path) -> None:
+    path = write(tmp_path / "x.html", ends=[], times=TIMES[:1], frames=FRAMES[:1])
+    still = browser.new_page()
+    still.goto(path.as_uri())
+    still.wait_for_function("window.clsim && clsim.ready.then(() => true)")
+    assert not still.locator("#time").is_visible()
+    assert not still.locator("#play").is_visible()
+    assert still.evaluate("clsim.state().paths") == np.bincount(FRAMES[0].order, minlength=4).tolist()
+    still.close()
