@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clsim.errors import InputError
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

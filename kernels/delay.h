@@ -4,7 +4,7 @@
 // Comparisons instead of clamp() and min(): some runtimes call, rather than inline, built-in functions.
 
 typedef struct {
-    __global const double* knots;  // [knot][KNOT_COLUMNS]: cubics of the source's position (12) and axis (12)
+    __global const double* knots;  // [knot][KNOT_COLUMNS]: cubics of the source's position (12) and axes (12 or 24)
     int count;
     double first;                  // time of the first knot, s
     double rate;                   // knots per second

@@ -9,8 +9,9 @@ static float weight(float samples, float per_ramp)
     return x <= -0.5f ? 0.0f : x >= 0.5f ? 1.0f : 0.5f + 0.5f * sin(3.14159265f * x);
 }
 
-__kernel void edges(__global const float* branches,  // [FUNCTIONS][BRANCHES][stride]
+__kernel void edges(__global const float* branches,  // [rows][stride]
                     int stride,
+                    int functions, __global const int* first_row,  // [functions + 1], of their branches
                     int lead,                        // sample of `branches` emitted at the run's first sample
                     __global const int* delay, __global const float* nodes, int slots,  // as in render.cl
                     int block_samples,
@@ -30,18 +31,18 @@ __kernel void edges(__global const float* branches,  // [FUNCTIONS][BRANCHES][st
     for (int e = first[place]; e < first[place + 1]; e++) {
         const int slot = slot_of[e];
         const int node = first_block + block[place];
-        __global const float* c = nodes + (long)node * COEFFICIENTS * slots + slot;
+        __global const float* c = nodes + (long)node * coefficients(functions) * slots + slot;
         float both = weight((float)n - start[e], per_ramp);
         both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[e], 0.0f) : weight(end[e] - (float)n, per_ramp);
         if (both == 0.0f) continue;
         const float late = c[0] + t * (c[slots] + t * (c[2 * slots] + t * c[3 * slots]));
         const float rest = floor(late + 0.5f), mu = late - rest;
         const int whole = delay[node * slots + slot] + (int)rest;
-        for (int k = 0; k < FUNCTIONS; k++) {
-            __global const float* g = c + (4 + 4 * k) * slots;
-            __global const float* branch = branches + (k * BRANCHES + BRANCHES - 1) * stride + lead + at - whole;
+        for (int k = 0; k < functions; k++) {
+            __global const float* g = c + coefficients(k) * slots;
+            __global const float* branch = branches + (first_row[k + 1] - 1) * (long)stride + lead + at - whole;
             float value = *branch;
-            for (int q = 1; q < BRANCHES; q++) {
+            for (int q = first_row[k + 1] - 1; q > first_row[k]; q--) {
                 branch -= stride;
                 value = value * mu + *branch;
             }

@@ -1,8 +1,7 @@
 // The fractional delay as a Farrow bank: Horner's scheme in mu over the branch signals, for a batch of paths.
-// `branches` points at the group's first sample in the first row of one basis function.
+// `branches` points at the group's first sample in the first row of one function of frequency.
 
-static void add_batch(__global const float* branches, int stride, const SHARED batch* paths, int k, int worker,
-                      vec* sum)
+static void add_batch(__global const float* branches, int stride, const SHARED batch* paths, int worker, vec* sum)
 {
     vec sample[VECTORS];
     for (int j = 0; j < VECTORS; j++) {
@@ -26,7 +25,7 @@ static void add_batch(__global const float* branches, int stride, const SHARED b
         }
 #pragma unroll
         for (int j = 0; j < VECTORS; j++) {
-            sum[j] += (sample[j] * paths->slope[k][p] + paths->gain[k][p]) * value[j];
+            sum[j] += (sample[j] * paths->slope[p] + paths->gain[p]) * value[j];
         }
     }
 }

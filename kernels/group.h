@@ -12,17 +12,17 @@
 #define GROUP (WORKERS * VECTORS * LANES)
 
 typedef struct {
-    int whole[BATCH];             // whole delay, samples
-    float fraction[BATCH];        // rest of the delay at the group's centre, samples
-    float rate[BATCH];            // its change per sample
-    float curve[BATCH];           // its change per sample squared
-    float gain[FUNCTIONS][BATCH];
-    float slope[FUNCTIONS][BATCH];  // of the gain per sample
+    int whole[BATCH];      // whole delay, samples
+    float fraction[BATCH]; // rest of the delay at the group's centre, samples
+    float rate[BATCH];     // its change per sample
+    float curve[BATCH];    // its change per sample squared
+    float gain[BATCH];
+    float slope[BATCH];    // of the gain per sample
 } batch;
 
-// Expand a batch about the group's centre t in [-1, 1] of its block; `half` is half the block in samples.
-static void expand(__global const int* delay, __global const float* node, int slots, float t, float per_sample,
-                   int worker, SHARED batch* out)
+// Expand a batch about the group's centre t in [-1, 1] of its block, with the gains of one function of frequency.
+static void expand(__global const int* delay, __global const float* node, int slots, int function, float t,
+                   float per_sample, int worker, SHARED batch* out)
 {
     for (int p = worker * LANES; p < BATCH; p += WORKERS * LANES) {
         __global const float* c = node + p;
@@ -33,11 +33,9 @@ static void expand(__global const int* delay, __global const float* node, int sl
         *(SHARED loose_vec*)(out->fraction + p) = at - whole;
         *(SHARED loose_vec*)(out->rate + p) = per_sample * (c1 + t * (2.0f * c2 + t * (3.0f * c3)));
         *(SHARED loose_vec*)(out->curve + p) = per_sample * per_sample * (c2 + t * (3.0f * c3));
-        for (int k = 0; k < FUNCTIONS; k++) {
-            __global const float* g = c + (4 + 4 * k) * slots;
-            const vec g1 = LOAD(g + slots), g2 = LOAD(g + 2 * slots), g3 = LOAD(g + 3 * slots);
-            *(SHARED loose_vec*)(out->gain[k] + p) = LOAD(g) + t * (g1 + t * (g2 + t * g3));
-            *(SHARED loose_vec*)(out->slope[k] + p) = per_sample * (g1 + t * (2.0f * g2 + t * (3.0f * g3)));
-        }
+        __global const float* g = c + coefficients(function) * slots;
+        const vec g1 = LOAD(g + slots), g2 = LOAD(g + 2 * slots), g3 = LOAD(g + 3 * slots);
+        *(SHARED loose_vec*)(out->gain + p) = LOAD(g) + t * (g1 + t * (g2 + t * g3));
+        *(SHARED loose_vec*)(out->slope + p) = per_sample * (g1 + t * (2.0f * g2 + t * (3.0f * g3)));
     }
 }

@@ -10,6 +10,11 @@ static triple difference(triple a, triple b)
     const triple out = {a.x - b.x, a.y - b.y, a.z - b.z};
     return out;
 }
+static triple cross_product(triple a, triple b)
+{
+    const triple out = {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+    return out;
+}
 static triple at_row(__global const double* row)
 {
     const triple out = {row[0], row[1], row[2]};

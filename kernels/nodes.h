@@ -1,3 +1,4 @@
-// How the polynomials of a block and a path are laid out: [block][COEFFICIENTS][slots], lowest power first.
+// How the polynomials of a block and a path are laid out: [block][4 + 4 functions][slots], lowest power first: a cubic
+// of the delay, and one of the gain of every function of frequency.
 
-#define COEFFICIENTS (4 + 4 * FUNCTIONS)  // cubics of the delay and of FUNCTIONS gains
+static int coefficients(int functions) { return 4 + 4 * functions; }

@@ -1,13 +1,16 @@
-// Sum of all paths of one receiver over SPAN groups of samples. Work-item (or work-group of WORKERS): dimension 0
-// counts spans, dimension 1 receivers. Paths come sorted by delay and are walked in tiles, so that the branch
-// signals in play stay in cache.
+// Sum of all paths of one receiver over SPAN groups of samples, for functions of frequency that have BRANCHES branches.
+// Work-item (or work-group of WORKERS): dimension 0 counts spans, dimension 1 receivers. Paths come sorted by delay and
+// are walked in tiles, a function at a time, so that the branch signals in play stay in cache.
 
 __kernel __attribute__((reqd_work_group_size(WORKERS, 1, 1)))
-void render(__global const float* branches,     // [FUNCTIONS][BRANCHES][stride]
+void render(__global const float* branches,     // [rows][stride], BRANCHES to a function
             int stride,
+            int first_row,                      // of the first function here
+            int functions,                      // in all
+            int first_function, int last_function,
             int lead,                           // sample of `branches` emitted at the run's first sample
             __global const int* delay,          // [block][slots], whole samples
-            __global const float* nodes,        // [block][COEFFICIENTS][slots], cubics on [-1, 1]
+            __global const float* nodes,        // as in nodes.h, on [-1, 1]
             __global const int* first_slot,     // [receivers + 1], multiples of BATCH
             int slots,
             int block_groups,                   // groups in a block
@@ -30,24 +33,24 @@ void render(__global const float* branches,     // [FUNCTIONS][BRANCHES][stride]
     }
     for (int tile = first_slot[receiver]; tile < first_slot[receiver + 1]; tile += TILE) {
         const int tile_end = min(tile + TILE, first_slot[receiver + 1]);
-        for (int g = first_group; g < last_group; g++) {
-            const int block = g / block_groups;
-            // The middle of the group lies half a sample before the middle of its span.
-            const float t = (float)(2 * (g - block * block_groups) * GROUP + GROUP - 1) * (0.5f * per_sample) - 1.0f;
-            vec group_sum[VECTORS];
-            for (int j = 0; j < VECTORS; j++) group_sum[j] = 0.0f;
-            for (int slot = tile; slot < tile_end; slot += BATCH) {
-                const int row = first_block + block;
-                expand(delay + row * slots + slot, nodes + row * COEFFICIENTS * slots + slot, slots, t, per_sample,
-                       worker, &paths);
-                SYNCHRONISE;
-                for (int k = 0; k < FUNCTIONS; k++) {
-                    add_batch(branches + k * BRANCHES * stride + lead + g * GROUP, stride, &paths, k, worker,
-                              group_sum);
+        for (int k = first_function; k < last_function; k++) {
+            __global const float* rows = branches + (first_row + (k - first_function) * BRANCHES) * (long)stride + lead;
+            for (int g = first_group; g < last_group; g++) {
+                const int block = g / block_groups, row = first_block + block;
+                // The middle of the group lies half a sample before the middle of its span.
+                const float t =
+                    (float)(2 * (g - block * block_groups) * GROUP + GROUP - 1) * (0.5f * per_sample) - 1.0f;
+                vec group_sum[VECTORS];
+                for (int j = 0; j < VECTORS; j++) group_sum[j] = 0.0f;
+                for (int slot = tile; slot < tile_end; slot += BATCH) {
+                    expand(delay + row * slots + slot, nodes + (long)row * coefficients(functions) * slots + slot,
+                           slots, k, t, per_sample, worker, &paths);
+                    SYNCHRONISE;
+                    add_batch(rows + g * GROUP, stride, &paths, worker, group_sum);
+                    SYNCHRONISE;
                 }
-                SYNCHRONISE;
+                for (int j = 0; j < VECTORS; j++) sum[g - first_group][j] += group_sum[j];
             }
-            for (int j = 0; j < VECTORS; j++) sum[g - first_group][j] += group_sum[j];
         }
     }
     for (int g = first_group; g < last_group; g++) {

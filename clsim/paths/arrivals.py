@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.acoustics.geometry import rotate
-from clsim.scene.directivity import Omni
+from clsim.paths.responses import Responses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
+    from clsim.arrays import Complexes, Floats
     from clsim.scene.scene import Scene
 
 Motion = Literal["retarded", "quasi-static"]
@@ -25,7 +24,6 @@ MOTIONS: tuple[str, ...] = get_args(Motion)
 AMPLITUDES: tuple[str, ...] = get_args(Amplitude)
 MACH_EXPONENT = {"static": 0, "wave-equation": 1, "convective": 2}
 
-_AXIS = np.array([1.0, 0.0, 0.0])  # where a transducer points at identity
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s
 
@@ -41,7 +39,7 @@ class Arrivals:
     delay_rate : ndarray (P, T)
         Its derivative by the time of reception; the Doppler factor is ``1 - delay_rate``.
     gain : ndarray (P, T)
-        Received over emitted pressure (at 1 m), signed.
+        Received over emitted pressure (at 1 m) at the centre of the source's band; complex where a wall or beam is.
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the real source along the path, and from the receiver towards the image.
     distance : ndarray (P, T)
@@ -54,7 +52,7 @@ class Arrivals:
 
     delay: Floats
     delay_rate: Floats
-    gain: Floats
+    gain: Floats | Complexes
     departure: Floats
     arrival: Floats
     distance: Floats
@@ -85,15 +83,6 @@ class PathGroup:
     def part(self, rows: NDArray[np.int64]) -> PathGroup:
         """Return some of the paths."""
         return PathGroup(self.source, self.receiver, self.matrix[rows], self.offset[rows], self.walls[rows])
-
-    def reflections(self, scene: Scene, frequencies: Floats) -> Floats:
-        """Return the product of the reflection factors of each path's walls, (P, F)."""
-        factors = scene.room.reflections(frequencies)
-        factors = np.concatenate([factors, np.ones((1, len(frequencies)))])  # -1 stands for no wall
-        product = np.ones((len(self.walls), len(frequencies)))
-        for wall in self.walls.T:
-            product *= factors[wall]
-        return product
 
 
 def arrivals(
@@ -143,41 +132,8 @@ def arrivals(
     stretch = (1.0 - mach) ** -MACH_EXPONENT[amplitude] if retarded else np.ones_like(mach)
     rate = (receding - mach) / (1.0 - mach) if retarded else receding - mach
     found = Arrivals(delay, rate, np.empty(0), departure, arrival, distance, emitted, stretch)
-    gain = responses(scene, group, found, times, np.array([source.emitted.centre_frequency]))[..., 0]
+    gain = Responses(scene, np.array([source.emitted.centre_frequency])).along(group, found, times)[..., 0]
     return replace(found, gain=gain)
-
-
-def responses(scene: Scene, group: PathGroup, found: Arrivals, times: Floats, frequencies: Floats) -> Floats:
-    """Return received over emitted pressure by frequency, without the delay: spreading, air, walls and beams.
-
-    Parameters
-    ----------
-    scene, group, times
-        As in `arrivals`.
-    found : Arrivals
-        What that returned.
-    frequencies : ndarray (F,)
-        As emitted, Hz.
-
-    Returns
-    -------
-    ndarray (P, T, F)
-        Signed.
-    """
-    source, receiver, c = scene.sources[group.source], scene.receivers[group.receiver], scene.air.sound_speed
-    nepers = scene.air.absorption(frequencies) * (np.log(10.0) / 20.0)
-    response = np.exp(-(found.distance - 1.0)[..., None] * nepers)
-    response *= group.reflections(scene, frequencies)[:, None, :]
-    response *= (found.stretch / found.distance)[..., None]
-    if not isinstance(source.directivity, Omni):
-        axis = rotate(_at(source.orientation, found.emitted), _AXIS)
-        cosine = np.clip(np.sum(axis * found.departure, axis=-1), -1.0, 1.0)
-        response *= source.directivity.gain(cosine[..., None], frequencies, c)
-    if not isinstance(receiver.directivity, Omni):
-        axis = rotate(receiver.orientation(times), _AXIS)
-        cosine = np.clip(np.sum(axis[None] * found.arrival, axis=-1), -1.0, 1.0)
-        response *= receiver.directivity.gain(cosine[..., None], frequencies, c)
-    return np.asarray(response)
 
 
 def _solve_delay(trajectory: object, mirrored: Floats, times: Floats, c: float) -> Floats:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.scene import Source
 
-KNOT_COLUMNS = 24  # cubics of the position and of the axis: [power][3] each
 KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 _AXIS = np.array([1.0, 0.0, 0.0])
 _AXIS_TOLERANCE = 1e-5  # rad
@@ -44,7 +43,9 @@ def knot_rate(source: Source, end: float, tolerance: float) -> float:
     return next(good, KNOT_RATES[-1])
 
 
-def motion_knots(source: Source, start: float, end: float, rate: float) -> tuple[Floats, float]:
+def motion_knots(
+    source: Source, start: float, end: float, rate: float, *, sideways: bool = False
+) -> tuple[Floats, float]:
     """Return cubics of position and axis from `start` to `end`, and the time of the first knot.
 
     Parameters
@@ -56,20 +57,24 @@ def motion_knots(source: Source, start: float, end: float, rate: float) -> tuple
     rate : float
         Knots per second; knots stand at its whole multiples whatever the range.
 
+    sideways : bool
+        Whether the second axis is wanted too.
+
     Returns
     -------
-    knots : ndarray (knots, 24)
-        For position and axis: coefficients [power][xyz] in units of the knot's length.
+    knots : ndarray (knots, 24 or 36)
+        For position and axis, and second axis: coefficients [power][xyz] in units of the knot's length.
     first : float
         Time of the first knot, s.
     """
     first = math.floor(start * rate)
     times = np.arange(first - 1, math.ceil(end * rate) + 3, dtype=np.float64) / rate
     position, velocity = source.trajectory.position(times), source.trajectory.velocity(times) / rate
-    axis = rotate(source.orientation(times), _AXIS)
-    turning = np.gradient(axis, axis=0)
     inner = slice(1, -1)
-    columns = [*cubics_between(position[inner], velocity[inner]), *cubics_between(axis[inner], turning[inner])]
+    columns = cubics_between(position[inner], velocity[inner])
+    for axis in np.eye(3)[: 2 if sideways else 1]:
+        turned = rotate(source.orientation(times), axis)
+        columns += cubics_between(turned[inner], np.gradient(turned, axis=0)[inner])
     return np.ascontiguousarray(np.concatenate(columns, axis=1)), first / rate
 
 

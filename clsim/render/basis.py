@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.filters import linear_phase_filters
+from clsim.acoustics.filters import NoFilterError, band_filters
 from clsim.errors import InputError
-from clsim.paths.arrivals import arrivals, responses
+from clsim.paths.arrivals import arrivals
+from clsim.paths.responses import Responses
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
+    from clsim.arrays import Complexes, Floats
     from clsim.render.tracks import SceneTracks
 
 MOST_FUNCTIONS = 40
@@ -23,44 +22,68 @@ _GRID = 129  # frequencies of a band at which responses are looked at
 _TIMES = 24  # instants of a run at which paths are looked at
 _ROWS = 512  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
+_MOST_GROUPS = 16  # pairs of source and receiver looked at
+_MOST_PATHS = 4096  # of each
 _EMPHASES = 5  # times that responses which are held badly are given more weight
 _QUIETEST = 0.01  # weight of frequencies at which a signal has next to nothing
+_MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
+_FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 _SEED = 20_160_914
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
-    """K functions of frequency; a response is their sum with K gains.
+    """K functions of frequency; a response is their sum with K real gains.
 
     Attributes
     ----------
     nodes : ndarray (M,)
         Frequencies at which responses are taken, Hz.
-    projection : ndarray (K, M)
-        From responses at the nodes to gains.
+    projection : ndarray (K, parts M)
+        From responses at the nodes to gains; two parts, real and imaginary ones, for complex responses.
+    functions : ndarray (K, parts M)
+        The functions at the nodes, weighted like `weight`: what is left of a response without them was lost.
+    weight : ndarray (M,)
+        Of the nodes' frequencies, so that the mean square over nodes is that over the signal's spectrum.
     filters : ndarray (K, L)
-        The functions as symmetric filters of odd length, about their middle tap.
-    error_db : float
-        Largest root mean square error of a response over the signal's spectrum, relative to the strongest arrival, dB.
+        The functions as filters of odd length, about their middle tap.
+    sizes : ndarray (K,)
+        Most that each function adds to any path, relative to the strongest arrival.
+    asked_db, error_db : float
+        Asked and reached bound of the root mean square error of a response over the signal's spectrum, relative to the
+        strongest arrival at the same receiver, dB.
     """
 
     nodes: Floats
     projection: Floats
+    functions: Floats
+    weight: Floats
     filters: Floats
+    sizes: Floats
+    asked_db: float
     error_db: float
 
     def __len__(self) -> int:
         return len(self.projection)
 
     @property
+    def parts(self) -> int:
+        """1 for real responses, 2 for complex ones."""
+        return int(self.projection.shape[1] // len(self.nodes))
+
+    @property
     def half(self) -> int:
         """Taps on either side of the filters' middle."""
         return int(self.filters.shape[1] // 2)
 
+    @property
+    def at_one_frequency(self) -> bool:
+        """Whether responses are taken at one frequency for all."""
+        return len(self.nodes) == 1
 
-def flat_basis(frequency: float) -> Basis:
-    """Return the basis that takes every response at one frequency."""
-    return Basis(np.array([frequency]), np.ones((1, 1)), np.ones((1, 1)), -math.inf)
+    def gains(self, responses: Floats | Complexes) -> Floats:
+        """Return the gains (..., K) of responses (..., M) at the nodes."""
+        return np.asarray(_in_parts(responses, self.parts) @ self.projection.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +122,20 @@ def chebyshev_points(low: float, high: float, count: int) -> Floats:
     return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle))
 
 
+def flat_basis(frequency: float) -> Basis:
+    """Return the basis that takes every response at one frequency; for real responses."""
+    one = np.ones((1, 1))
+    return Basis(np.array([frequency]), one, one, np.ones(1), one, np.ones(1), -math.inf, -math.inf)
+
+
+def turning_basis(frequency: float, low: float, high: float, sampling_rate: float, error_db: float) -> Basis:
+    """Return the basis that takes every complex response at one frequency, from `low` to `high` Hz."""
+    filters = band_filters(np.array([[1.0], [1.0j]]), low, high, sampling_rate, error_db, np.ones(2))
+    return Basis(
+        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters, np.ones(2), -math.inf, -math.inf
+    )  # fmt: skip
+
+
 def scene_basis(
     tracks: SceneTracks, source: int, band: Band, until: float, sampling_rate: float, error_db: float
 ) -> Basis:
@@ -122,122 +159,180 @@ def scene_basis(
     Raises
     ------
     InputError
-        If more than 40 functions would be needed.
+        If more than 40 functions would be needed, or a function needs too long a filter.
 
     Notes
     -----
     Responses are sampled over all paths and the run, likelier the stronger they are; the functions are the singular
-    vectors of these rows, weighted by the signal's spectrum, the worst held ones more. They are then checked at other
-    responses, and those that they hold worst are added until all are within the error.
+    vectors of these rows, real and imaginary parts side by side, weighted by the signal's spectrum, the worst held ones
+    more. They are then checked at other responses, and those that they hold worst are added until all are within the
+    error.
     """
     rng = np.random.default_rng(_SEED)
-    rows = _sampled(tracks, source, band, until, _ROWS, rng)
+    rows = _Rows.of(_sampled(tracks, source, band, until, _ROWS, rng), band)
     held_out = _sampled(tracks, source, band, until, _HELD_OUT, rng)
-    allowed = 10 ** ((error_db - 1.0) / 20)
+    allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
     count = 1
     while True:
-        functions, nodes, projection = _functions(rows, count, allowed, band)
-        while _error(rows, functions, nodes, projection, band).max() > allowed and count < MOST_FUNCTIONS:
+        found = _Functions.of(rows, count, allowed)
+        while found.wrong(rows.responses).max() > allowed and count < MOST_FUNCTIONS:
             count += 1
-            functions, nodes, projection = _functions(rows, count, allowed, band)
-        wrong = _error(held_out, functions, nodes, projection, band)
+            found = _Functions.of(rows, count, allowed)
+        wrong = found.wrong(held_out)
         if wrong.max() <= allowed:
             break
         if count == MOST_FUNCTIONS:
+            reached = 20.0 * math.log10(float(wrong.max()))
             raise InputError(
                 "response_error_db",
-                f"must be reached by {MOST_FUNCTIONS} functions of frequency, but {error_db:g} dB needs more for "
-                f"source {source}; ask for less, narrow the signal's band, or smooth the tables of walls and beams",
+                f"must be reached by {MOST_FUNCTIONS} functions of frequency, but {error_db:g} dB is not: source "
+                f"{source} would have {reached:.0f} dB from {band.low:.0f} to {band.high:.0f} Hz; ask for less, narrow "
+                "the signal's band, or smooth what walls and beams do over frequency (shorter impulse responses)",
             )
         # What is held worst joins the rows; if that is little, one more function is needed.
-        rows = np.concatenate([rows, held_out[np.argsort(-wrong)[:64]]])
+        rows = _Rows.of(np.concatenate([rows.responses, held_out[np.argsort(-wrong)[:64]]]), band)
         count += int(wrong.max() > 1.2 * allowed)
-    reached = 20.0 * math.log10(max(float(wrong.max()), 1e-15))
-    if len(functions) == 1 and np.ptp(functions) <= allowed * np.abs(functions).max():
-        return Basis(*_flat(band), reached)
-    # Scaled to gains of at most 1: what a function adds to any path is no more than the function itself.
-    gains = np.abs(rows[:, nodes] @ projection.T).max(axis=0)[:, None]
-    coefficients = _chebyshev_coefficients(functions * gains)
-    filters = linear_phase_filters(coefficients, band.low, band.high, sampling_rate, error_db - 6.0, band.weight)
-    return Basis(band.frequencies[nodes], projection / gains, filters, reached)
+    return _designed(found, rows.responses, band, sampling_rate, error_db, float(wrong.max()))
 
 
-def _flat(band: Band) -> tuple[Floats, Floats, Floats]:
-    """Return node, projection and filter of one function that is 1 everywhere: taken where the signal is loudest."""
-    loudest = band.frequencies[int(np.argmax(band.weight))]
-    return np.array([loudest]), np.ones((1, 1)), np.ones((1, 1))
+def _designed(
+    found: _Functions, rows: Floats | Complexes, band: Band, sampling_rate: float, error_db: float, wrong: float
+) -> Basis:
+    """Return functions as filters, scaled to gains of at most 1: what each adds to a path is at most its own size."""
+    reached = 20.0 * math.log10(max(wrong, 1e-15))
+    if len(found.shapes) == 1 and np.ptp(found.shapes) <= 10 ** (error_db / 20) * np.abs(found.shapes).max():
+        loudest = band.frequencies[int(np.argmax(band.weight))]
+        one = np.ones((1, 1))
+        return Basis(np.array([loudest]), one, one, np.ones(1), one, np.ones(1), error_db, reached)
+    scale = np.abs(found.gains(rows)).max(axis=0)[:, None]
+    shapes = found.shapes * scale
+    sizes = (np.abs(shapes) * band.weight).max(axis=1)
+    order = np.argsort(-sizes, kind="stable")  # weak ones need fewer branches
+    shapes, sizes, projection = shapes[order], sizes[order], (found.projection / scale)[order]
+    try:
+        filters = band_filters(
+            _chebyshev_coefficients(shapes), band.low, band.high, sampling_rate, error_db - _FILTER_MARGIN_DB,
+            band.weight,
+        )  # fmt: skip
+    except NoFilterError as error:
+        raise InputError("response_error_db", f"must be reached by filters, but {error}") from error
+    nodes = found.nodes
+    weight = band.weight[nodes] / math.sqrt(float(np.mean(band.weight[nodes] ** 2)))
+    functions = _in_parts(shapes[:, nodes] * weight, found.parts)
+    return Basis(band.frequencies[nodes], projection, functions, weight, filters, sizes, error_db, reached)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Sampled responses (n, F), and the same weighted as places (n, r) along axes (r, parts F) that hold them all."""
+
+    band: Band
+    responses: Floats | Complexes
+    places: Floats
+    axes: Floats
+
+    @staticmethod
+    def of(responses: Floats | Complexes, band: Band) -> _Rows:
+        """Return rows of responses; axes along which there is nothing but rounding are left out."""
+        weighted = _in_parts(responses * band.weight, 1 + int(np.iscomplexobj(responses)))
+        _, sizes, axes = np.linalg.svd(weighted, full_matrices=False)
+        axes = axes[: max(int(np.count_nonzero(sizes > 1e-9 * sizes[0])), 1)]
+        return _Rows(band, responses, weighted @ axes.T, axes)
+
+    @property
+    def parts(self) -> int:
+        return 1 + int(np.iscomplexobj(self.responses))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Functions:
+    """Functions (K, F) over a band, indices (M,) of nodes, and the projection (K, parts M) from there."""
+
+    band: Band
+    shapes: Floats | Complexes
+    nodes: np.ndarray[tuple[int], np.dtype[np.int64]]
+    projection: Floats
+
+    @staticmethod
+    def of(rows: _Rows, count: int, allowed: float) -> _Functions:
+        """Return the functions that hold responses best."""
+        frequencies, weight = len(rows.band.weight), rows.band.weight
+        nodes = _spread(min(-(-2 * count // 8) * 8, frequencies), frequencies)
+        emphasis = np.ones(len(rows.places))
+        for _ in range(_EMPHASES):
+            _, _, vectors = np.linalg.svd(emphasis[:, None] * rows.places, full_matrices=False)
+            found = vectors[:count] @ rows.axes
+            shapes: Floats | Complexes = found[:, :frequencies] / weight
+            if rows.parts == 2:
+                shapes = shapes + 1j * (found[:, frequencies:] / weight)
+            projection = np.asarray(np.linalg.pinv(_in_parts(shapes[:, nodes], rows.parts).T))
+            functions = _Functions(rows.band, shapes, nodes, projection)
+            wrong = functions.wrong(rows.responses)
+            if wrong.max() <= allowed:
+                break
+            emphasis *= 1.0 + 3.0 * wrong / wrong.max()
+        return functions
+
+    @property
+    def parts(self) -> int:
+        return 1 + int(np.iscomplexobj(self.shapes))
+
+    def gains(self, rows: Floats | Complexes) -> Floats:
+        """Return the gains (n, K) of responses (n, F)."""
+        return np.asarray(_in_parts(rows[:, self.nodes], self.parts) @ self.projection.T)
+
+    def wrong(self, rows: Floats | Complexes) -> Floats:
+        """Return the root mean square error of every response over the signal's spectrum, (n,)."""
+        left = np.abs(self.gains(rows) @ self.shapes - rows) * self.band.weight
+        return np.asarray(np.sqrt(np.mean(left**2, axis=1) / np.mean(self.band.weight**2)))
+
+
+def _spread(count: int, among: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Return indices of Chebyshev points that are nearly the Chebyshev points of a smaller number."""
+    return np.round((np.arange(count) + 0.5) * among / count - 0.5).astype(np.int64)
+
+
+def _in_parts(values: Floats | Complexes, parts: int) -> Floats:
+    """Return real parts (..., M), followed by the imaginary ones for two parts."""
+    return np.asarray(values.real if parts == 1 else np.concatenate([values.real, values.imag], axis=-1))
 
 
 def _sampled(
     tracks: SceneTracks, source: int, band: Band, until: float, count: int, rng: np.random.Generator
-) -> Floats:
+) -> Floats | Complexes:
     """Return responses (count, F) of a source's paths relative to the strongest at the same receiver."""
-    scene = tracks.scene
+    responses = Responses(tracks.scene, band.frequencies)
     groups = [i for i, g in enumerate(tracks.groups) if g.source == source]
-    if len(groups) > 16:
-        groups = sorted(rng.choice(groups, 16, replace=False).tolist())
+    if len(groups) > _MOST_GROUPS:
+        groups = sorted(rng.choice(groups, _MOST_GROUPS, replace=False).tolist())
     times = np.sort(rng.uniform(0.0, until, _TIMES))
-    times[:2] = 0.0, until
+    times[[0, -1]] = 0.0, until
     picked = []
     for i in groups:
-        group = tracks.path_groups[i]
-        member = tracks.groups[i]
-        if len(member) > 4096:
-            some = np.sort(rng.choice(len(member), 4096, replace=False))
-            group, start, end = group.part(some), member.start[some], member.end[some]
-        else:
-            start, end = member.start, member.end
-        found = arrivals(scene, group, times, tracks.motion, tracks.amplitude)
+        group, start, end = tracks.path_groups[i], tracks.groups[i].start, tracks.groups[i].end
+        if len(start) > _MOST_PATHS:
+            some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
+            group, start, end = group.part(some), start[some], end[some]
+        found = arrivals(tracks.scene, group, times, tracks.motion, tracks.amplitude)
         heard = (times >= start[:, None]) & (times < end[:, None])
         level = np.where(heard, np.abs(found.gain), 0.0)
-        strongest = np.full(len(times), max(float(level.max()), 1e-300))
-        chance = (level / strongest).ravel()
-        if not chance.any():
+        loudest = float(level.max())
+        if loudest == 0.0:
             continue
-        share = -(-count // len(groups))
-        chosen = rng.choice(
-            len(chance), min(share, int(np.count_nonzero(chance))), replace=False, p=chance / chance.sum()
-        )
+        most = min(-(-count // len(groups)), int(np.count_nonzero(level)))
+        chosen = rng.choice(level.size, most, replace=False, p=level.ravel() / level.sum())
         p, t = np.unravel_index(chosen, level.shape)
         for at in np.unique(t):
-            mine = p[t == at]
-            part, one = group.part(mine), times[at : at + 1]
-            there = arrivals(scene, part, one, tracks.motion, tracks.amplitude)
-            picked.append(responses(scene, part, there, one, band.frequencies)[:, 0] / strongest[at])
+            part, one = group.part(p[t == at]), times[at : at + 1]
+            there = arrivals(tracks.scene, part, one, tracks.motion, tracks.amplitude)
+            picked.append(responses.along(part, there, one)[:, 0] / loudest)
     return np.concatenate(picked) if picked else np.ones((1, len(band.frequencies)))
 
 
-def _functions(rows: Floats, count: int, allowed: float, band: Band) -> tuple[Floats, NDArray[np.int64], Floats]:
-    """Return functions (count, F) for responses (n, F), indices of nodes, and the projection from them."""
-    emphasis = np.ones(len(rows))
-    for _ in range(_EMPHASES):
-        _, _, shapes = np.linalg.svd(emphasis[:, None] * rows * band.weight, full_matrices=False)
-        functions = shapes[:count] / band.weight
-        nodes, projection = _projection(functions)
-        wrong = _error(rows, functions, nodes, projection, band)
-        if wrong.max() <= allowed:
-            break
-        emphasis *= 1.0 + 3.0 * wrong / wrong.max()
-    return functions, nodes, projection
-
-
-def _projection(functions: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return indices of about twice as many frequencies as functions, and the least squares from them to gains."""
-    count = min(-(-2 * len(functions) // 8) * 8, functions.shape[1])
-    nodes = np.round((np.arange(count) + 0.5) * functions.shape[1] / count - 0.5).astype(np.int64)
-    return nodes, np.asarray(np.linalg.pinv(functions[:, nodes].T))
-
-
-def _error(rows: Floats, functions: Floats, nodes: NDArray[np.int64], projection: Floats, band: Band) -> Floats:
-    """Return the root mean square error of every response over the signal's spectrum, (n,)."""
-    made = rows[:, nodes] @ projection.T @ functions
-    return np.asarray(np.sqrt(np.mean(((made - rows) * band.weight) ** 2, axis=1) / np.mean(band.weight**2)))
-
-
-def _chebyshev_coefficients(values: Floats) -> Floats:
+def _chebyshev_coefficients(values: Floats | Complexes) -> Floats | Complexes:
     """Return the coefficients (K, F) of polynomials from their values at Chebyshev points, high to low."""
     from scipy.fft import dct
 
-    coefficients = dct(values, type=2, axis=1) / values.shape[1]
+    coefficients: Floats | Complexes = dct(values, type=2, axis=1) / values.shape[1]
     coefficients[:, 0] *= 0.5
-    return np.asarray(coefficients)
+    return coefficients

@@ -11,21 +11,24 @@ import numpy as np
 from clsim.acoustics.geometry import rotate
 from clsim.opencl.device import upload
 from clsim.paths.arrivals import MACH_EXPONENT
-from clsim.paths.motion_knots import KNOT_COLUMNS, knot_rate, motion_knots
+from clsim.paths.motion_knots import knot_rate, motion_knots
+from clsim.paths.responses import Responses
 from clsim.render.plan import SEGMENT, Plan, node_times
-from clsim.scene.directivity import Directivity, Omni
+from clsim.render.response_tables import CELLS, SIDE, SPHERICAL, beam_kind, beam_table, wall_table
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.opencl.device import Compiler
+    from clsim.paths.arrivals import PathGroup
+    from clsim.render.basis import Basis
     from clsim.render.edges import Boundaries
     from clsim.render.slots import Slots
     from clsim.render.tracks import SceneTracks
-
-_CELLS = 1024  # of a beam, over the cosine; its cubics are within 1e-9 for a piston of ka = 10
-_AXIS = np.array([1.0, 0.0, 0.0])
+    from clsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +38,7 @@ class DeviceNodes:
     delay: Any
     cubics: Any
     error: Floats  # (segments,), relative to the strongest arrival of each receiver
+    unheld: float  # largest part of a response that no function holds, likewise
     shortest: float  # s
     longest: float
 
@@ -66,41 +70,37 @@ class DeviceTracks:
             self._knot_rates.append(
                 knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
             )
-        frequencies = [emission.basis.nodes for emission in plan.emissions]
-        c = scene.air.sound_speed
-        self._source_beams = [
-            self._upload(_beam_cells(s.directivity, f, c)) for s, f in zip(scene.sources, frequencies, strict=True)
+        self._surroundings = [
+            _Surroundings(scene, i, emission.basis, self._upload) for i, emission in enumerate(plan.emissions)
         ]
-        # One receiver beam per launch: receivers with different beams are told apart by a table each.
-        self._receiver_tables = [[_beam_cells(r.directivity, f, c) for r in scene.receivers] for f in frequencies]
-        self._projections = [self._upload(e.basis.projection.astype(np.float32)) for e in plan.emissions]
-        self._nepers = [
-            self._upload((scene.air.absorption(f) * math.log(10.0) / 20.0).astype(np.float32)) for f in frequencies
-        ]
+        for i, around in enumerate(self._surroundings):
+            around.most_bounces(g for g in tracks.path_groups if g.source == i)
 
     def prepare(self, source: int, slots: Slots, bounds: Boundaries, start: int, length: int) -> _Chunk:
         """Upload images and motion for one source and a batch of receivers over a stretch of samples."""
         plan, scene = self._plan, self._tracks.scene
         matrix = np.empty((9, slots.count))
         offset = np.empty((3, slots.count))
-        basis = plan.emissions[source].basis
-        reflection = np.empty((len(basis.nodes), slots.count), dtype=np.float32)
+        around = self._surroundings[source]
+        reflection = np.zeros((slots.count, around.parts, around.count), dtype=np.float32)
+        wall_of, normal = around.no_bounces(slots.count)
         receiver_of = np.empty(slots.count, dtype=np.int32)
         for i, index in enumerate(slots.groups):
             here, paths = slots.of_group(i), self._tracks.path_groups[index]
-            rows = slots.path[here]
-            matrix[:, here] = paths.matrix[rows].reshape(-1, 9).T
-            offset[:, here] = paths.offset[rows].T
-            reflection[:, here] = np.where(slots.filling[here], 0.0, paths.part(rows).reflections(scene, basis.nodes).T)
+            part = paths.part(slots.path[here])
+            matrix[:, here] = part.matrix.reshape(-1, 9).T
+            offset[:, here] = part.offset.T
+            reflection[here] = np.where(slots.filling[here, None, None], 0.0, around.reflection(part))
+            wall_of[:, here], normal[:, :, here] = around.bounces(part)
             receiver_of[here] = i
         rate = plan.sampling_rate
         longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
         knots, first = motion_knots(
             scene.sources[source], start / rate - longest - 0.01 * abs(longest) - 0.05,
             (start + length) / rate - shortest + 0.05,
-            self._knot_rates[source],
+            self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
         )  # fmt: skip
-        images = tuple(self._upload(a) for a in (matrix, offset, reflection, receiver_of))
+        images = tuple(self._upload(a) for a in (matrix, offset, receiver_of, reflection, wall_of, normal))
         return _Chunk(source, slots, images, bounds, self._upload(knots), len(knots), first)
 
     def nodes(self, chunk: _Chunk, start: int, block: int, blocks: int) -> DeviceNodes:
@@ -115,80 +115,124 @@ class DeviceTracks:
         delay = cl.Buffer(context, flags, 4 * blocks * slots.count)
         cubics = cl.Buffer(context, flags, 16 * (1 + len(emission.basis)) * blocks * slots.count)
         found = np.empty((walks, slots.count, 4), dtype=np.float32)
-        on_device = cl.Buffer(context, flags, found.nbytes)
+        unheld = np.empty((walks, slots.count), dtype=np.float32)
+        found_there, unheld_there = cl.Buffer(context, flags, found.nbytes), cl.Buffer(context, flags, unheld.nbytes)
         receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
-        beams = [self._receiver_tables[chunk.source][r] for r in slots.receiver]
+        around = self._surroundings[chunk.source]
+        spread = emission.basis.half / rate  # by which the functions' filters are longer than what is emitted
         kernel = self._compiler.kernel("tracks", self._constants(chunk.source, block))
         kernel(
             self._queue, (slots.count, walks), None, *chunk.images,
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
             np.int32(blocks + 3), chunk.knots, np.int32(chunk.knot_count), np.float64(chunk.knot_first),
             np.float64(self._knot_rates[chunk.source]), np.float64(start / rate), np.float64(rate), np.float64(c),
-            self._nepers[chunk.source], self._projections[chunk.source],
-            np.float64(emission.start * rate - emission.bank.shift), np.float64(emission.start),
-            np.float64(emission.start + emission.signal.duration), np.float32(2.0 * math.pi * emission.band),
-            self._source_beams[chunk.source], self._upload(np.concatenate(beams)), np.int32(blocks), delay, cubics,
-            on_device,
+            *around.basis, np.float64(emission.start * rate - emission.bank.shift),
+            np.float64(emission.start - spread), np.float64(emission.start + emission.signal.duration + spread),
+            np.float32(2.0 * math.pi * emission.band), *around.tables, self._upload(around.beam_of[slots.receiver]),
+            np.int32(blocks), delay, cubics, found_there, unheld_there,
         )  # fmt: skip
-        cl.enqueue_copy(self._queue, found, on_device)
+        cl.enqueue_copy(self._queue, found, found_there)
+        cl.enqueue_copy(self._queue, unheld, unheld_there)
         return DeviceNodes(
-            delay,
-            cubics,
-            _relative_error(found, slots),
-            float(found[..., 2].min()),
-            float(found[..., 3].max()),
-        )
+            delay, cubics, _relative(found[..., 0], found[..., 1], slots),
+            float(_relative(unheld, found[..., 1], slots).max()),
+            float(found[..., 2].min()), float(found[..., 3].max()),
+        )  # fmt: skip
 
     def _constants(self, source: int, block: int) -> dict[str, int]:
-        scene, retarded = self._tracks.scene, self._tracks.motion == "retarded"
+        retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
         return {
             "BLOCK": block,
             "WALK": SEGMENT // block,
             "FUNCTIONS": len(self._plan.emissions[source].basis),
-            "NODES": len(self._plan.emissions[source].basis.nodes),
-            "KNOT_COLUMNS": KNOT_COLUMNS,
-            "CELLS": _CELLS,
+            "NODES": around.count,
+            "PARTS": around.parts,
+            "KNOT_COLUMNS": 36 if around.source_kind == SPHERICAL else 24,
+            "CELLS": CELLS,
+            "SIDE": SIDE,
             "RETARDED": int(retarded),
             "MACH_EXPONENT": MACH_EXPONENT[self._tracks.amplitude] if retarded else 0,
-            "SOURCE_BEAM": int(not isinstance(scene.sources[source].directivity, Omni)),
-            "RECEIVER_BEAM": int(any(not isinstance(r.directivity, Omni) for r in scene.receivers)),
+            "SOURCE_BEAM": around.source_kind,
+            "RECEIVER_BEAM": around.receiver_kind,
+            "ANGULAR": around.angular,
         }
 
     def _receivers_at(self, slots: Slots, times: Floats) -> Floats:
-        """Return position, velocity, axis and clock of the batch's receivers at the nodes, (receivers, nodes, 11)."""
-        out = np.empty((len(slots.groups), len(times), 11))
+        """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes, 14)."""
+        out = np.empty((len(slots.groups), len(times), 14))
         for i, r in enumerate(slots.receiver):
             receiver = self._tracks.scene.receivers[r]
             ahead = receiver.clock_ahead(times)
             out[i, :, :3] = receiver.trajectory.position(times + ahead)
             out[i, :, 3:6] = receiver.trajectory.velocity(times + ahead)
-            out[i, :, 6:9] = rotate(receiver.orientation(times + ahead), _AXIS)
-            out[i, :, 9], out[i, :, 10] = ahead, receiver.pace
+            turned = receiver.orientation(times + ahead)
+            out[i, :, 6:9], out[i, :, 9:12] = (rotate(turned, axis) for axis in np.eye(3)[:2])
+            out[i, :, 12], out[i, :, 13] = ahead, receiver.pace
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
 
 
-def _relative_error(found: NDArray[np.float32], slots: Slots) -> Floats:
-    """Return the largest error of each segment, relative to the strongest arrival of the same receiver."""
+class _Surroundings:
+    """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``gain.h``."""
+
+    def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
+        c = scene.air.sound_speed
+        self.count, self.parts = len(basis.nodes), basis.parts
+        self._responses = Responses(scene, basis.nodes)
+        padding = -len(basis) % 8 if len(basis) > 1 else 0  # of gains, which stand side by side
+        columns = (
+            self._responses.nepers, np.pad(basis.projection.T, ((0, 0), (0, padding))), basis.functions, basis.weight,
+            basis.sizes,
+        )  # fmt: skip
+        self.basis = tuple(put(column.astype(np.float32)) for column in columns)
+        beams = [r.directivity for r in scene.receivers]
+        self.source_kind, self.receiver_kind = beam_kind([scene.sources[source].directivity]), beam_kind(beams)
+        source_beam = beam_table(scene.sources[source].directivity, self.source_kind, basis.nodes, c, self.parts)
+        kinds = list(dict.fromkeys(beams))
+        tables = [beam_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
+        bands = len(tables[0]) // min(self.count, 8)
+        self.beam_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
+        materials, angular = scene.room.wall_materials, self._responses.angular
+        different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
+        kind = {key: i for i, key in enumerate(different)}
+        self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)
+        walls = [wall_table(m, basis.nodes, c, self.parts) for m in different.values()]
+        nothing = np.zeros(8, dtype=np.float32)
+        self.tables = tuple(put(np.concatenate([*part, nothing])) for part in (walls, [source_beam], tables))
+        self.angular = 0
+
+    def most_bounces(self, groups: Iterable[PathGroup]) -> None:
+        """Make room for the most walls that depend on the angle that any path of some groups meets."""
+        met = self._responses.angular
+        self.angular = max((int(met[g.walls].sum(axis=1).max(initial=0)) for g in groups), default=0)
+
+    def no_bounces(self, slots: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return empty columns: material (at least 1, slots) and normal (at least 1, 3, slots) of every bounce."""
+        count = max(self.angular, 1)
+        return np.full((count, slots), -1, dtype=np.int32), np.zeros((count, 3, slots), dtype=np.float32)
+
+    def reflection(self, group: PathGroup) -> Floats:
+        """Return what the walls that are the same at every angle do to each path, (P, parts, nodes)."""
+        product = self._responses.walls(group)
+        return np.stack([product.real, product.imag][: self.parts], axis=1)
+
+    def bounces(self, group: PathGroup) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return material and normal of every bounce that depends on the angle, those of each path first."""
+        wall_of, normal = self.no_bounces(len(group.walls))
+        filled = np.zeros(len(group.walls), dtype=np.int64)
+        for bounce, normals in self._responses.angular_bounces(group):
+            here = np.flatnonzero(self._responses.angular[group.walls[:, bounce]])
+            wall_of[filled[here], here] = self._material_of[group.walls[here, bounce]]
+            normal[filled[here], :, here] = normals[here]
+            filled[here] += 1
+        return wall_of, normal
+
+
+def _relative(square: NDArray[np.float32], strength: NDArray[np.float32], slots: Slots) -> Floats:
+    """Return the largest root of squares (walks, slots) by walk, relative to the strongest arrival of each receiver."""
     first = slots.first_slot[:-1]
-    error = np.sqrt(np.maximum.reduceat(found[:, :, 0], first, axis=1))
-    strongest = np.maximum.reduceat(found[:, :, 1], first, axis=1)
+    strongest = np.sqrt(np.maximum.reduceat(strength, first, axis=1))
+    error = np.sqrt(np.maximum.reduceat(square, first, axis=1))
     return np.asarray((error / np.maximum(strongest, 1e-30)).max(axis=1), dtype=np.float64)
-
-
-def _beam_cells(directivity: Directivity, frequencies: Floats, speed_of_sound: float) -> NDArray[np.float32]:
-    """Return a beam as cubics on equal cells of the cosine, lowest power first, (cells, frequencies, 4)."""
-    from scipy.interpolate import CubicSpline
-
-    cosine = np.linspace(-1.0, 1.0, _CELLS + 1)
-    half = _CELLS // 2  # two splines: the gain of a piston bends at 90°
-    parts = []
-    for piece in (slice(0, half + 1), slice(half, _CELLS + 1)):
-        gain = np.broadcast_to(
-            directivity.gain(cosine[piece][:, None], frequencies, speed_of_sound), (half + 1, len(frequencies))
-        )
-        width = (2.0 / _CELLS) ** np.arange(4)
-        parts.append(np.moveaxis(CubicSpline(cosine[piece], gain).c[::-1], 0, -1) * width)
-    return np.ascontiguousarray(np.concatenate(parts), dtype=np.float32)

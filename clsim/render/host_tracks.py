@@ -27,6 +27,7 @@ class HostNodes:
     delay: Any
     cubics: Any
     error: Floats
+    unheld: float
     shortest: float
     longest: float
 
@@ -60,17 +61,18 @@ class HostTracks:
             here = slots.of_group(i)
             delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
             whole[:, here], made = block_cubics(delay, change, gain, block, rate, late)
-            wrong = block_error(change, gain, 2.0 * math.pi * emission.band, block / rate)
+            sized = gain * emission.basis.sizes[:, None, None]
+            wrong = block_error(change, sized, 2.0 * math.pi * emission.band, block / rate)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
             made[:, 4:] = np.where(heard.T[:, None], made[:, 4:], 0.0)
             cubics[:, :, here] = made
             np.maximum(
                 error,
-                _by_segment(np.where(heard, wrong, 0.0), np.abs(gain).sum(axis=0)[:, 1:-2] * heard, block),
+                _by_segment(np.where(heard, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, block),
                 out=error,
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
-        return HostNodes(self._upload(whole), self._upload(cubics), error, shortest, longest)
+        return HostNodes(self._upload(whole), self._upload(cubics), error, 0.0, shortest, longest)
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)

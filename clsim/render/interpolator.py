@@ -30,6 +30,8 @@ class Bank:
         Index of the tap without delay.
     shift : float
         Delay at ``mu = 0``: 0 or 0.5 samples.
+    edge : float
+        End of the signal's band, rad per sample.
     mu_max : float
         Largest ``|mu|`` that occurs.
     group : int
@@ -41,6 +43,7 @@ class Bank:
     taps: Floats
     centre: int
     shift: float
+    edge: float
     mu_max: float
     group: int
     error_db: float
@@ -56,6 +59,10 @@ class Interpolator(Protocol):
 
     def bank(self, edge: float, max_rate: float) -> Bank:
         """Return the bank for a signal up to `edge` rad per sample and delays changing by up to `max_rate`."""
+        ...
+
+    def weaker(self, bank: Bank, size: float) -> Bank:
+        """Return a bank for the same signal and motion that may err more, for what is heard `size` times as loud."""
         ...
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
@@ -85,6 +92,10 @@ class Lagrange:
     def bank(self, edge: float, max_rate: float) -> Bank:
         """Return the bank: the closed form as polynomials of ``mu``."""
         return _lagrange(lagrange_bank(self.order), self.order // 2, self.order, edge, max_rate)
+
+    def weaker(self, bank: Bank, size: float) -> Bank:
+        """Return the bank itself."""
+        return bank
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the closed-form taps."""
@@ -120,6 +131,10 @@ class TruncatedLagrange:
         centre = self.order // 2 - self._dropped
         return _lagrange(lagrange_bank(self.order, self.length), centre, self.order, edge, max_rate)
 
+    def weaker(self, bank: Bank, size: float) -> Bank:
+        """Return the bank itself."""
+        return bank
+
     def taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the closed-form taps."""
         whole = lagrange_taps(self.order, mu + self.order / 2)
@@ -152,12 +167,23 @@ class Bandlimited:
             group, mu_max = _group(SMALL_GROUP, max_rate)
         # Rounded up, so that designs are found again.
         edge, mu_max = min(math.ceil(edge * 64) / 64, 0.97 * math.pi), math.ceil(mu_max * 32) / 32
-        taps, reached = design_bandlimited(self.error_db, edge, mu_max)
-        return Bank(taps, taps.shape[1] // 2, 0.0, mu_max, group, reached)
+        return _bandlimited(self.error_db, edge, mu_max, group)
+
+    def weaker(self, bank: Bank, size: float) -> Bank:
+        """Return a bank of as few branches as `size` allows, in steps of 6 dB."""
+        allowed = self.error_db + 6.0 * math.floor(-20.0 * math.log10(max(size, 1e-6)) / 6.0 - 0.5)
+        return (
+            bank if allowed <= self.error_db else _bandlimited(min(allowed, -12.0), bank.edge, bank.mu_max, bank.group)
+        )
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the bank evaluated in float64."""
         return np.asarray(np.vander(mu, len(bank.taps), increasing=True) @ bank.taps)
+
+
+def _bandlimited(error_db: float, edge: float, mu_max: float, group: int) -> Bank:
+    taps, reached = design_bandlimited(error_db, edge, mu_max)
+    return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, group, reached)
 
 
 def _group(samples: int, max_rate: float) -> tuple[int, float]:
@@ -169,4 +195,4 @@ def _lagrange(taps: Floats, centre: int, order: int, edge: float, max_rate: floa
     group, mu_max = _group(SMALL_GROUP, max_rate)
     shift = 0.5 if order % 2 else 0.0
     error = bank_error(taps, centre, shift, edge, mu_max)
-    return Bank(taps, centre, shift, mu_max, group, 20 * math.log10(max(error, 1e-15)))
+    return Bank(taps, centre, shift, edge, mu_max, group, 20 * math.log10(max(error, 1e-15)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimError, DeviceError
+from clsim.errors import ClsimError, ClsimWarning, DeviceError
 from clsim.opencl.device import Compiler, find_device, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
@@ -17,8 +19,11 @@ from clsim.render.slots import Active, Slots, fill_slots
 from clsim.render.tracks import SceneTracks
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from clsim.render.interpolator import Bank
 
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
@@ -75,6 +80,7 @@ class OpenclEngine:
         self._context = cl.Context([device])
         self._queue = cl.CommandQueue(self._context)
         self._compiler = Compiler(self._context)
+        self.unheld = [0.0] * len(plan.emissions)  # largest part of a response that no function of a source holds
         self._tracks: DeviceTracks | HostTracks
         if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
             self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler)
@@ -92,6 +98,18 @@ class OpenclEngine:
                 f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
                 "receivers at a time, or on another device (see `clsim devices`)"
             ) from error
+
+    def warn(self) -> None:
+        """Warn where responses came along that the functions of frequency hold worse than asked."""
+        for i, (emission, unheld) in enumerate(zip(self._plan.emissions, self.unheld, strict=True)):
+            reached = 20.0 * math.log10(max(unheld, 1e-15))
+            if reached > emission.basis.asked_db + 1.0 > -math.inf:
+                warnings.warn(
+                    f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
+                    f"{emission.basis.asked_db:g} dB asked for; ask for a smaller response_error_db",
+                    ClsimWarning,
+                    stacklevel=3,
+                )
 
     def _render(self, start: int, stop: int) -> NDArray[np.float32]:
         import pyopencl as cl
@@ -139,24 +157,24 @@ class OpenclEngine:
         least = int(np.floor(min(group.low.min() for group in active) * rate + late)) - _MARGIN
         most = int(np.ceil(max(group.high.max() for group in active) * rate + late)) + _MARGIN
         channel = 8 * self._layout.lanes
-        rows, taps = emission.bank.taps.shape
         width = -(-(length + most - least) // channel) * channel
         stride = -(-width // 16) * 16
         stride += 16 if (stride // 16) % 2 == 0 else 0  # whole pages apart, rows would fight for the same cache lines
         first = start - most
-        before = first - (taps - 1) + emission.bank.centre
-        streams = emission.streams(before, before + width + taps)
+        before, after = (max(side(bank) for bank in emission.banks) for side in (_taps_before, _taps_after))
+        streams = emission.streams(first - before, first + width + after)
         if not np.any(streams):
             return None
-        out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * len(streams) * rows * stride)
-        kernel = self._compiler.kernel("branches", {"LANES": self._layout.lanes, "TAPS": taps})
-        filters = self._upload(emission.bank.taps.astype(np.float32))
-        for k, stream in enumerate(streams):
+        out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * int(emission.rows[-1]) * stride)
+        for bank, row, stream in zip(emission.banks, emission.rows, streams, strict=False):
+            rows, taps = bank.taps.shape
+            kernel = self._compiler.kernel("branches", {"LANES": self._layout.lanes, "TAPS": taps})
             emitted = np.zeros(stride + taps + channel, dtype=np.float32)
-            emitted[: width + taps] = stream
+            here = stream[before - _taps_before(bank) : before + width + _taps_after(bank)]
+            emitted[: len(here)] = here
             kernel(
-                self._queue, (width // channel, rows), None, self._upload(emitted), filters, np.int32(stride),
-                np.int32(k * rows), out,
+                self._queue, (width // channel, rows), None, self._upload(emitted),
+                self._upload(bank.taps.astype(np.float32)), np.int32(stride), np.int32(row), out,
             )  # fmt: skip
         return _Branches(out, stride, first, least, most)
 
@@ -215,9 +233,10 @@ class _Run:
             begin, end = at * SEGMENT, min(upto * SEGMENT, self._length)
             nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
             self._check(nodes.shortest, nodes.longest)
+            self._engine.unheld[self._source] = max(self._engine.unheld[self._source], nodes.unheld)
             coarse = nodes.error > self._tolerance
             coarse &= level + 1 < len(BLOCKS)
-            for a, b in _stretches(coarse):
+            for a, b in _runs(coarse):
                 if coarse[a]:
                     self._cover(at + a, at + b, level + 1)
                 else:
@@ -237,17 +256,19 @@ class _Run:
         engine, emission = self._engine, self._plan.emissions[self._source]
         self._render_edges(nodes, segment, end, block, first_block)
         constants = engine._layout.constants(emission.bank.group)
-        constants |= {"BRANCHES": len(emission.bank.taps), "FUNCTIONS": self._functions}
-        kernel = engine._compiler.kernel("render", constants)
         begin = segment * SEGMENT
         groups = (end - begin) // emission.bank.group
         size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
-        kernel(
-            engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
-            np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, self._first_slot,
-            np.int32(self._slots.count), np.int32(block // emission.bank.group), np.int32(first_block),
-            np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin),
-        )  # fmt: skip
+        counts = [len(bank.taps) for bank in emission.banks]
+        for k, upto in _runs(counts):
+            kernel = engine._compiler.kernel("render", constants | {"BRANCHES": counts[k]})
+            kernel(
+                engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
+                np.int32(emission.rows[k]), np.int32(self._functions), np.int32(k), np.int32(upto),
+                np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, self._first_slot,
+                np.int32(self._slots.count), np.int32(block // emission.bank.group), np.int32(first_block),
+                np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin),
+            )  # fmt: skip
 
     def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
@@ -255,25 +276,37 @@ class _Run:
         edges = find_edges(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
         if edges is None:
             return
-        taps, per_ramp = len(self._plan.emissions[self._source].bank.taps), self._bounds.ramp
+        per_ramp, rows = self._bounds.ramp, self._plan.emissions[self._source].rows.astype(np.int32)
         slot, at = engine._upload(edges.slot), engine._upload(edges.block + np.int32(first_block))
-        kernel = engine._compiler.kernel("edges", {"BRANCHES": taps, "FUNCTIONS": self._functions})
+        kernel = engine._compiler.kernel("edges", {})
         kernel(
             engine._queue, (block, len(edges.row)), None, self._branches.rows, np.int32(self._branches.stride),
-            np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, np.int32(slots.count),
-            np.int32(block), np.int32(first_block), np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
-            engine._upload(edges.start), engine._upload(edges.end), engine._upload(edges.first),
-            engine._upload(edges.row), engine._upload(edges.at), self._pressure, np.int32(self._length),
-            np.int32(begin), np.int32(end - begin),
+            np.int32(self._functions), engine._upload(rows), np.int32(self._start + begin - self._branches.first),
+            nodes.delay, nodes.cubics, np.int32(slots.count), np.int32(block), np.int32(first_block),
+            np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
+            *(engine._upload(column) for column in (edges.start, edges.end, edges.first, edges.row, edges.at)),
+            self._pressure, np.int32(self._length), np.int32(begin), np.int32(end - begin),
         )  # fmt: skip
-        mute = engine._compiler.kernel("mute", {"FUNCTIONS": self._functions})
-        mute(engine._queue, (len(edges.slot),), None, slot, at, nodes.cubics, np.int32(slots.count))
+        mute = engine._compiler.kernel("mute", {})
+        mute(
+            engine._queue, (len(edges.slot),), None, slot, at, np.int32(self._functions), nodes.cubics,
+            np.int32(slots.count),
+        )  # fmt: skip
 
 
-def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the maximal ranges of equal flags."""
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8))) + 1
-    return list(zip([0, *edges.tolist()], [*edges.tolist(), len(flags)], strict=True))
+def _taps_before(bank: Bank) -> int:
+    """Return how many samples before the first one the branch filters read."""
+    return int(bank.taps.shape[1]) - 1 - bank.centre
+
+
+def _taps_after(bank: Bank) -> int:
+    return bank.centre + 1
+
+
+def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the maximal ranges of equal values."""
+    edges = (np.flatnonzero(np.diff(values)) + 1).tolist()
+    return list(zip([0, *edges], [*edges, len(values)], strict=True))
 
 
 def _bytes_per_node(functions: int) -> int:

@@ -12,7 +12,8 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.path_set import PathSet
-from clsim.render.basis import Basis, band_of, flat_basis, scene_basis
+from clsim.paths.responses import is_complex
+from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.render.transition import DEFAULT_TRANSITION
@@ -27,6 +28,7 @@ SEGMENT = 18432  # samples; chunks are whole segments, and the block length is c
 BLOCKS = (768, 384, 192, 96)  # samples in a block, divisors of a segment, tried in this order
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 _PRESSURE_BUDGET = 64 * 2**20  # bytes of output held at a time
+DEFAULT_RESPONSE_ERROR_DB = -80.0  # of air, walls and beams over a signal's band
 EXACT_DB = -100.0  # the same for the reference engine
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
 _LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
@@ -43,8 +45,8 @@ class Emission:
         At the sampling rate of the recording.
     start : float
         Time at which it begins, s.
-    bank : Bank
-        Branch filters.
+    banks : tuple of Bank
+        Branch filters, for each function of the basis; fewer for those that add little.
     basis : Basis
         Functions of frequency that carry the responses of its paths.
     band : float
@@ -55,10 +57,20 @@ class Emission:
 
     signal: Signal
     start: float
-    bank: Bank
+    banks: tuple[Bank, ...]
     basis: Basis
     band: float
     removed_db: float
+
+    @property
+    def bank(self) -> Bank:
+        """The branch filters of the strongest function."""
+        return self.banks[0]
+
+    @property
+    def rows(self) -> Floats:
+        """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
+        return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
 
     def streams(self, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of the signal through each function of the basis, (K, n)."""
@@ -114,9 +126,8 @@ class Plan:
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
         span = max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
-        rows = max(len(e.bank.taps) for e in self.emissions)
+        rows = max(int(e.rows[-1]) for e in self.emissions)
         functions = max(len(e.basis) for e in self.emissions)
-        rows *= functions
         per_segment = (
             (20 + 16 * functions)
             * (SEGMENT // BLOCKS[-1])
@@ -164,11 +175,7 @@ class Plan:
                 f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
                 f"{e.bank.error_db:.1f} dB; share of the signal above: {removed}"
             )
-            if np.isfinite(e.basis.error_db):
-                held = f"within {e.basis.error_db:.1f} dB"
-                lines.append(f"source {i}: {len(e.basis)} functions of frequency carry air, walls and beams {held}")
-            else:
-                lines.append(f"source {i}: air, walls and beams are those at {e.basis.nodes[0]:.6g} Hz")
+            lines.append(f"source {i}: {_described(e)}")
         for i, r in enumerate(self.receivers):
             if r.electronics is not None or r.transducer is not None:
                 name = "" if r.transducer is None else f"; transducer {r.transducer.name or 'without a name'}"
@@ -186,7 +193,7 @@ def plan_render(
     motion: str = "retarded",
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
-    response_error_db: float | None = None,
+    response_error_db: float | None = DEFAULT_RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -221,7 +228,7 @@ def plan_tracks(
     *,
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
-    response_error_db: float | None = None,
+    response_error_db: float | None = DEFAULT_RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -250,7 +257,8 @@ def plan_tracks(
         signal = signal.at_rate(rate)
         high, removed_db, bank = _delay_filters(i, signal, interpolator, tracks, rate)
         basis = _basis(i, signal, high, tracks, samples / rate, rate, response_error_db, engine)
-        emissions.append(Emission(signal, start, bank, basis, high, removed_db))
+        banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
+        emissions.append(Emission(signal, start, banks, basis, high, removed_db))
     draft = Plan(tracks, tuple(emissions), interpolator, rate, samples, SEGMENT, engine, device)
     return Plan(tracks, tuple(emissions), interpolator, rate, samples, _chunk(draft, chunk), engine, device)
 
@@ -330,14 +338,32 @@ def _basis(
     engine: str,
 ) -> Basis:
     """Return the functions of frequency that a source's paths need."""
-    if error_db is None or not isinstance(tracks, SceneTracks):
+    if not isinstance(tracks, SceneTracks):
         return flat_basis(signal.centre_frequency)
+    floor_db = EXACT_DB if error_db is None else min(error_db, EXACT_DB) if engine == "reference" else error_db
     frequencies, energy = signal.energy_spectrum()
     below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
-    floor_db = min(error_db, EXACT_DB) if engine == "reference" else error_db
     low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
-    band = band_of(min(max(low, frequencies[1]), 0.999 * high), high, frequencies, energy)
-    return scene_basis(tracks, index, band, until, rate, floor_db)
+    low = min(max(low, frequencies[1]), 0.999 * high)
+    if error_db is not None:
+        return scene_basis(tracks, index, band_of(low, high, frequencies, energy), until, rate, floor_db)
+    if is_complex(tracks.scene):
+        return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
+    return flat_basis(signal.centre_frequency)
+
+
+def _described(emission: Emission) -> str:
+    """Return how air, walls and beams are carried, and what it costs."""
+    basis = emission.basis
+    if not math.isfinite(basis.asked_db):
+        return f"air, walls and beams are those at {basis.nodes[0]:.6g} Hz"
+    if len(basis) == 1 and basis.at_one_frequency:
+        return f"air, walls and beams hardly change over the signal's band ({basis.error_db:.1f} dB)"
+    rows, most = int(emission.rows[-1]), len(emission.bank.taps)
+    return (
+        f"{len(basis)} functions of frequency carry air, walls and beams within {basis.error_db:.1f} dB "
+        f"({rows} branch signals, {rows / most:.1f} times the work of one function)"
+    )
 
 
 def _occupied_band(signal: Signal, widest: float, share_db: float) -> tuple[float, float]:

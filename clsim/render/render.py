@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.render.opencl import OpenclEngine
-from clsim.render.plan import Plan, plan_render, plan_tracks
+from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
 from clsim.render.receiving import Receiving
 from clsim.render.reference import ReferenceEngine
 from clsim.render.tracks import SceneTracks, Tracks
@@ -34,7 +34,7 @@ def render(
     motion: str = "retarded",
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
-    response_error_db: float | None = None,
+    response_error_db: float | None = DEFAULT_RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -59,10 +59,9 @@ def render(
     transition : float or "gate"
         Seconds in which a path begins and ends, by a raised cosine centred on the boundary; or at once, which
         splatters.
-    response_error_db : float, optional
-        Bound on the error of each path's response over the signal's band (air, walls, beams), dB relative to the
-        strongest arrival: -80 for broadband signals. Left out, all is taken at the signal's centre frequency, which
-        is faster.
+    response_error_db : float or None
+        Bound on the error of each path's response over the signal's band (air, walls, beams), -120 to -20 dB relative
+        to the strongest arrival. With None all of them are what they are at the centre of the signal's band.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -122,7 +121,7 @@ def render_tracks(
     *,
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
-    response_error_db: float | None = None,
+    response_error_db: float | None = DEFAULT_RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -175,6 +174,8 @@ def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[np.
     engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
     for start in range(0, plan.samples, plan.chunk):
         yield start, receiving(start, engine.render(start, min(start + plan.chunk, plan.samples)))
+    if isinstance(engine, OpenclEngine):
+        engine.warn()
 
 
 def _record(plan: Plan) -> Recording:

@@ -10,8 +10,9 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals, responses
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
 from clsim.paths.path_set import PathSet
+from clsim.paths.responses import Responses
 from clsim.render.basis import Basis, flat_basis
 from clsim.render.transition import DEFAULT_TRANSITION, as_transition
 
@@ -161,8 +162,8 @@ class SceneTracks(Tracks):
         receiver = self.scene.receivers[paths.receiver]
         ahead, pace = receiver.clock_ahead(times), receiver.pace
         found = arrivals(self.scene, paths, times + ahead, self.motion, self.amplitude)
-        response = responses(self.scene, paths, found, times + ahead, basis.nodes)
-        gain = np.moveaxis(response @ basis.projection.T, -1, 0)
+        response = Responses(self.scene, basis.nodes).along(paths, found, times + ahead)
+        gain = np.moveaxis(basis.gains(response), -1, 0)
         return found.delay - ahead, found.delay_rate * pace - (pace - 1.0), gain
 
     def max_rate(self, source: int) -> float:

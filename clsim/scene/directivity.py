@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from clsim.acoustics.directivity import cardioid_gain, piston_gain
-from clsim.arrays import Floats, as_choice, as_number
+from clsim.arrays import Complexes, Floats, as_choice, as_number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -21,9 +21,14 @@ DIRECTIVITY_NAMES = tuple(_NAMED_RADIUS)
 
 @runtime_checkable
 class Directivity(Protocol):
-    """Anything with a gain by direction."""
+    """Anything with a gain by the angle to an axis."""
 
-    def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
+    @property
+    def is_complex(self) -> bool:
+        """Whether the gain has a phase."""
+        ...
+
+    def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats | Complexes:
         """Return the gain of sound pressure by direction, 1 on the axis.
 
         Parameters
@@ -44,6 +49,39 @@ class Directivity(Protocol):
         ...
 
 
+@runtime_checkable
+class SphericalDirectivity(Protocol):
+    """Anything with a gain by direction, without an axis of symmetry."""
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether the gain has a phase."""
+        ...
+
+    def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats | Complexes:
+        """Return the gain of sound pressure by direction.
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the transducer's own frame: of departure for a source, towards the incoming image for a
+            receiver.
+        frequency : array_like (...)
+            Frequency, Hz; broadcasts against the leading axes of `direction`.
+        speed_of_sound : float
+            Speed of sound, m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Gain, 1; complex where `is_complex`.
+        """
+        ...
+
+
+AnyDirectivity = Directivity | SphericalDirectivity
+
+
 @dataclass(frozen=True, slots=True)
 class Omni:
     """The same in every direction.
@@ -55,6 +93,7 @@ class Omni:
     """
 
     kind: ClassVar[str] = "omni"
+    is_complex: ClassVar[bool] = False
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return 1 for every direction; see `Directivity.gain`."""
@@ -82,6 +121,7 @@ class Cardioid:
     """
 
     kind: ClassVar[str] = "cardioid"
+    is_complex: ClassVar[bool] = False
     weight: float = 0.5
 
     def __post_init__(self) -> None:
@@ -116,6 +156,7 @@ class Piston:
     """
 
     kind: ClassVar[str] = "piston"
+    is_complex: ClassVar[bool] = False
     radius: float
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.acoustics.reflection import reflection_from_absorption
-from clsim.arrays import Floats, as_choice, as_floats, as_number
+from clsim.arrays import Complexes, Floats, as_choice, as_floats, as_number
 from clsim.errors import ClsimWarning, InputError
 
 if TYPE_CHECKING:
@@ -144,7 +144,19 @@ class Material:
             return cls(_FACTORS[name], name)
         return cls.from_absorption(_OCTAVES, _ABSORPTION[name][0], name)
 
-    def reflection_at(self, frequency: ArrayLike) -> Floats:
+    @property
+    def is_complex(self) -> bool:
+        """Whether the factor has a phase."""
+        return False
+
+    @property
+    def depends_on_angle(self) -> bool:
+        """Whether the factor depends on the angle of incidence."""
+        return False
+
+    def reflection_at(
+        self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2
+    ) -> Floats | Complexes:
         """Return the reflection factor of sound pressure by frequency.
 
         Parameters

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, as_number, read_only
+from clsim.arrays import Complexes, Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.floor_plan import extruded_plan
 from clsim.scene.material import Material
@@ -232,8 +232,8 @@ class MeshRoom:
         """Unit normals (W, 3) and offsets (W,) of the walls: ``normal @ x = offset``, m."""
         return self.walls.normal, self.walls.offset
 
-    def reflections(self, frequency: ArrayLike) -> Floats:
-        """Return the reflection factor of sound pressure of every wall, (walls, ...), for frequencies (...) in Hz."""
+    def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
+        """Return every wall's reflection factor at normal incidence, (walls, ...), for frequencies (...) in Hz."""
         factors = {id(m): m.reflection_at(frequency) for m in {id(m): m for m in self.wall_materials}.values()}
         return np.array([factors[id(m)] for m in self.wall_materials])
 
@@ -258,7 +258,7 @@ def _as_mesh(box: Shoebox) -> MeshRoom:
     # In the order of WALLS, turning outwards.
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
-    materials = [m for m in box.materials for _ in range(2)]
+    materials = [m for m in box.wall_materials for _ in range(2)]
     return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, as_number, read_only
+from clsim.arrays import Complexes, Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.material import Material
 
@@ -54,7 +54,7 @@ class Shoebox:
         object.__setattr__(self, "walls", _checked_walls(self.walls))
 
     @property
-    def materials(self) -> tuple[Material, ...]:
+    def wall_materials(self) -> tuple[Material, ...]:
         """The six materials, in the order of `WALLS`."""
         assert isinstance(self.walls, tuple)
         return self.walls
@@ -74,8 +74,8 @@ class Shoebox:
         """Lowest and highest corner, (3,) m each."""
         return read_only(np.zeros(3)), self.size
 
-    def reflections(self, frequency: ArrayLike) -> Floats:
-        """Return the reflection factor of sound pressure of every wall.
+    def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
+        """Return the reflection factor of sound pressure of every wall at normal incidence.
 
         Parameters
         ----------
@@ -85,11 +85,11 @@ class Shoebox:
         Returns
         -------
         ndarray (6, ...)
-            Factors in the order of `WALLS`, -1 to 1, for every frequency.
+            Factors in the order of `WALLS` for every frequency, complex where a wall is.
         """
         # Each material once, so that one that warns does so once.
-        factors = {id(m): m.reflection_at(frequency) for m in dict.fromkeys(self.materials)}
-        return np.array([factors[id(m)] for m in self.materials])
+        factors = {id(m): m.reflection_at(frequency) for m in dict.fromkeys(self.wall_materials)}
+        return np.array([factors[id(m)] for m in self.wall_materials])
 
     def contains(self, positions: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
         """Return which positions lie inside the room, strictly.

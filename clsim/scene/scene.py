@@ -13,7 +13,7 @@ from clsim.acoustics.geometry import quaternion_from_direction
 from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError
 from clsim.scene.air import Air
-from clsim.scene.directivity import Directivity, Omni
+from clsim.scene.directivity import AnyDirectivity, Directivity, Omni, SphericalDirectivity
 from clsim.scene.electronics import Electronics
 from clsim.scene.mesh_contact import NEAREST, first_contact
 from clsim.scene.mesh_room import MeshRoom
@@ -40,7 +40,7 @@ class Source:
         Sound pressure at 1 m on the source's axis in free field, Pa; with a transducer the voltage that drives it, V.
     trajectory : Trajectory
         Where it is and how it is turned.
-    directivity : Directivity
+    directivity : Directivity or SphericalDirectivity
         Gain by direction, 1 on the axis.
     aim : array_like (3,), optional
         A fixed direction in which the axis points; for trajectories without orientations of their own.
@@ -58,7 +58,7 @@ class Source:
     name: str
     signal: Signal
     trajectory: Trajectory
-    directivity: Directivity = field(default_factory=Omni)
+    directivity: AnyDirectivity = field(default_factory=Omni)
     aim: Any = None
     start: float = 0.0
     transducer: Transducer | None = None
@@ -90,7 +90,7 @@ class Receiver:
         Unique among the scene's receivers.
     trajectory : Trajectory
         Where it is and how it is turned.
-    directivity : Directivity
+    directivity : Directivity or SphericalDirectivity
         Gain by direction, 1 on the axis.
     aim : array_like (3,), optional
         A fixed direction in which the axis points; for trajectories without orientations of their own.
@@ -102,7 +102,7 @@ class Receiver:
 
     name: str
     trajectory: Trajectory
-    directivity: Directivity = field(default_factory=Omni)
+    directivity: AnyDirectivity = field(default_factory=Omni)
     aim: Any = None
     transducer: Transducer | None = None
     electronics: Electronics | None = None
@@ -210,7 +210,7 @@ def _checked_ends(item: Source | Receiver) -> Floats | None:
         raise InputError("name", f"must be a text that is not empty, but is {item.name!r:.80}")
     if not isinstance(item.trajectory, Trajectory):
         raise InputError("trajectory", f"must be a Trajectory, but is {item.trajectory!r:.80}")
-    if not callable(getattr(item.directivity, "gain", None)):
+    if not isinstance(item.directivity, Directivity | SphericalDirectivity):
         raise InputError("directivity", f"must be a directivity, but is {item.directivity!r:.80}")
     if item.transducer is not None and not isinstance(item.transducer, Transducer):
         raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")

@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from made_responses import Lopsided, OffCentre, Porous, Rough
+from scipy.spatial.transform import Rotation, Slerp
 
 import clsim
 from clsim.opencl import device as device_module
@@ -19,17 +20,29 @@ FIRST, LAST = 6000, 9000  # samples that are compared: 25 paths are in
 TOLERANCE_DB = -100.0  # as in test_engines.py
 
 
-def _walls(factors: np.ndarray) -> list[clsim.Material]:
-    """Return walls of signed factors; two of them depend on frequency."""
-    walls = [clsim.Material.from_reflection(f) for f in factors]
+KINDS = ("real", "turned", "phased", "lopsided")
+
+
+def _walls(phased: bool) -> list[clsim.Material]:
+    """Return walls of signed factors, two of which depend on frequency; two on the angle too, one with a phase."""
+    walls = [clsim.Material.from_reflection(f) for f in (0.9, -0.8, 0.7, 0.6, -0.5, 0.8)]
     walls[0] = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
     walls[3] = clsim.Material.from_absorption([20e3, 40e3, 60e3], [0.5, 0.3, 0.2])
+    if phased:
+        walls[2], walls[5] = Porous(), Rough()
     return walls
 
 
-def _paths(turned: bool) -> PathSet:
-    """Return a scene's paths: all ends moving, signed walls, beams; or turned, so that no matrix is diagonal."""
-    factors = np.array([0.9, -0.8, 0.7, 0.6, -0.5, 0.8])
+def _paths(kind: str) -> PathSet:
+    """Return a scene's paths: all ends moving, signed walls, beams.
+
+    Kinds: turned, so that no matrix is diagonal; with phases and walls that depend on the angle; with beams without
+    symmetry.
+    """
+    turned = kind == "turned"
+    beams = {"phased": (OffCentre(2e-3), clsim.Cardioid(0.4)), "lopsided": (Lopsided(False), Lopsided(True))}
+    source_beam, receiver_beam = beams.get(kind, (clsim.Piston(0.004), clsim.Cardioid(0.4)))
+    spin = Rotation.from_rotvec(np.linspace(0.0, 0.6, 9)[:, None] * [1.0, -2.0, 0.5]).as_quat()
     tone = clsim.Signal.chirp(34e3, 46e3, 0.03, RATE, window="tukey")
     turn = Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix() if turned else np.eye(3)
     shift = np.full(3, 10.0 if turned else 0.0)
@@ -39,13 +52,17 @@ def _paths(turned: bool) -> PathSet:
             angle = 2 * np.pi * np.array([2.0, 1.7, 1.3]) * t[:, None] + phase
             return (centre + 0.4 * np.sin(angle)) @ turn.T + shift
 
+        if kind == "lopsided":
+            times = np.linspace(0.0, 0.2, 101)
+            turns = Slerp(np.linspace(0.0, 0.2, 9), Rotation.from_quat(spin))(times).as_quat()
+            return clsim.Trajectory.waypoints(times, place(times), orientations=turns)
         return clsim.Trajectory.sampled(place, 0.2, 500.0)
 
     scene = clsim.Scene(
-        clsim.Shoebox(np.full(3, 25.0) if turned else (6, 5, 4), _walls(factors)),
+        clsim.Shoebox(np.full(3, 25.0) if turned else (6, 5, 4), _walls(kind == "phased")),
         clsim.Air(),
-        [clsim.Source("s", tone, trajectory(np.array([2.0, 2.5, 2.0]), 0.3), clsim.Piston(0.004), aim=turn @ (1, 0.3, -0.2))],
-        [clsim.Receiver("r", trajectory(np.array([4.2, 2.4, 2.1]), 1.9), clsim.Cardioid(0.4), aim=turn @ (-0.8, 0.1, 0.4), electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=2e-3))],
+        [clsim.Source("s", tone, trajectory(np.array([2.0, 2.5, 2.0]), 0.3), source_beam, aim=None if kind == "lopsided" else turn @ (1, 0.3, -0.2))],
+        [clsim.Receiver("r", trajectory(np.array([4.2, 2.4, 2.1]), 1.9), receiver_beam, aim=None if kind == "lopsided" else turn @ (-0.8, 0.1, 0.4), electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=2e-3))],
     )  # fmt: skip
     if not turned:
         return clsim.find_paths(scene, 2)
@@ -59,32 +76,32 @@ def _paths(turned: bool) -> PathSet:
 
 
 @pytest.fixture(scope="module")
-def difference_db() -> Callable[[bool], float]:
+def difference_db() -> Callable[[str], float]:
     """Return what renders a scene by OpenCL, as the kernels are now, and compares it with the reference."""
-    plans = {turned: _plan(turned) for turned in (False, True)}
-    wanted = {turned: ReferenceEngine(plan).render(FIRST, LAST)[0] for turned, plan in plans.items()}
+    plans = {kind: _plan(kind) for kind in KINDS}
+    wanted = {kind: ReferenceEngine(plan).render(FIRST, LAST)[0] for kind, plan in plans.items()}
 
-    def compare(turned: bool) -> float:
+    def compare(kind: str) -> float:
         try:
-            got = OpenclEngine(plans[turned]).render(0, LAST)[0, FIRST:]
+            got = OpenclEngine(plans[kind]).render(0, LAST)[0, FIRST:]
         except clsim.ClsimError as error:  # the engine itself found that delays are out of bounds
             assert "lie outside the bounds" in str(error)
             return np.inf
         if not np.all(np.isfinite(got)):
             return np.inf
-        return float(20 * np.log10(np.linalg.norm(got - wanted[turned]) / np.linalg.norm(wanted[turned])))
+        return float(20 * np.log10(np.linalg.norm(got - wanted[kind]) / np.linalg.norm(wanted[kind])))
 
     return compare
 
 
-def _plan(turned: bool):
-    paths = _paths(turned)
+def _plan(kind: str):
+    paths = _paths(kind)
     return plan_render(paths.scene, paths, RATE, duration=LAST / RATE, response_error_db=-110.0)
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_kernels_as_they_are_pass(difference_db, turned: bool) -> None:
-    assert difference_db(turned) < TOLERANCE_DB
+@pytest.mark.parametrize("kind", KINDS)
+def test_kernels_as_they_are_pass(difference_db, kind: str) -> None:
+    assert difference_db(kind) < TOLERANCE_DB
 
 
 NEWTON = "newton_step(&path, position, velocity, time + ahead, &a);\n        }"
@@ -95,19 +112,19 @@ MUTANTS = {
     "a sample late": ("render", "stride - paths->whole[p]", "stride - 1 - paths->whole[p]"),
     "rate's sign": ("render", "curve[p] + paths->rate[p])", "curve[p] - paths->rate[p])"),
     "curve dropped": ("render", "sample[j] * paths->curve[p] + ", ""),
-    "gain slope's sign": ("render", "(sample[j] * paths->slope[k][p]", "(-sample[j] * paths->slope[k][p]"),
+    "gain slope's sign": ("render", "(sample[j] * paths->slope[p]", "(-sample[j] * paths->slope[p]"),
     "fraction's sign": ("render", "out->fraction + p) = at - whole", "out->fraction + p) = whole - at"),
     "group's centre": ("render", "- 0.5f * (GROUP - 1)", "- 0.5f * GROUP"),
     "block's centre": ("render", "GROUP + GROUP - 1)", "GROUP + GROUP)"),
     "cubic term of the delay": ("render", "t * (c2 + t * c3)", "t * (c2 + t * c2)"),
     "gain in its block": ("render", "LOAD(g) + t * (g1", "LOAD(g) - t * (g1"),
-    "gain slope dropped": ("render", "sample[j] * paths->slope[k][p] + ", ""),
+    "gain slope dropped": ("render", "sample[j] * paths->slope[p] + ", ""),
     "rate of the delay": ("render", "per_sample * (c1 + t * (2.0f * c2", "per_sample * (c1 - t * (2.0f * c2"),
     "sign in Horner's scheme": ("render", "value[j] * mu[j] + LOAD", "-value[j] * mu[j] + LOAD"),
     "a branch skipped": ("render", "for (int q = 1; q < BRANCHES", "for (int q = 2; q < BRANCHES"),
-    "another block's row": ("render", "const int row = first_block + block", "const int row = first_block"),
-    "reflection's sign": ("tracks", "reflection[m * slots] *", "reflection[m * slots] * reflection[m * slots] *"),
-    "another path's walls": ("tracks", "reflection + slot, slots", "reflection + (slot ^ 1), slots"),
+    "another block's row": ("render", ", row = first_block + block", ", row = first_block"),
+    "reflection's sign": ("tracks", "* BANDS + b] * air;", "* BANDS + b] * s->reflection[(slot * PARTS + part) * BANDS + b] * air;"),
+    "another path's walls": ("tracks", "s->reflection[(slot * PARTS", "s->reflection[((slot ^ 1) * PARTS"),
     "Newton step dropped": ("tracks", NEWTON, "arrival b = a; " + NEWTON[:-1] + "    a.delay = b.delay;\n }"),
     "half a Newton step": ("tracks", "(quasi_static - a->delay) * a->stretch", "0.5 * (quasi_static - a->delay)"),
     "Doppler's sign": ("tracks", "(receding - mach) * a->stretch", "(receding + mach) * a->stretch"),
@@ -123,27 +140,49 @@ MUTANTS = {
     "rate without stretch": ("tracks", "(receding - mach) * a->stretch", "(receding - mach)"),
     "source's speed": ("tracks", "c[3] + u * (2 * c[6]", "c[3] + u * (c[6]"),
     "receiver's speed dropped": ("tracks", "= path->slowness * inner(departure, receiver_velocity)", "= 0.0"),
-    "transposed image": (
-        "tracks", "m[0] * v.x + m[3 * slots] * v.y + m[6 * slots] * v.z", "m[0] * v.x + m[slots] * v.y + m[2 * slots] * v.z"
-    ),
     "slope of the gain": ("tracks", "s0 = 0.25f", "s0 = -0.25f"),
     "slope of the delay": ("tracks", "e1 = node->rate[2]", "e1 = node->rate[1]"),
-    "absorption twice": ("tracks", "nepers[m] * (distance - 1.0f)", "nepers[m] * (distance + distance - 1.0f)"),
-    "source beam's sign": ("tracks", "apply_beam(source_beam, inner(", "apply_beam(source_beam, -inner("),
-    "receiver beam's sign": ("tracks", "apply_beam(receiver_beam, -inner(", "apply_beam(receiver_beam, inner("),
-    "another function": ("render", "branches + k * BRANCHES * stride", "branches + (k ^ 1) * BRANCHES * stride"),
-    "another frequency's air": ("tracks", "float loss = nepers[m]", "float loss = nepers[m ^ 1]"),
-    "another frequency's walls": ("tracks", "reflection[m * slots]", "reflection[(m ^ 1) * slots]"),
-    "another frequency's beam": ("tracks", "cells[cell * NODES + m]", "cells[cell * NODES + (m ^ 1)]"),
-    "projection turned": ("tracks", "projection[k * NODES + m]", "projection[m * FUNCTIONS + k]"),
-    "gain of the function before": ("tracks", "(4 + 4 * k) * slots", "(4 + 4 * (k > 1 ? k - 1 : k)) * slots"),
-    "beam's place": ("tracks", "u = place - (float)cell", "u = place - (float)cell + 0.5f"),
+    "absorption twice": ("tracks", "nepers[b] * (distance - 1.0f)", "nepers[b] * (distance + distance - 1.0f)"),
+    "source beam's sign": ("tracks", "(1.0 + cosine)", "(1.0 - cosine)"),
+    "receiver beam's sign": ("tracks", "(1.0 - inner(receiver_frame", "(1.0 + inner(receiver_frame"),
+    "another function": ("render", "(first_row + (k - first_function) * BRANCHES)", "(first_row + (last_function - 1 - k) * BRANCHES)"),
+    "another frequency's air": ("tracks", "band loss = s->nepers[b]", "band loss = s->nepers[BANDS - 1 - b]"),
+    "another frequency's walls": ("tracks", "* BANDS + b] * air;", "* BANDS + BANDS - 1 - b] * air;"),
+    "another frequency's beam": ("tracks", "r->part[0][b] *= by->part[0][b]", "r->part[0][b] *= by->part[0][BANDS - 1 - b]"),
+    "projection shifted": ("tracks", "s->projection[m * CHUNKS + k]", "s->projection[(m ^ 1) * CHUNKS + k]"),
+    "gain of the function before": ("tracks", "coefficients(k) * slots", "coefficients(k > 1 ? k - 1 : k) * slots"),
+    "beam's place": ("tracks", "u = at - (float)cell", "u = at - (float)cell + 0.5f"),
+}  # fmt: skip
+# In other scenes than the first.
+ELSEWHERE = {
+    "transposed image": (
+        "turned", "tracks", "m[0] * v.x + m[3 * slots] * v.y + m[6 * slots] * v.z", "m[0] * v.x + m[slots] * v.y + m[2 * slots] * v.z",
+    ),
+    "product's imaginary part": ("phased", "tracks", "real * by->part[1][b] + r->part[1][b]", "real * by->part[1][b] - r->part[1][b]"),
+    "product's real part": ("phased", "tracks", "real * by->part[0][b] - r->part[1][b]", "real * by->part[0][b] + r->part[1][b]"),
+    "real part, changed before it is used": ("phased", "tracks", "real * by->part[1][b] + r", "r->part[0][b] * by->part[1][b] + r"),
+    "linear cosine": ("phased", "tracks", "sqrt(cosine < 0.0f ? -cosine : cosine)", "(cosine < 0.0f ? -cosine : cosine)"),
+    "the same bounce again": ("phased", "tracks", "s->wall_of[i * slots + slot]", "s->wall_of[slot]"),
+    "another wall's table": ("phased", "tracks", "s->walls + (long)wall *", "s->walls + (long)(wall ^ 1) *"),
+    "another path's normal": ("phased", "tracks", "s->normal + 3 * i * slots + slot", "s->normal + 3 * i * slots + (slot ^ 1)"),
+    "axes of the normal": ("phased", "tracks", "n[slots] * (float)a->departure.y", "n[2 * slots] * (float)a->departure.y"),
+    "imaginary part unprojected": ("phased", "tracks", "m < PARTS * NODES; m++", "m < NODES; m++"),
+    "cube's second axis": ("lopsided", "tracks", "(axis == 0 ? y : axis == 1 ? z : x) * scale", "(axis == 0 ? y : axis == 1 ? x : z) * scale"),
+    "cube's face": ("lopsided", "tracks", "(along < 0.0f)) * SIDE", "(along > 0.0f)) * SIDE"),
+    "spline's weights": ("lopsided", "tracks", "t * t * (1.0f + s)", "t * t * (1.0f + t)"),
+    "cell of the cube": ("lopsided", "tracks", "* SIDE + j + 1)", "* SIDE + j)"),
+    "source's third axis": ("lopsided", "tracks", "z = cross_product(x, y)", "z = cross_product(y, x)"),
+    "source's second axis": ("lopsided", "tracks", "y = cubic(a->knot + 24", "y = cubic(a->knot + 12"),
+    "receiver's frame by its mirrored axes": (
+        "lopsided", "tracks", "turned_back(image_matrix, slots, slot, cross_product(at_row(row + 6), at_row(row + 9)))", "cross_product(frame[0], frame[1])",
+    ),
+    "receiver's direction": ("lopsided", "tracks", "-(float)inner(receiver_frame[1]", "(float)inner(receiver_frame[1]"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", MUTANTS)
+@pytest.mark.parametrize("name", [*MUTANTS, *ELSEWHERE])
 def test_mutants_are_caught(name: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
-    program, old, new = MUTANTS[name]
+    kind, program, old, new = ELSEWHERE.get(name) or ("real", *MUTANTS[name])
     original = device_module.kernel_source
     assert original(program).count(old) == 1
 
@@ -153,4 +192,4 @@ def test_mutants_are_caught(name: str, difference_db, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(device_module, "kernel_source", mutated)
     # The smallest, the curve of a group of 32 samples, leaves -90 dB.
-    assert difference_db(name == "transposed image") > TOLERANCE_DB + 6.0
+    assert difference_db(kind) > TOLERANCE_DB + 6.0
