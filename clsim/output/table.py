@@ -24,6 +24,8 @@ _REPEATING = ["time", "path", "source", "receiver", "order", "walls"]  # columns
 def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
     """Write a path table as ``.npz`` (arrays as in `PathTable`) or ``.parquet`` (a row per path and time).
 
+    A complex gain is two columns in Parquet: magnitude, and ``gain_phase`` in rad.
+
     Parameters
     ----------
     table : PathTable
@@ -119,6 +121,8 @@ def _long(table: PathTable, rows: range, walls: list[str]) -> dict[str, Any]:
     }
     for name in ("delay", "doppler", "gain"):
         columns[name] = getattr(table, name)[part].ravel()[heard]
+    if np.iscomplexobj(table.gain):  # a type that Parquet does not know
+        columns |= {"gain": np.abs(columns["gain"]), "gain_phase": np.angle(columns["gain"])}
     for name in ("departure", "arrival"):
         for axis in range(3):
             columns[f"{name}_{'xyz'[axis]}"] = getattr(table, name)[part, :, axis].ravel()[heard]

@@ -12,6 +12,7 @@ from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
 from clsim.paths.corners import path_corners
 from clsim.paths.path_table import PathTable
+from clsim.paths.responses import is_complex
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -88,7 +89,8 @@ class PathSet:
         as_choice("motion", motion, MOTIONS)
         as_choice("amplitude", amplitude, AMPLITUDES)
         shape = (len(self), len(times))
-        delay, doppler, gain = (np.full(shape, np.nan) for _ in range(3))
+        delay, doppler = (np.full(shape, np.nan) for _ in range(2))
+        gain: Any = np.full(shape, np.nan, dtype=np.complex128 if is_complex(self.scene) else np.float64)
         departure, arrival = (np.full((*shape, 3), np.nan) for _ in range(2))
         for rows, group in self.groups():
             found = arrivals(self.scene, group, times, motion, amplitude)

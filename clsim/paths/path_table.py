@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
+    from clsim.arrays import Complexes, Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,7 @@ class PathTable:
     doppler : ndarray (P, T)
         Received over emitted frequency.
     gain : ndarray (P, T)
-        Received over emitted pressure at the signal's centre frequency, signed.
+        Received over emitted pressure at the signal's centre frequency, signed; complex where a wall or beam is.
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the source along the path, and from the receiver back along it.
     source_names, receiver_names, wall_names : tuple of str
@@ -46,7 +46,7 @@ class PathTable:
     direct: NDArray[np.bool_]
     delay: Floats
     doppler: Floats
-    gain: Floats
+    gain: Floats | Complexes
     departure: Floats
     arrival: Floats
     source_names: tuple[str, ...]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,11 +14,13 @@ from clsim.paths.arrivals import arrivals
 from clsim.paths.responses import Responses
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from clsim.arrays import Complexes, Floats
     from clsim.render.tracks import SceneTracks
 
 MOST_FUNCTIONS = 40
-_GRID = 129  # frequencies of a band at which responses are looked at
+_GRIDS = (129, 257, 513)  # frequencies of a band at which responses are looked at: the first number that resolves them
 _TIMES = 24  # instants of a run at which paths are looked at
 _ROWS = 512  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
@@ -106,10 +108,10 @@ class Band:
     weight: Floats
 
 
-def band_of(low: float, high: float, frequencies: Floats, energy: Floats) -> Band:
+def band_of(low: float, high: float, frequencies: Floats, energy: Floats, count: int = _GRIDS[0]) -> Band:
     """Return a signal's band from its energy spectrum; `low` and `high` in Hz."""
     high = max(high, low * (1.0 + 1e-6))
-    grid = chebyshev_points(low, high, _GRID)
+    grid = chebyshev_points(low, high, count)
     width = (high - low) / 64.0
     spectrum = np.array([energy[np.abs(frequencies - f) <= max(width, frequencies[1])].max(initial=0.0) for f in grid])
     weight = np.sqrt(spectrum / max(float(spectrum.max()), 1e-300))
@@ -137,7 +139,12 @@ def turning_basis(frequency: float, low: float, high: float, sampling_rate: floa
 
 
 def scene_basis(
-    tracks: SceneTracks, source: int, band: Band, until: float, sampling_rate: float, error_db: float
+    tracks: SceneTracks,
+    source: int,
+    band_at: Callable[[int], Band],
+    until: float,
+    sampling_rate: float,
+    error_db: float,
 ) -> Basis:
     """Return the fewest functions that hold the responses of a source's paths within an error.
 
@@ -147,8 +154,8 @@ def scene_basis(
         The paths and how they move.
     source : int
         Index of the source.
-    band : Band
-        Of its signal.
+    band_at : callable
+        Returns the band of its signal at a number of frequencies.
     until : float
         End of the run, s.
     sampling_rate : float
@@ -159,7 +166,7 @@ def scene_basis(
     Raises
     ------
     InputError
-        If more than 40 functions would be needed, or a function needs too long a filter.
+        If responses change too fast over frequency for 513 points, 40 functions, or filters of 2049 taps.
 
     Notes
     -----
@@ -168,10 +175,15 @@ def scene_basis(
     more. They are then checked at other responses, and those that they hold worst are added until all are within the
     error.
     """
-    rng = np.random.default_rng(_SEED)
-    rows = _Rows.of(_sampled(tracks, source, band, until, _ROWS, rng), band)
-    held_out = _sampled(tracks, source, band, until, _HELD_OUT, rng)
     allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
+    for count in _GRIDS:
+        rng, band = np.random.default_rng(_SEED), band_at(count)
+        sampled = _sampled(tracks, source, band, until, _ROWS, rng)
+        if _unresolved(sampled) <= allowed:
+            break
+    else:
+        raise _refused(source, error_db, band, f"{count} frequencies do not resolve what walls and beams do")
+    held_out, rows = _sampled(tracks, source, band, until, _HELD_OUT, rng), _Rows.of(sampled, band)
     count = 1
     while True:
         found = _Functions.of(rows, count, allowed)
@@ -183,16 +195,31 @@ def scene_basis(
             break
         if count == MOST_FUNCTIONS:
             reached = 20.0 * math.log10(float(wrong.max()))
-            raise InputError(
-                "response_error_db",
-                f"must be reached by {MOST_FUNCTIONS} functions of frequency, but {error_db:g} dB is not: source "
-                f"{source} would have {reached:.0f} dB from {band.low:.0f} to {band.high:.0f} Hz; ask for less, narrow "
-                "the signal's band, or smooth what walls and beams do over frequency (shorter impulse responses)",
-            )
+            why = f"{count} functions of frequency hold responses within {reached:.0f} dB"
+            raise _refused(source, error_db, band, why)
         # What is held worst joins the rows; if that is little, one more function is needed.
         rows = _Rows.of(np.concatenate([rows.responses, held_out[np.argsort(-wrong)[:64]]]), band)
         count += int(wrong.max() > 1.2 * allowed)
-    return _designed(found, rows.responses, band, sampling_rate, error_db, float(wrong.max()))
+    try:
+        return _designed(found, rows.responses, band, sampling_rate, error_db, float(wrong.max()))
+    except NoFilterError as error:
+        raise _refused(source, error_db, band, str(error)) from error
+
+
+def _refused(source: int, error_db: float, band: Band, why: str) -> InputError:
+    return InputError(
+        "response_error_db",
+        f"must be reached from {band.low:.0f} to {band.high:.0f} Hz, but for source {source} {error_db:g} dB is not: "
+        f"{why}; ask for less, narrow the signal's band, or smooth what walls and beams do over frequency (shorter "
+        "impulse responses)",
+    )
+
+
+def _unresolved(responses: Floats | Complexes) -> float:
+    """Return how much of any response (n, F) changes too fast over frequency for its Chebyshev points."""
+    count = responses.shape[1]
+    tail = _chebyshev_coefficients(responses)[:, count - count // 4 :]
+    return float(np.sqrt(np.sum(np.abs(tail) ** 2, axis=1)).max())
 
 
 def _designed(
@@ -209,13 +236,9 @@ def _designed(
     sizes = (np.abs(shapes) * band.weight).max(axis=1)
     order = np.argsort(-sizes, kind="stable")  # weak ones need fewer branches
     shapes, sizes, projection = shapes[order], sizes[order], (found.projection / scale)[order]
-    try:
-        filters = band_filters(
-            _chebyshev_coefficients(shapes), band.low, band.high, sampling_rate, error_db - _FILTER_MARGIN_DB,
-            band.weight,
-        )  # fmt: skip
-    except NoFilterError as error:
-        raise InputError("response_error_db", f"must be reached by filters, but {error}") from error
+    filters = band_filters(
+        _chebyshev_coefficients(shapes), band.low, band.high, sampling_rate, error_db - _FILTER_MARGIN_DB, band.weight
+    )
     nodes = found.nodes
     weight = band.weight[nodes] / math.sqrt(float(np.mean(band.weight[nodes] ** 2)))
     functions = _in_parts(shapes[:, nodes] * weight, found.parts)
@@ -307,7 +330,7 @@ def _sampled(
         groups = sorted(rng.choice(groups, _MOST_GROUPS, replace=False).tolist())
     times = np.sort(rng.uniform(0.0, until, _TIMES))
     times[[0, -1]] = 0.0, until
-    picked = []
+    picked: list[Any] = []
     for i in groups:
         group, start, end = tracks.path_groups[i], tracks.groups[i].start, tracks.groups[i].end
         if len(start) > _MOST_PATHS:
@@ -333,6 +356,6 @@ def _chebyshev_coefficients(values: Floats | Complexes) -> Floats | Complexes:
     """Return the coefficients (K, F) of polynomials from their values at Chebyshev points, high to low."""
     from scipy.fft import dct
 
-    coefficients: Floats | Complexes = dct(values, type=2, axis=1) / values.shape[1]
+    coefficients: Any = dct(values, type=2, axis=1) / values.shape[1]
     coefficients[:, 0] *= 0.5
-    return coefficients
+    return np.asarray(coefficients)

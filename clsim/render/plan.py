@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -346,7 +347,8 @@ def _basis(
     low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
     low = min(max(low, frequencies[1]), 0.999 * high)
     if error_db is not None:
-        return scene_basis(tracks, index, band_of(low, high, frequencies, energy), until, rate, floor_db)
+        band = partial(band_of, low, high, frequencies, energy)
+        return scene_basis(tracks, index, band, until, rate, floor_db)
     if is_complex(tracks.scene):
         return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
     return flat_basis(signal.centre_frequency)

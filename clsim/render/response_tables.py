@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -73,8 +73,8 @@ def wall_table(material: Material, frequencies: Floats, speed_of_sound: float, p
     return _cubics(root, _shaped(factor, (CELLS + 1, len(frequencies))), parts)
 
 
-def _shaped(values: Floats | Complexes, shape: tuple[int, ...]) -> Floats | Complexes:
-    return np.array(np.broadcast_to(values, shape))
+def _shaped(values: Floats | Complexes, shape: tuple[int, ...]) -> Any:
+    return np.broadcast_to(values, shape)
 
 
 def _cubics(place: Floats, values: Floats | Complexes, parts: int) -> NDArray[np.float32]:

@@ -1,0 +1,198 @@
+"""Walls and beams with phases, angles and no symmetry, against sums over the spectrum and against mirrored geometry."""
+
+import numpy as np
+import pytest
+from made_responses import Lopsided, OffCentre, Porous, Rough
+
+import clsim
+from clsim.acoustics.filters import NoFilterError, band_filters
+from clsim.render.plan import plan_render
+
+RATE, C = 192e3, 343.0
+AIR = clsim.Air(speed_of_sound=C, relative_humidity=0.4)
+HARD = clsim.Material.from_reflection(0.9)
+
+
+def chirp(low: float, high: float, duration: float = 0.02) -> clsim.Signal:
+    return clsim.Signal.chirp(low, high, duration, RATE, window="hann")
+
+
+def turning(start, velocity, spin) -> clsim.Trajectory:
+    """Return a straight way of 0.3 s on which the transducer turns at `spin`, rad/s about an axis."""
+    times = np.linspace(0.0, 0.3, 151)
+    angle = np.linalg.norm(spin) * times
+    axis = np.array(spin) / np.linalg.norm(spin)
+    quaternions = np.concatenate([np.sin(angle / 2)[:, None] * axis, np.cos(angle / 2)[:, None]], axis=1)
+    return clsim.Trajectory.waypoints(
+        times, np.array(start) + times[:, None] * np.array(velocity), orientations=quaternions
+    )
+
+
+def frame_of(spin, times: np.ndarray) -> np.ndarray:
+    """Return the matrices (T, 3, 3) whose columns are the axes of a transducer turning at `spin`: Rodrigues' formula."""
+    axis = np.array(spin) / np.linalg.norm(spin)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    angle = (np.linalg.norm(spin) * times)[:, None, None]
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+
+
+SPIN_S, SPIN_R = (1.0, -2.0, 0.5), (-0.7, 0.4, 1.8)
+
+
+def scene(source_beam, receiver_beam, walls, signal) -> clsim.Scene:
+    source = clsim.Source("s", signal, turning((4.0, 3.2, 1.4), (1.5, -1.0, 0.3), SPIN_S), source_beam)
+    receiver = clsim.Receiver("r", turning((1.3, 1.1, 2.2), (-0.4, 0.8, -0.5), SPIN_R), receiver_beam)
+    return clsim.Scene(clsim.Shoebox((8, 6, 3), walls), AIR, [source], [receiver])
+
+
+WALLS = [HARD, Porous(), Rough(), clsim.Material.from_reflection(-0.7), Porous(), Rough()]
+CASES = {
+    "off centre": (OffCentre(2e-3), clsim.Omni(), [HARD] * 6),
+    "lopsided source": (Lopsided(), clsim.Omni(), [HARD] * 6),
+    "lopsided receiver": (clsim.Cardioid(0.5), Lopsided(), [HARD] * 6),
+    "walls by angle": (clsim.Omni(), clsim.Omni(), WALLS),
+    "all of it": (Lopsided(), OffCentre(-1e-3), WALLS),
+}
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("case", CASES)
+def test_every_frequency_of_every_path(case: str) -> None:
+    source_beam, receiver_beam, walls = CASES[case]
+    world = scene(source_beam, receiver_beam, walls, chirp(32e3, 48e3))
+    paths = clsim.find_paths(world, 2)
+    got = clsim.render(world, paths, RATE, duration=0.06).pressure[0].astype(float)
+    times = np.arange(got.size) / RATE
+    got, times = got[1500:9500:3], times[1500:9500:3]
+    wanted = by_hand(world, paths, times)
+    # Asked is -80 dB of the strongest arrival in each response.
+    assert np.linalg.norm(got - wanted) < 10 ** (-75 / 20) * np.linalg.norm(wanted)
+
+
+def by_hand(world: clsim.Scene, paths, times: np.ndarray) -> np.ndarray:
+    """Return the sum over spectrum and paths: delays and directions from the path table, everything else from here."""
+    table = paths.table(times)
+    distance, late = table.delay * C, times - table.delay
+    signal = world.sources[0].signal
+    count = 2**13
+    spectrum = np.fft.rfft(signal.read(0, signal.count), count)
+    frequencies = np.fft.rfftfreq(count, 1 / RATE)
+    mach = np.sum(table.departure * np.array([1.5, -1.0, 0.3]), axis=-1) / C
+    # The departure in the source's frame as it was at emission, the arrival in the receiver's.
+    leaving = np.einsum("ptji,ptj->pti", frame_of(SPIN_S, late.ravel()).reshape(*late.shape, 3, 3), table.departure)
+    coming = np.einsum("tji,ptj->pti", frame_of(SPIN_R, times), table.arrival)
+    out = np.zeros(len(times))
+    for k in np.flatnonzero(np.abs(spectrum) > 1e-5 * np.abs(spectrum).max()):
+        f = frequencies[k]
+        response = 10 ** (-AIR.absorption(f) * (distance - 1.0) / 20) / (distance * (1.0 - mach)) + 0j
+        for beam, towards in ((world.sources[0].directivity, leaving), (world.receivers[0].directivity, coming)):
+            sided = isinstance(beam, Lopsided)
+            response *= beam.gain_towards(towards, f, C) if sided else beam.gain(towards[..., 0], f, C)
+        for bounce in paths.walls.T:
+            for p in np.flatnonzero(bounce >= 0):  # unfolded, a ray meets all walls across an axis at one angle
+                cosine = np.abs(table.departure[p, :, bounce[p] // 2])
+                response[p] *= world.room.wall_materials[bounce[p]].reflection_at(f, cosine, C)
+        sounding = (late > -1e-3) & (late < signal.duration + 1e-3)
+        out += 2.0 / count * np.real(spectrum[k] * (np.exp(2j * np.pi * f * late) * response * sounding).sum(axis=0))
+    return out
+
+
+class _Seen:
+    """A beam seen in a mirror across x."""
+
+    is_complex = True
+
+    def __init__(self, beam: Lopsided) -> None:
+        self._beam = beam
+
+    def gain_towards(self, direction, frequency, speed_of_sound):
+        return self._beam.gain_towards(np.asarray(direction) * (-1.0, 1.0, 1.0), frequency, speed_of_sound)
+
+
+def test_an_image_is_a_mirrored_source_in_the_open(engine: str) -> None:
+    signal = chirp(35e3, 45e3, 0.01)
+    wall = {"default": clsim.Material.from_reflection(0.0), "x_min": clsim.Material.named("rigid")}
+    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((2.4, 1.7, 1.1)), Lopsided())]
+    here = clsim.Trajectory.line((1.0, 1.0, 2.0), (1.6, 2.0, 2.2), 0.2)
+    mirrored = clsim.Trajectory.line((4.0, 1.0, 2.0), (3.4, 2.0, 2.2), 0.2)
+    inside = clsim.Scene(clsim.Shoebox((9, 4, 3), wall), AIR, [clsim.Source("s", signal, here, Lopsided())], ears)
+    made = clsim.render(inside, clsim.find_paths(inside, 1), RATE, engine=engine, duration=0.05).pressure[0]
+    # The same ears, 5 m on: the wall is at x = 5, and the image at 5 - x.
+    on = [clsim.Receiver("r", clsim.Trajectory.fixed((7.4, 1.7, 1.1)), Lopsided())]
+    direct = clsim.Source("s", signal, clsim.Trajectory.line((6.0, 1.0, 2.0), (6.6, 2.0, 2.2), 0.2), Lopsided())
+    image = clsim.Source("i", signal, mirrored, _Seen(Lopsided()))
+    room = clsim.Shoebox((20, 4, 3), clsim.Material.from_reflection(0.0))
+    both = clsim.Scene(room, AIR, [direct, image], on)
+    wanted = clsim.render(both, clsim.find_paths(both, 0), RATE, engine=engine, duration=0.05).pressure[0]
+    assert np.abs(wanted).max() > 0.0
+    assert np.linalg.norm(made - wanted) < 10 ** (-85 / 20) * np.linalg.norm(wanted)
+
+
+def test_one_frequency_for_all_keeps_the_phase(engine: str) -> None:
+    tone = clsim.Signal.tone(40e3, 0.02, RATE, fade=0.005)
+    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((2.0, 2, 1)), OffCentre(2e-3))]
+    source = clsim.Source("s", tone, clsim.Trajectory.fixed((5.0, 2, 1)))
+    world = clsim.Scene(clsim.Shoebox((8, 6, 3), HARD), AIR, [source], ears)
+    made = clsim.render(
+        world, clsim.find_paths(world, 0), RATE, engine=engine, duration=0.04, response_error_db=None
+    ).pressure[0]
+    gain = OffCentre(2e-3).gain(1.0, 40e3, C) * 10 ** (-AIR.absorption(40e3) * 2.0 / 20) / 3.0
+    times = np.arange(3000, 4000) / RATE
+    wanted = np.real(gain * np.exp(2j * np.pi * 40e3 * (times - 3.0 / C)) / 1j)
+    quiet = np.abs(clsim.render(world, clsim.find_paths(world, 0), RATE, engine=engine, duration=0.04).pressure[0])
+    assert np.abs(made[3000:4000] - wanted).max() < 1e-4 * np.abs(wanted).max()
+    assert quiet.max() == pytest.approx(abs(gain), rel=1e-3)
+
+
+class _Echoes(clsim.Material):
+    """A wall whose impulse response rings for a while: n echoes within `length` s."""
+
+    def __init__(self, length: float) -> None:
+        super().__init__(0.5, "ringing")
+        rng = np.random.default_rng(3)
+        late = np.sort(rng.uniform(0.0, length, 12))
+        object.__setattr__(self, "late", late)
+        object.__setattr__(self, "size", 0.5 * 10 ** (-12 / 20 * late / length) * rng.choice([-1, 1], 12) / 4)
+
+    is_complex = property(lambda self: True)
+
+    def reflection_at(self, frequency, cosine=1.0, speed_of_sound=343.2):
+        f = np.asarray(frequency, dtype=np.float64)
+        return 0.5 + np.sum(self.size * np.exp(-2j * np.pi * f[..., None] * self.late), axis=-1) + 0.0 * cosine
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize(("length", "most"), [(0.05e-3, 12), (0.2e-3, 24)])
+def test_walls_that_ring_take_more_functions(length: float, most: int) -> None:
+    walls = [_Echoes(length), *[HARD] * 5]
+    world = scene(clsim.Omni(), clsim.Omni(), walls, chirp(30e3, 50e3))
+    plan = plan_render(world, clsim.find_paths(world, 3), RATE, duration=0.05)
+    assert 3 < len(plan.emissions[0].basis) <= most
+    assert plan.emissions[0].basis.error_db < -80.0
+
+
+def test_walls_that_ring_too_long_are_refused() -> None:
+    world = scene(clsim.Omni(), clsim.Omni(), [_Echoes(1e-3)] * 6, chirp(20e3, 80e3))
+    with pytest.raises(clsim.InputError, match=r"response_error_db: must be reached from .* ask for less, narrow"):
+        plan_render(world, clsim.find_paths(world, 3), RATE, duration=0.05, response_error_db=-80.0)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3, -2.7])
+def test_filters_have_complex_responses(late: float) -> None:
+    w = 2 * np.pi * np.linspace(30e3, 50e3, 200) / RATE
+    nodes = np.cos(np.pi * (np.arange(40) + 0.5) / 40)
+    wanted = np.exp(-1j * late * (0.5 * (w[0] + w[-1]) + 0.5 * (w[-1] - w[0]) * nodes))
+    angles = np.outer(np.arange(40), np.arccos(nodes))
+    coefficients = (np.cos(angles) @ wanted) / 20
+    coefficients[0] *= 0.5
+    taps = band_filters(coefficients[None], 30e3, 50e3, RATE, -90.0, np.ones(40))[0]
+    half = len(taps) // 2
+    response = np.exp(-1j * np.outer(w, np.arange(-half, half + 1))) @ taps
+    assert np.abs(response - np.exp(-1j * late * w)).max() < 10 ** (-90 / 20)
+
+
+def test_filters_that_would_be_endless_are_refused() -> None:
+    coefficients = np.zeros((1, 2000))
+    coefficients[0, -1] = 1.0
+    with pytest.raises(NoFilterError, match="no filter of up to 2049 taps is within -90 dB"):
+        band_filters(coefficients, 40e3, 40.1e3, RATE, -90.0, np.ones(40))
