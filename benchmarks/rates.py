@@ -90,9 +90,10 @@ class PlainLoop:
 
     def __init__(self, launch: tuple, folder: Path) -> None:
         self._kernel, self._queue, self._arguments = launch
-        (_, _, branches, stride, lead, delay, cubics, first_slot, slots, block_groups, first_block, groups, _, pressure,
-         width, begin) = self._arguments  # fmt: skip
-        assert first_block == 0
+        (_, _, branches, stride, first_row, functions, _, _, lead, delay, cubics, first_slot, slots, block_groups,
+         first_block, groups, _, pressure, width, begin) = self._arguments  # fmt: skip
+        assert first_block == first_row == 0
+        assert functions == 1
         self.samples = int(groups) * 32
         self._begin = int(begin)
         host = [np.empty(b.size // 4, dtype) for b, dtype in
@@ -237,6 +238,34 @@ def crossfade_rate(order: int, responses: int) -> float:
     return images * RATE / (statistics.median(spent) * responses)
 
 
+def broadband_rates() -> list[tuple[int, float, float, float]]:
+    """Return, for asked errors from none to -100 dB, functions, branch signals, rate times functions, and seconds."""
+    from clsim.render.plan import plan_render
+    from clsim.render.render import render_chunks
+
+    f = np.linspace(10e3, 90e3, 81)
+    walls = [0.97 - 0.2 * (f / 80e3), 0.8 + 0.1 * np.cos(2 * np.pi * f / 60e3), 0.95 - 0.3 * np.exp(-(((f - 45e3) / 15e3) ** 2))]
+    materials = [clsim.Material.from_absorption(f, 1.0 - wall**2) for wall in walls] * 2
+    chirp = clsim.Signal.chirp(30e3, 50e3, 2.0, RATE, window="tukey")
+    source = clsim.Source("s", chirp, clsim.Trajectory.circle(*CIRCLE, 2.0), clsim.Piston(0.0047), aim=(1, 0.4, 0.2))
+    receivers = [clsim.Receiver("r", clsim.Trajectory.fixed(RECEIVER))]
+    scene = clsim.Scene(clsim.Shoebox(SIZE, materials), clsim.Air(), [source], receivers)
+    paths = clsim.find_paths(scene, 10)
+    found = []
+    for error_db in (None, -40.0, -55.0, -70.0, -80.0, -100.0):
+        plan = plan_render(scene, paths, RATE, duration=2.0, response_error_db=error_db)
+        list(render_chunks(plan))  # builds the kernels
+        seconds = []
+        for _ in range(3):
+            with Stages() as stages:
+                list(render_chunks(plan))
+            seconds.append(stages.seconds["render"])
+        emission, spent = plan.emissions[0], statistics.median(seconds)
+        functions = len(emission.basis)
+        found.append((functions, int(emission.rows[-1]), len(paths) * 2.0 * RATE * functions / spent, spent))
+    return found
+
+
 def growth() -> dict[str, list[tuple[float, float]]]:
     """Return how the whole call's rate grows with order, duration, error and cores."""
     found: dict[str, list[tuple[float, float]]] = {"order": [], "duration (s)": [], "error_db": [], "cores": []}
@@ -303,6 +332,11 @@ def main() -> None:
     draw(found, HERE / "growth.png")
     for name, points in found.items():
         text += f"\nWhole call by {name}: " + ", ".join(f"{x:g}: {y / 1e9:.2f}e9" for x, y in points) + "\n"
+    broadband = broadband_rates()
+    text += "\n| functions of frequency | branch signals | rate x functions | of one function's | time, of one function's |\n|---|---|---|---|---|\n"
+    for functions, rows_, rate, spent in broadband:
+        share, slower = rate / broadband[0][2], spent / broadband[0][3]
+        text += f"| {functions} | {rows_} | {rate / 1e9:.2f}e9 | {share:.2f} | {slower:.2f} |\n"
     (HERE / "results.md").write_text(text)
     print(HERE / "results.md")
 

@@ -1,7 +1,8 @@
 """The paper's second experiment: a chirp in a hard-walled room, through MA40S4S and MA40S4R transducers.
 
-The chirp goes from 39 to 41 kHz in 1.3 ms. The Hilbert envelope of what is received shows the direct sound and the
-reflections; lines mark where the path table says that they begin.
+The drive goes from 39 to 41 kHz in 1.3 ms, at 10 V rms. The Hilbert envelope of what is received shows the direct sound
+and the reflections; lines mark where the path table says that they begin. Transducers that are 2.4 kHz wide round the
+envelope: the grey one is what transducers of the same sensitivity at all frequencies would give.
 """
 
 import argparse
@@ -12,6 +13,9 @@ import numpy as np
 import clsim
 from clsim.output.plots import envelope
 
+RATE = 192e3  # Hz
+AMPLITUDE = 10.0 * 2**0.5  # V
+
 
 def main() -> None:
     """Render the chirp and draw the envelope."""
@@ -19,20 +23,10 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("out"))
     folder = parser.parse_args().output
     folder.mkdir(parents=True, exist_ok=True)
-    room = clsim.Shoebox(size=(4.0, 3.0, 2.5), walls=clsim.Material.from_reflection(0.98))
-    chirp = clsim.Signal.chirp(39e3, 41e3, duration=1.3e-3, sampling_rate=192e3, window="tukey")
-    source = clsim.Source(
-        "MA40S4S", chirp, clsim.Trajectory.fixed((0.8, 1.0, 1.0)),
-        directivity=clsim.named_directivity("MA40S4S"), aim=(1.0, 0.9, 0.3),
-    )  # fmt: skip
-    receiver = clsim.Receiver(
-        "MA40S4R", clsim.Trajectory.fixed((2.6, 1.4, 1.2)),
-        directivity=clsim.named_directivity("MA40S4R"), aim=(-1.0, 0.9, 0.3),
-    )  # fmt: skip
-    scene = clsim.Scene(room, clsim.Air(), [source], [receiver])
-    paths = clsim.find_paths(scene, max_order=3)
-    recording = clsim.render(scene, paths, 192e3, duration=0.02)
+    sender, microphone = clsim.named_transducer("MA40S4S"), clsim.named_transducer("MA40S4R")
+    recording, paths = received(AMPLITUDE, sender, microphone)
     recording.save(folder / "paper_chirp.wav")
+    even, _ = received(AMPLITUDE * sender.sensitivity, None, None)
     table = paths.table([0.0])
     gain = np.abs(table.gain[:, 0])
     strong = np.flatnonzero((gain > 0.08 * gain.max()) & (table.delay[:, 0] < 0.019))
@@ -41,11 +35,31 @@ def main() -> None:
         for p in strong[np.argsort(table.delay[strong, 0])]
     ]
     envelope(
-        recording.pressure[0], recording.sampling_rate, folder / "paper_chirp.png",
+        recording.voltage[0], RATE, folder / "paper_chirp.png",
         title="39 to 41 kHz chirp of 1.3 ms in a hard room, MA40S4S to MA40S4R; lines: predicted arrivals",
-        arrivals=arrivals,
+        arrivals=arrivals, unit="V",
+        beside=("transducers without resonance", even.pressure[0] * microphone.sensitivity),
     )  # fmt: skip
     print(folder / "paper_chirp.png")
+
+
+def received(
+    amplitude: float, sender: clsim.Transducer | None, microphone: clsim.Transducer | None
+) -> tuple[clsim.Recording, clsim.PathSet]:
+    """Return what comes of a chirp: of V through transducers, of Pa at 1 m without them; and its paths."""
+    chirp = clsim.Signal.chirp(39e3, 41e3, duration=1.3e-3, sampling_rate=RATE, window="tukey", amplitude=amplitude)
+    source = clsim.Source(
+        "MA40S4S", chirp, clsim.Trajectory.fixed((0.8, 1.0, 1.0)),
+        directivity=clsim.named_directivity("MA40S4S"), aim=(1.0, 0.9, 0.3), transducer=sender,
+    )  # fmt: skip
+    receiver = clsim.Receiver(
+        "MA40S4R", clsim.Trajectory.fixed((2.6, 1.4, 1.2)),
+        directivity=clsim.named_directivity("MA40S4R"), aim=(-1.0, 0.9, 0.3), transducer=microphone,
+    )  # fmt: skip
+    room = clsim.Shoebox(size=(4.0, 3.0, 2.5), walls=clsim.Material.from_reflection(0.98))
+    scene = clsim.Scene(room, clsim.Air(), [source], [receiver])
+    paths = clsim.find_paths(scene, max_order=3)
+    return clsim.render(scene, paths, RATE, duration=0.02), paths
 
 
 if __name__ == "__main__":

@@ -179,6 +179,7 @@ def envelope(
     title: str,
     arrivals: list[tuple[float, str, bool]],
     unit: str = "Pa",
+    beside: tuple[str, NDArray[Any]] | None = None,
 ) -> None:
     """Draw the Hilbert envelope over time, with the predicted arrivals.
 
@@ -196,14 +197,14 @@ def envelope(
         Predicted times, s.
     unit : str
         Of the samples.
+    beside : (label, ndarray (n,)), optional
+        Another signal, whose envelope is filled behind.
     """
-    from scipy.fft import next_fast_len
-    from scipy.signal import hilbert
-
     figure, axes = _figure(4.5)
     times = np.arange(len(pressure)) / sampling_rate * 1e3
-    analytic: Any = hilbert(np.asarray(pressure, dtype=np.float64), next_fast_len(len(pressure)))
-    axes.plot(times, np.abs(analytic[: len(pressure)]), color="black", linewidth=1.0, zorder=3)
+    axes.plot(times, _magnitude(pressure), color="black", linewidth=1.0, zorder=3)
+    if beside is not None:
+        axes.fill_between(times, _magnitude(beside[1]), color="#c6c6c6", linewidth=0.0, zorder=1, label=beside[0])
     seen = set()
     for time, label, direct in arrivals:
         axes.axvline(
@@ -212,9 +213,18 @@ def envelope(
         )  # fmt: skip
         seen.add(label)
     axes.set(xlabel="time (ms)", ylabel=f"envelope ({unit})", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
-    if arrivals:
+    if arrivals or beside:
         axes.legend(loc="upper right", framealpha=0.9)
     _save(figure, path)
+
+
+def _magnitude(samples: NDArray[Any]) -> Floats:
+    """Return the Hilbert envelope of samples (n,)."""
+    from scipy.fft import next_fast_len
+    from scipy.signal import hilbert
+
+    analytic: Any = hilbert(np.asarray(samples, dtype=np.float64), next_fast_len(2 * len(samples)))  # far from its end
+    return np.abs(analytic[: len(samples)])
 
 
 def _figure(height: float) -> tuple[Figure, Axes]:
