@@ -244,7 +244,11 @@ def broadband_rates() -> list[tuple[int, float, float, float]]:
     from clsim.render.render import render_chunks
 
     f = np.linspace(10e3, 90e3, 81)
-    walls = [0.97 - 0.2 * (f / 80e3), 0.8 + 0.1 * np.cos(2 * np.pi * f / 60e3), 0.95 - 0.3 * np.exp(-(((f - 45e3) / 15e3) ** 2))]
+    walls = [
+        0.97 - 0.2 * (f / 80e3),
+        0.8 + 0.1 * np.cos(2 * np.pi * f / 60e3),
+        0.95 - 0.3 * np.exp(-(((f - 45e3) / 15e3) ** 2)),
+    ]
     materials = [clsim.Material.from_absorption(f, 1.0 - wall**2) for wall in walls] * 2
     chirp = clsim.Signal.chirp(30e3, 50e3, 2.0, RATE, window="tukey")
     source = clsim.Source("s", chirp, clsim.Trajectory.circle(*CIRCLE, 2.0), clsim.Piston(0.0047), aim=(1, 0.4, 0.2))

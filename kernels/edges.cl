@@ -22,7 +22,8 @@ __kernel void edges(__global const float* branches,  // [rows][stride]
                     __global const int* row, __global const int* block,  // [places]
                     __global float* pressure, int pressure_stride,
                     int first_sample,                // of `pressure`, at the run's first sample
-                    int samples)                     // in the run
+                    int samples,                     // in the run
+                    int sparse, __global const int* spans)  // as in render.cl, where signals pause
 {
     const int n = get_global_id(0), place = get_global_id(1), at = block[place] * block_samples + n;
     if (at >= samples) return;
@@ -31,6 +32,7 @@ __kernel void edges(__global const float* branches,  // [rows][stride]
     for (int e = first[place]; e < first[place + 1]; e++) {
         const int slot = slot_of[e];
         const int node = first_block + block[place];
+        if (sparse && spans[node * (long)slots + slot] == 0) continue;
         __global const float* c = nodes + (long)node * coefficients(functions) * slots + slot;
         float both = weight((float)n - start[e], per_ramp);
         both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[e], 0.0f) : weight(end[e] - (float)n, per_ramp);

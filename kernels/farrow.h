@@ -8,6 +8,9 @@ static void add_batch(__global const float* branches, int stride, const SHARED b
         sample[j] = RAMP + ((float)((worker * VECTORS + j) * LANES) - 0.5f * (GROUP - 1));
     }
     for (int p = 0; p < BATCH; p++) {
+#if SPARSE
+        if (!paths->heard[p]) continue;
+#endif
         __global const float* row = branches + (BRANCHES - 1) * stride - paths->whole[p];
         vec mu[VECTORS], value[VECTORS];
 #pragma unroll

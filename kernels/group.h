@@ -18,7 +18,24 @@ typedef struct {
     float curve[BATCH];    // its change per sample squared
     float gain[BATCH];
     float slope[BATCH];    // of the gain per sample
+#if SPARSE
+    int heard[BATCH];      // whether anything sounds
+#endif
 } batch;
+
+#if SPARSE
+// Note which paths of a batch are heard in a group of a block; returns 0 if it is certain that none is.
+static int heard_by(__global const int* spans, int group, int worker, SHARED batch* out)
+{
+    int any = WORKERS > 1;  // each worker looks at some only
+    for (int p = worker; p < BATCH; p += WORKERS) {
+        const int heard = group >= (spans[p] & 0xffff) && group < spans[p] >> 16;
+        out->heard[p] = heard;
+        any |= heard;
+    }
+    return any;
+}
+#endif
 
 // Expand a batch about the group's centre t in [-1, 1] of its block, with the gains of one function of frequency.
 static void expand(__global const int* delay, __global const float* node, int slots, int function, float t,

@@ -19,7 +19,8 @@ void render(__global const float* branches,     // [rows][stride], BRANCHES to a
             __global const int* pressure_row,   // [receivers]
             __global float* pressure,           // [rows][pressure_stride], added to
             int pressure_stride,
-            int first_sample)                   // of `pressure`, at the run's first sample
+            int first_sample,                   // of `pressure`, at the run's first sample
+            __global const int* spans)          // [block][slots]: groups that are heard, as in silence.h
 {
     const int worker = get_local_id(0);
     const int first_group = get_group_id(0) * SPAN;
@@ -43,6 +44,9 @@ void render(__global const float* branches,     // [rows][stride], BRANCHES to a
                 vec group_sum[VECTORS];
                 for (int j = 0; j < VECTORS; j++) group_sum[j] = 0.0f;
                 for (int slot = tile; slot < tile_end; slot += BATCH) {
+#if SPARSE
+                    if (!heard_by(spans + (long)row * slots + slot, g - block * block_groups, worker, &paths)) continue;
+#endif
                     expand(delay + row * slots + slot, nodes + (long)row * coefficients(functions) * slots + slot,
                            slots, k, t, per_sample, worker, &paths);
                     SYNCHRONISE;

@@ -1,6 +1,7 @@
 // Delay and gain of every path as cubics on every block, in float64. Work-item: dimension 0 counts slots (paths),
-// dimension 1 walks of WALK blocks. A walk solves the delay at its nodes in order, each predicted from the last two.
-// Node n is at the start of block n; blocks need one node before and one after theirs for the slope of the gain.
+// dimension 1 walks of WALK blocks. Delays at nodes are predicted from those at both ends of the walk, so that no node
+// depends on which others are solved: where signals pause (SPARSE), blocks in which nothing sounds are left out.
+// Node n is one block before the start of block n; the slope of a block's gain needs the node before and after its own.
 
 __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
@@ -9,6 +10,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const double* receivers,     // [receivers][nodes][14]: position, velocity, axes, clock
                      int nodes,                            // blocks + 3, the first one before the run
+                     __global const double* anchors,       // [ends of walks][2][slots], of anchors.cl
+                     int first_anchor,                     // at the run's first sample
                      __global const double* knots, int knot_count, double knot_first, double knot_rate,
                      double start,                         // time of the run's first sample, s
                      double sampling_rate, double speed_of_sound,
@@ -24,60 +27,88 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global int* delay,                  // [blocks][slots]
                      __global float* cubics,               // as in nodes.h
                      __global float4* found,               // [walks][slots]: error squared, strength, delays
-                     __global float* unheld)               // [walks][slots]: mean square of what no function holds
+                     __global float* unheld,               // [walks][slots]: mean square of what no function holds
+                     __global const int* next, __global const int* previous, int cells, double origin,  // in silence.h
+                     double max_rate,                      // bound of how fast a delay changes
+                     __global int* spans)                  // [blocks][slots]: groups that are heard, as in silence.h
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
     const int first = walk * WALK, last = first + WALK < blocks ? first + WALK : blocks;
     const motion path = {knots, knot_count, knot_first, knot_rate, 1.0 / speed_of_sound};
     const triple offset = {image_offset[slot], image_offset[slots + slot], image_offset[2 * slots + slot]};
-    __global const double* row = receivers + ((long)receiver_of[slot] * nodes + first) * 14;
+    __global const double* rows = receivers + (long)receiver_of[slot] * nodes * 14;
     const surroundings around = {nepers,  projection, functions, weight,      sizes,
                                  reflection, walls,   wall_of,   normal,      source_beam,
                                  receiver_beams + beam_of[receiver_of[slot]]};
-    const double block_time = (double)BLOCK / sampling_rate;
+    const double block_time = (double)BLOCK / sampling_rate, walk_time = WALK * block_time;
+    __global const double* anchor = anchors + 2 * (first_anchor + walk) * (long)slots + slot;
+    const double d0 = anchor[0], d1 = anchor[2 * slots];
+    const double e0 = anchor[slots] * walk_time, e1 = anchor[3 * slots] * walk_time;
+    const double c2 = 3.0 * (d1 - d0) - 2.0 * e0 - e1, c3 = e0 + e1 - 2.0 * (d1 - d0);
     const int from = heard_from[slot], until = heard_until[slot];
+#if SPARSE
+    const sound signal = {next, previous, cells, origin};
+#endif
     window w;
-    float error = 0.0f, strength = 0.0f, rest = 0.0f, shortest = 1e30f, longest = -1e30f;
-    for (int n = first; n < last + 3; n++, row += 14) {
-        const triple position = turned_back(image_matrix, slots, slot, difference(at_row(row), offset));
-        const triple velocity = turned_back(image_matrix, slots, slot, at_row(row + 3));
-        triple frame[3];
+    int solved = first - 1;  // last node in the window
+    float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
+    for (int block = first; block < last; block++) {
+        const int heard = from < (block + 1) * BLOCK && until > block * BLOCK;
+#if SPARSE
+        const double since = (block - first) * block_time, left = walk_time - since;
+        const double low0 = d0 - max_rate * (since + block_time), low1 = d1 - max_rate * left;
+        const double high0 = d0 + max_rate * (since + block_time), high1 = d1 + max_rate * left;
+        const double low = (low0 > low1 ? low0 : low1) * sampling_rate + late;
+        const double high = (high0 < high1 ? high0 : high1) * sampling_rate + late;
+        if (!heard || !sounds(&signal, block, low - 2.0, high + 2.0)) continue;
+#endif
+        for (int n = solved < block ? block : solved + 1; n <= block + 3; n++) {
+            __global const double* row = rows + n * 14;
+            const triple position = turned_back(image_matrix, slots, slot, difference(at_row(row), offset));
+            const triple velocity = turned_back(image_matrix, slots, slot, at_row(row + 3));
+            triple frame[3];
 #if RECEIVER_BEAM != NONE
-        frame[0] = turned_back(image_matrix, slots, slot, at_row(row + 6));
+            frame[0] = turned_back(image_matrix, slots, slot, at_row(row + 6));
 #endif
 #if RECEIVER_BEAM == SPHERICAL
-        frame[1] = turned_back(image_matrix, slots, slot, at_row(row + 9));
-        frame[2] = turned_back(image_matrix, slots, slot, cross_product(at_row(row + 6), at_row(row + 9)));
+            frame[1] = turned_back(image_matrix, slots, slot, at_row(row + 9));
+            frame[2] = turned_back(image_matrix, slots, slot, cross_product(at_row(row + 6), at_row(row + 9)));
 #endif
-        // The receiver's clock: its own time, how much later its samples are taken, and true seconds in one of its own.
-        const double time = start + (double)(n - 1) * block_time, ahead = row[12], pace = row[13];
-        arrival a;
-        if (n == first) {
-            settle(&path, position, velocity, time + ahead, &a);
-        } else {
-            const double rate = n == first + 1 ? w.rate[3] : 1.5 * w.rate[3] - 0.5 * w.rate[2];
-            a.delay = w.delay[3] + block_time * rate + ahead;
-            newton_step(&path, position, velocity, time + ahead, &a);
+            // The receiver's clock: its own time, how much later its samples are taken, and true seconds in one of it.
+            const double time = start + (double)(n - 1) * block_time, ahead = row[12], pace = row[13];
+            const double u = (n - 1 - first) * (1.0 / WALK);
+            arrival a;
+            a.delay = d0 + u * (e0 + u * (c2 + u * c3)) + ahead;
+            for (int i = 0; i < 4; i++) {
+                const double step = newton_step(&path, position, velocity, time + ahead, &a);
+                if (step * step < 1e-14) break;  // the next one would be of the order of its square
+            }
+            for (int i = 0; i < 3; i++) {
+                w.delay[i] = w.delay[i + 1];
+                w.rate[i] = w.rate[i + 1];
+                for (int k = 0; k < CHUNKS; k++) w.gain[i][k] = w.gain[i + 1][k];
+                w.strength[i] = w.strength[i + 1];
+            }
+            w.delay[3] = a.delay - ahead;
+            w.rate[3] = a.rate * pace - (pace - 1.0);
+            w.strength[3] = path_gains(&a, speed_of_sound, &around, slots, slot, frame, w.gain[3], &left_over);
+            const float delay_now = (float)w.delay[3];
+            shortest = delay_now < shortest ? delay_now : shortest;
+            longest = delay_now > longest ? delay_now : longest;
         }
-        for (int i = 0; i < 3; i++) {
-            w.delay[i] = w.delay[i + 1];
-            w.rate[i] = w.rate[i + 1];
-            for (int k = 0; k < CHUNKS; k++) w.gain[i][k] = w.gain[i + 1][k];
-            w.strength[i] = w.strength[i + 1];
-        }
-        float left;
-        w.delay[3] = a.delay - ahead;
-        w.rate[3] = a.rate * pace - (pace - 1.0);
-        w.strength[3] = path_gains(&a, speed_of_sound, &around, slots, slot, frame, w.gain[3], &left);
-        const float delay_now = (float)w.delay[3];
-        shortest = delay_now < shortest ? delay_now : shortest;
-        longest = delay_now > longest ? delay_now : longest;
-        if (n < first + 3) continue;
-        const int heard = from < (n - 2) * BLOCK && until > (n - 3) * BLOCK;
-        write_block(&w, n - 3, slots, slot, sampling_rate, late, heard, delay, cubics);
+        solved = block + 3;
+        write_block(&w, block, slots, slot, sampling_rate, late, heard, delay, cubics);
         if (!heard) continue;
+#if SPARSE
+        const double p1 = w.delay[1] * sampling_rate + late, p2 = w.delay[2] * sampling_rate + late;
+        const double r1 = w.rate[1] - (p2 - p1) / BLOCK, r2 = w.rate[2] - (p2 - p1) / BLOCK;
+        const double bulge = 0.25 * BLOCK * ((r1 < 0.0 ? -r1 : r1) + (r2 < 0.0 ? -r2 : r2)) + 2.0;  // of the cubic
+        spans[block * (long)slots + slot] =
+            heard_groups(&signal, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
+#endif
         strength = w.strength[3] > strength ? w.strength[3] : strength;
-        rest = left > rest ? left : rest;
+        rest = left_over > rest ? left_over : rest;
+        const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
             const float squared = block_error_squared(&w, sizes, angular_frequency, block_time);
             error = squared > error ? squared : error;

@@ -8,7 +8,8 @@ from clsim.errors import ClsimError
 
 PROGRAMS = {
     "branches": ("vector.h", "branches.cl"),
-    "tracks": ("motion.h", "delay.h", "gain.h", "nodes.h", "block.h", "tracks.cl"),
+    "tracks": ("motion.h", "delay.h", "gain.h", "nodes.h", "block.h", "silence.h", "tracks.cl"),
+    "anchors": ("motion.h", "delay.h", "anchors.cl"),
     "intervals": ("motion.h", "delay.h", "walls.h", "validity.h", "intervals.cl"),
     "edges": ("nodes.h", "edges.cl"),
     "mute": ("nodes.h", "mute.cl"),

@@ -224,7 +224,7 @@ def _magnitude(samples: NDArray[Any]) -> Floats:
     from scipy.signal import hilbert
 
     analytic: Any = hilbert(np.asarray(samples, dtype=np.float64), next_fast_len(2 * len(samples)))  # far from its end
-    return np.abs(analytic[: len(samples)])
+    return np.asarray(np.abs(analytic[: len(samples)]))
 
 
 def _figure(height: float) -> tuple[Figure, Axes]:

@@ -15,6 +15,7 @@ from clsim.paths.motion_knots import knot_rate, motion_knots
 from clsim.paths.responses import Responses
 from clsim.render.plan import SEGMENT, Plan, node_times
 from clsim.render.response_tables import CELLS, SIDE, SPHERICAL, beam_kind, beam_table, wall_table
+from clsim.render.silence import CELL
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from clsim.paths.arrivals import PathGroup
     from clsim.render.basis import Basis
     from clsim.render.edges import Boundaries
+    from clsim.render.silence import Sounding
     from clsim.render.slots import Slots
     from clsim.render.tracks import SceneTracks
     from clsim.scene.scene import Scene
@@ -37,8 +39,10 @@ class DeviceNodes:
 
     delay: Any
     cubics: Any
+    spans: Any  # groups of each block and path in which something sounds; None if all are looked at
     error: Floats  # (segments,), relative to the strongest arrival of each receiver
-    unheld: float  # largest part of a response that no function holds, likewise
+    strongest: Floats  # (receivers,) arrival
+    unheld: Floats  # (receivers,) largest part of a response that no function holds
     shortest: float  # s
     longest: float
 
@@ -49,11 +53,13 @@ class _Chunk:
 
     source: int
     slots: Slots
+    start: int  # sample
     images: tuple[Any, ...]
     bounds: Boundaries
-    knots: Any
-    knot_count: int
-    knot_first: float
+    anchors: Any
+    knots: tuple[Any, ...]
+    sounding: tuple[Any, ...] | None
+    first: int  # sample of the branches
 
 
 class DeviceTracks:
@@ -76,8 +82,20 @@ class DeviceTracks:
         for i, around in enumerate(self._surroundings):
             around.most_bounces(g for g in tracks.path_groups if g.source == i)
 
-    def prepare(self, source: int, slots: Slots, bounds: Boundaries, start: int, length: int) -> _Chunk:
-        """Upload images and motion for one source and a batch of receivers over a stretch of samples."""
+    def prepare(
+        self,
+        source: int,
+        slots: Slots,
+        bounds: Boundaries,
+        start: int,
+        length: int,
+        sounding: Sounding | None,
+        first: int,
+    ) -> _Chunk:
+        """Upload images and motion for one source and a batch of receivers over a stretch of samples.
+
+        Where `sounding` is given, what is silent is left out; `first` is the sample at which branch signals begin.
+        """
         plan, scene = self._plan, self._tracks.scene
         matrix = np.empty((9, slots.count))
         offset = np.empty((3, slots.count))
@@ -95,13 +113,38 @@ class DeviceTracks:
             receiver_of[here] = i
         rate = plan.sampling_rate
         longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
-        knots, first = motion_knots(
+        knots, knot_first = motion_knots(
             scene.sources[source], start / rate - longest - 0.01 * abs(longest) - 0.05,
             (start + length) / rate - shortest + 0.05,
             self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
         )  # fmt: skip
         images = tuple(self._upload(a) for a in (matrix, offset, receiver_of, reflection, wall_of, normal))
-        return _Chunk(source, slots, images, bounds, self._upload(knots), len(knots), first)
+        motion = (
+            self._upload(knots), np.int32(len(knots)), np.float64(knot_first), np.float64(self._knot_rates[source]),
+        )  # fmt: skip
+        anchors = self._anchors(source, slots, images, motion, start, -(-length // SEGMENT) + 1)
+        cells = None
+        if sounding is not None:
+            columns = (sounding.following, sounding.preceding)
+            cells = (*(self._upload(column) for column in columns), np.int32(len(sounding.following)))
+        return _Chunk(source, slots, start, images, bounds, anchors, motion, cells, first)
+
+    def _anchors(
+        self, source: int, slots: Slots, images: tuple[Any, ...], motion: tuple[Any, ...], start: int, ends: int
+    ) -> Any:
+        """Solve the delays at the ends of segments, from which those between are predicted."""
+        import pyopencl as cl
+
+        rate = self._plan.sampling_rate
+        out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * slots.count)
+        times = (start + SEGMENT * np.arange(ends, dtype=np.float64)) / rate
+        kernel = self._compiler.kernel("anchors", self._motion_constants(source))
+        kernel(
+            self._queue, (slots.count, ends), None, *images[:3], self._upload(self._receivers_at(slots, times)),
+            np.int32(ends), *motion, np.float64(start / rate), np.float64(SEGMENT / rate),
+            np.float64(self._tracks.scene.air.sound_speed), out,
+        )  # fmt: skip
+        return out
 
     def nodes(self, chunk: _Chunk, start: int, block: int, blocks: int) -> DeviceNodes:
         """Make the polynomials of `blocks` blocks from a sample on."""
@@ -120,37 +163,52 @@ class DeviceTracks:
         receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
         around = self._surroundings[chunk.source]
         spread = emission.basis.half / rate  # by which the functions' filters are longer than what is emitted
-        kernel = self._compiler.kernel("tracks", self._constants(chunk.source, block))
+        spans, cells = None, (delay, delay, np.int32(0))
+        if chunk.sounding is not None:
+            spans, cells = cl.Buffer(context, flags, 4 * blocks * slots.count), chunk.sounding
+            cl.enqueue_fill_buffer(self._queue, spans, np.zeros(1, np.int32), 0, 4 * blocks * slots.count)
+        constants = self._constants(chunk.source, block) | {"SPARSE": int(spans is not None)}
+        kernel = self._compiler.kernel("tracks", constants)
         kernel(
             self._queue, (slots.count, walks), None, *chunk.images,
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
-            np.int32(blocks + 3), chunk.knots, np.int32(chunk.knot_count), np.float64(chunk.knot_first),
-            np.float64(self._knot_rates[chunk.source]), np.float64(start / rate), np.float64(rate), np.float64(c),
+            np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // SEGMENT), *chunk.knots,
+            np.float64(start / rate), np.float64(rate), np.float64(c),
             *around.basis, np.float64(emission.start * rate - emission.bank.shift),
             np.float64(emission.start - spread), np.float64(emission.start + emission.signal.duration + spread),
             np.float32(2.0 * math.pi * emission.band), *around.tables, self._upload(around.beam_of[slots.receiver]),
-            np.int32(blocks), delay, cubics, found_there, unheld_there,
+            np.int32(blocks), delay, cubics, found_there, unheld_there, *cells, np.float64(start - chunk.first),
+            np.float64(self._tracks.max_rate(chunk.source)), delay if spans is None else spans,
         )  # fmt: skip
         cl.enqueue_copy(self._queue, found, found_there)
         cl.enqueue_copy(self._queue, unheld, unheld_there)
+        first = slots.first_slot[:-1]
+        error, strongest, left = (
+            np.sqrt(np.maximum.reduceat(square, first, axis=1), dtype=np.float64)
+            for square in (found[..., 0], found[..., 1], unheld)
+        )
+        relative = (error / np.maximum(strongest, 1e-30)).max(axis=1)
         return DeviceNodes(
-            delay, cubics, _relative(found[..., 0], found[..., 1], slots),
-            float(_relative(unheld, found[..., 1], slots).max()),
-            float(found[..., 2].min()), float(found[..., 3].max()),
+            delay, cubics, spans, relative, strongest.max(axis=0), left.max(axis=0), float(found[..., 2].min()),
+            float(found[..., 3].max()),
         )  # fmt: skip
+
+    def _motion_constants(self, source: int) -> dict[str, int]:
+        sideways = self._surroundings[source].source_kind == SPHERICAL
+        return {"KNOT_COLUMNS": 36 if sideways else 24, "RETARDED": int(self._tracks.motion == "retarded")}
 
     def _constants(self, source: int, block: int) -> dict[str, int]:
         retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
-        return {
+        return self._motion_constants(source) | {
             "BLOCK": block,
+            "GROUP": self._plan.emissions[source].bank.group,
+            "CELL": CELL,
             "WALK": SEGMENT // block,
             "FUNCTIONS": len(self._plan.emissions[source].basis),
             "NODES": around.count,
             "PARTS": around.parts,
-            "KNOT_COLUMNS": 36 if around.source_kind == SPHERICAL else 24,
             "CELLS": CELLS,
             "SIDE": SIDE,
-            "RETARDED": int(retarded),
             "MACH_EXPONENT": MACH_EXPONENT[self._tracks.amplitude] if retarded else 0,
             "SOURCE_BEAM": around.source_kind,
             "RECEIVER_BEAM": around.receiver_kind,
@@ -228,11 +286,3 @@ class _Surroundings:
             normal[filled[here], :, here] = normals[here]
             filled[here] += 1
         return wall_of, normal
-
-
-def _relative(square: NDArray[np.float32], strength: NDArray[np.float32], slots: Slots) -> Floats:
-    """Return the largest root of squares (walks, slots) by walk, relative to the strongest arrival of each receiver."""
-    first = slots.first_slot[:-1]
-    strongest = np.sqrt(np.maximum.reduceat(strength, first, axis=1))
-    error = np.sqrt(np.maximum.reduceat(square, first, axis=1))
-    return np.asarray((error / np.maximum(strongest, 1e-30)).max(axis=1), dtype=np.float64)

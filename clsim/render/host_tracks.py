@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.render.edges import Boundaries
+    from clsim.render.silence import Sounding
     from clsim.render.slots import Slots
 
 
@@ -26,8 +27,10 @@ class HostNodes:
 
     delay: Any
     cubics: Any
+    spans: None
     error: Floats
-    unheld: float
+    strongest: Floats
+    unheld: Floats
     shortest: float
     longest: float
 
@@ -39,9 +42,16 @@ class HostTracks:
         self._plan, self._queue = plan, queue
 
     def prepare(
-        self, source: int, slots: Slots, bounds: Boundaries, start: int, length: int
+        self,
+        source: int,
+        slots: Slots,
+        bounds: Boundaries,
+        start: int,
+        length: int,
+        sounding: Sounding | None,
+        first: int,
     ) -> tuple[int, Slots, Boundaries]:
-        """Return what `nodes` needs."""
+        """Return what `nodes` needs; nothing is left out here."""
         return source, slots, bounds
 
     def nodes(self, state: tuple[int, Slots, Boundaries], start: int, block: int, blocks: int) -> HostNodes:
@@ -72,7 +82,8 @@ class HostTracks:
                 out=error,
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
-        return HostNodes(self._upload(whole), self._upload(cubics), error, 0.0, shortest, longest)
+        nothing = np.zeros(len(slots.groups))  # is noted of responses that are taken here
+        return HostNodes(self._upload(whole), self._upload(cubics), None, error, nothing, nothing, shortest, longest)
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)

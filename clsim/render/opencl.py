@@ -15,6 +15,7 @@ from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
 from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan
+from clsim.render.silence import Sounding, sounding
 from clsim.render.slots import Active, Slots, fill_slots
 from clsim.render.tracks import SceneTracks
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.arrays import Floats
     from clsim.render.interpolator import Bank
 
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
@@ -80,7 +82,9 @@ class OpenclEngine:
         self._context = cl.Context([device])
         self._queue = cl.CommandQueue(self._context)
         self._compiler = Compiler(self._context)
-        self.unheld = [0.0] * len(plan.emissions)  # largest part of a response that no function of a source holds
+        self.skips_silence = True
+        shape = (len(plan.emissions), plan.receiver_count)
+        self._strongest, self._unheld = np.zeros(shape), np.zeros(shape)  # arrivals, and what no function holds of any
         self._tracks: DeviceTracks | HostTracks
         if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
             self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler)
@@ -101,8 +105,9 @@ class OpenclEngine:
 
     def warn(self) -> None:
         """Warn where responses came along that the functions of frequency hold worse than asked."""
-        for i, (emission, unheld) in enumerate(zip(self._plan.emissions, self.unheld, strict=True)):
-            reached = 20.0 * math.log10(max(unheld, 1e-15))
+        unheld = (self._unheld / np.maximum(self._strongest, 1e-30)).max(axis=1)
+        for i, emission in enumerate(self._plan.emissions):
+            reached = 20.0 * math.log10(max(float(unheld[i]), 1e-15))
             if reached > emission.basis.asked_db + 1.0 > -math.inf:
                 warnings.warn(
                     f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
@@ -110,6 +115,11 @@ class OpenclEngine:
                     ClsimWarning,
                     stacklevel=3,
                 )
+
+    def note(self, source: int, receivers: NDArray[np.int32], strongest: Floats, unheld: Floats) -> None:
+        """Remember the strongest arrivals (n,) at receivers, and the largest part of any that no function holds."""
+        for seen, value in ((self._strongest, strongest), (self._unheld, unheld)):
+            seen[source, receivers] = np.maximum(seen[source, receivers], value)
 
     def _render(self, start: int, stop: int) -> NDArray[np.float32]:
         import pyopencl as cl
@@ -176,7 +186,8 @@ class OpenclEngine:
                 self._queue, (width // channel, rows), None, self._upload(emitted),
                 self._upload(bank.taps.astype(np.float32)), np.int32(stride), np.int32(row), out,
             )  # fmt: skip
-        return _Branches(out, stride, first, least, most)
+        found = sounding(streams, before, after)
+        return _Branches(out, stride, first, least, most, found if self.skips_silence and found.pays else None)
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)
@@ -191,6 +202,7 @@ class _Branches:
     first: int  # sample at which the rows begin
     least: int  # samples
     most: int
+    sounding: Sounding | None  # where it is worth leaving out what is silent
 
 
 class _Run:
@@ -215,7 +227,9 @@ class _Run:
         self._bounds = boundaries(self._plan, slots)
         self._first, self._last = first, last
         begin, end = first * SEGMENT, min(last * SEGMENT, length)
-        self._state: Any = engine._tracks.prepare(source, slots, self._bounds, start + begin, end - begin)
+        self._state: Any = engine._tracks.prepare(
+            source, slots, self._bounds, start + begin, end - begin, branches.sounding, branches.first
+        )
         error_db = getattr(self._plan.interpolator, "error_db", -90.0)
         self._tolerance = 10 ** ((error_db - 6.0) / 20)
         self._functions = len(self._plan.emissions[source].basis)
@@ -233,7 +247,7 @@ class _Run:
             begin, end = at * SEGMENT, min(upto * SEGMENT, self._length)
             nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
             self._check(nodes.shortest, nodes.longest)
-            self._engine.unheld[self._source] = max(self._engine.unheld[self._source], nodes.unheld)
+            self._engine.note(self._source, self._slots.receiver, nodes.strongest, nodes.unheld)
             coarse = nodes.error > self._tolerance
             coarse &= level + 1 < len(BLOCKS)
             for a, b in _runs(coarse):
@@ -255,7 +269,8 @@ class _Run:
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, emission = self._engine, self._plan.emissions[self._source]
         self._render_edges(nodes, segment, end, block, first_block)
-        constants = engine._layout.constants(emission.bank.group)
+        constants = engine._layout.constants(emission.bank.group) | {"SPARSE": int(nodes.spans is not None)}
+        spans = nodes.delay if nodes.spans is None else nodes.spans
         begin = segment * SEGMENT
         groups = (end - begin) // emission.bank.group
         size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
@@ -267,7 +282,7 @@ class _Run:
                 np.int32(emission.rows[k]), np.int32(self._functions), np.int32(k), np.int32(upto),
                 np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, self._first_slot,
                 np.int32(self._slots.count), np.int32(block // emission.bank.group), np.int32(first_block),
-                np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin),
+                np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
             )  # fmt: skip
 
     def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
@@ -286,6 +301,7 @@ class _Run:
             np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
             *(engine._upload(column) for column in (edges.start, edges.end, edges.first, edges.row, edges.at)),
             self._pressure, np.int32(self._length), np.int32(begin), np.int32(end - begin),
+            np.int32(nodes.spans is not None), nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
         mute = engine._compiler.kernel("mute", {})
         mute(

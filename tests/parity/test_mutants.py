@@ -104,7 +104,6 @@ def test_kernels_as_they_are_pass(difference_db, kind: str) -> None:
     assert difference_db(kind) < TOLERANCE_DB
 
 
-NEWTON = "newton_step(&path, position, velocity, time + ahead, &a);\n        }"
 MUTANTS = {
     "one tap further": ("branches", "TAPS - 1 - k]", "TAPS - 1 - (k + 1) % TAPS]"),
     "tap order": ("branches", "row * TAPS + TAPS - 1 - k", "row * TAPS + k"),
@@ -125,13 +124,13 @@ MUTANTS = {
     "another block's row": ("render", ", row = first_block + block", ", row = first_block"),
     "reflection's sign": ("tracks", "* BANDS + b] * air;", "* BANDS + b] * s->reflection[(slot * PARTS + part) * BANDS + b] * air;"),
     "another path's walls": ("tracks", "s->reflection[(slot * PARTS", "s->reflection[((slot ^ 1) * PARTS"),
-    "Newton step dropped": ("tracks", NEWTON, "arrival b = a; " + NEWTON[:-1] + "    a.delay = b.delay;\n }"),
+    "Newton step dropped": ("tracks", "if (step * step < 1e-14) break;", "if (step * step < 1e-14) { a.delay -= step; break; }"),
     "half a Newton step": ("tracks", "(quasi_static - a->delay) * a->stretch", "0.5 * (quasi_static - a->delay)"),
     "Doppler's sign": ("tracks", "(receding - mach) * a->stretch", "(receding + mach) * a->stretch"),
     "curvature of the delay": ("tracks", "c[2 * slots] = (float)(0.25 * (e1", "c[2 * slots] = (float)(0.2 * (e1"),
     "absorption from 0 m": ("tracks", "(distance - 1.0f)", "distance"),
     "clock's delay": ("tracks", "a.delay - ahead;", "a.delay;"),
-    "clock at prediction": ("tracks", "velocity, time + ahead, &a);\n        }\n        for", "velocity, time, &a);\n        }\n        for"),
+    "clock at reception": ("tracks", "velocity, time + ahead, &a);\n                if", "velocity, time, &a);\n                if"),
     "clock's pace": ("tracks", "a.rate * pace - (pace - 1.0)", "a.rate - (pace - 1.0)"),
     "clock's own rate": ("tracks", "a.rate * pace - (pace - 1.0)", "a.rate * pace"),
     "emission at reception": ("tracks", "RETARDED ? time - a->delay : time", "time"),

@@ -1,0 +1,32 @@
+// Which samples of the branch signals sound, in cells of CELL samples.
+
+typedef struct {
+    __global const int* next;      // [cells], the next cell that sounds, or `cells`; itself if it does
+    __global const int* previous;  // [cells], the one before, or -1
+    int cells;
+    double origin;                 // sample of the branches at the run's first sample, without delay
+} sound;
+
+static int cell_at(const sound* s, double sample)
+{
+    const double cell = sample * (1.0 / CELL);
+    return cell < 0.0 ? 0 : cell < (double)s->cells ? (int)cell : s->cells - 1;
+}
+
+// Whether anything is heard in a block, for delays between two bounds, samples.
+static int sounds(const sound* s, int block, double shortest, double longest)
+{
+    const double start = s->origin + (double)block * BLOCK;
+    return s->next[cell_at(s, start - longest)] <= cell_at(s, start + BLOCK - shortest);
+}
+
+// First group of a block in which something is heard, and the one after the last shifted by 16 bits; 0 for none.
+static int heard_groups(const sound* s, int block, double shortest, double longest)
+{
+    const double start = s->origin + (double)block * BLOCK;
+    const double begin = (double)s->next[cell_at(s, start - longest)] * CELL - start + shortest;
+    const double end = (double)(s->previous[cell_at(s, start + BLOCK - shortest)] + 1) * CELL - start + longest;
+    const int first = begin > 0.0 ? (int)(begin / GROUP) : 0;
+    const int last = end < (double)BLOCK ? (int)(end / GROUP) + 1 : BLOCK / GROUP;
+    return first < last && end > 0.0 ? first | last << 16 : 0;
+}
