@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _FLOOR_DB = -40.0
 _COLUMNS = 3
-_DPI = 100
+_DPI = 90
 _ANGLES = np.radians(np.arange(-180.0, 180.01, 0.5))
 _BEACON = 40e3  # Hz
 
@@ -84,7 +84,8 @@ def beams_picture(beams: list[Beam], path: str | os.PathLike[str]) -> None:
 
     columns = min(len(beams), _COLUMNS)
     rows = -(-len(beams) // columns)
-    figure = Figure(figsize=(4.6 * columns, 4.9 * rows), layout="constrained")
+    figure = Figure(figsize=(4.6 * columns, 5.0 * rows))
+    figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1)
     for k, beam in enumerate(beams):
         axes: Any = figure.add_subplot(rows, columns, k + 1, projection="polar")
         colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(beam.frequencies)))
@@ -103,7 +104,7 @@ def beams_picture(beams: list[Beam], path: str | os.PathLike[str]) -> None:
         axes.grid(alpha=0.4, linewidth=0.6)
         loudest = _loudest(beam)
         notes = [f"0 dB is a gain of {loudest:.1f} dB"] if loudest > 0.05 else []
-        notes += ["— to the left, - - upwards"] if above is not None else []
+        notes += ["solid: to the left, dashed: upwards"] if above is not None else []
         axes.set_title("\n".join([beam.title, *notes]), fontsize=11)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=4, fontsize=8, frameon=False)
     _save(figure, path)
@@ -180,4 +181,4 @@ def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
     FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format="png")
+        figure.savefig(temporary, dpi=_DPI, format="png", pil_kwargs={"optimize": True})
