@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 _ROUNDS = 2  # the second finds what the first left
+_ENOUGH = 500_000  # values to find a handful of numbers from
 
 
 def fit_delay(
@@ -52,18 +53,16 @@ def fit_delay(
     [0.0, -0.01]
     """
     found = np.zeros(1 + points.shape[1])
-    if len(frequencies) > 1:
-        steps = np.column_stack([np.ones(len(points)), points])
-        first, second = (slice(None), slice(None, -1)), (slice(None), slice(1, None))
-    pairs_a, pairs_b = neighbours[:, 0], neighbours[:, 1]
-    apart = np.column_stack([np.zeros(len(neighbours)), points[pairs_b] - points[pairs_a]])
+    every = -(-values.size // _ENOUGH)
+    some, (a, b) = slice(None, None, every), neighbours[::every].T
+    steps = np.column_stack([np.ones(len(points[some])), points[some]])
+    apart = np.column_stack([np.zeros(len(a)), points[b] - points[a]])
     for _ in range(_ROUNDS):
-        delay = found[0] + points @ found[1:]
-        rest = values * np.exp(2j * np.pi * frequencies * delay[:, None])
+        turn = 2j * np.pi * (found[0] + points @ found[1:])[:, None]
+        here, one, other = (values[k] * np.exp(turn[k] * frequencies) for k in (some, a, b))
         matrix, right = np.zeros((len(found), len(found))), np.zeros(len(found))
-        if len(frequencies) > 1:
-            _add(matrix, right, steps, np.diff(frequencies), rest[first], rest[second])
-        _add(matrix, right, apart, frequencies, rest[pairs_a], rest[pairs_b])
+        _add(matrix, right, steps, np.diff(frequencies), here[:, :-1], here[:, 1:])
+        _add(matrix, right, apart, frequencies, one, other)
         found += np.linalg.lstsq(matrix, right)[0]
     return found
 

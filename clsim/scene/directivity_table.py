@@ -18,6 +18,7 @@ from clsim.scene.gain_tables import (
     as_gains,
     check_known,
     check_level,
+    check_options,
     joined_over_frequency,
     known_band,
     over_axis,
@@ -101,9 +102,10 @@ class DirectivityTable:
 
     def __post_init__(self) -> None:
         as_choice("scale", self.scale, ("linear", "db"))
-        for name, choices in (("rear", _REAR), ("side", _SIDES), ("outside", ("hold",))):
+        for name, choices in (("rear", _REAR), ("side", _SIDES)):
             if getattr(self, name) is not None:
                 as_choice(name, getattr(self, name), choices)
+        check_options(self.outside, self.relative_to_axis, self.name)
         frequencies = as_frequencies(self.frequencies)
         angles = as_floats("angles_degrees", self.angles_degrees, (None,))
         for i in np.flatnonzero(np.diff(angles) <= _SAME_ANGLE)[:1]:
@@ -204,8 +206,8 @@ class DirectivityTable:
         Examples
         --------
         >>> beam = DirectivityTable.from_db([0, 180], [1e3], [[0.0], [-6.0206]], [[0.0], [90.0]])
-        >>> beam.gain(np.array([-1.0]), 1e3, 343.0).round(4).tolist()
-        [0.5j]
+        >>> beam.gain(-1.0, 1e3, 343.0).imag.round(4).tolist()
+        0.5
         """
         angles, f = (np.asarray(given) for given in (angles_degrees, frequencies))
         magnitudes = as_floats("magnitudes_db", magnitudes_db, (None, None))

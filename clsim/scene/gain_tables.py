@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats
+from clsim.arrays import Floats, as_choice, as_floats
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,6 +16,16 @@ if TYPE_CHECKING:
 _SAME_FREQUENCY = 1e-9  # of a band's edge
 _SILENT = 1e-12  # of the loudest direction
 _LARGEST, _LARGEST_DB = 1e15, 300.0
+
+
+def check_options(outside: Any, relative_to_axis: Any, name: Any) -> None:
+    """Raise an InputError if one of the options that all tables have is no such option."""
+    if outside is not None:
+        as_choice("outside", outside, ("hold",))
+    if not isinstance(relative_to_axis, bool | np.bool_):
+        raise InputError("relative_to_axis", f"must be true or false, but is {relative_to_axis!r:.80}")
+    if not isinstance(name, str):
+        raise InputError("name", f"must be a text, but is {name!r:.80}")
 
 
 def as_frequencies(frequencies: ArrayLike) -> Floats:

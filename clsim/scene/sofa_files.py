@@ -70,40 +70,40 @@ def _read(sofa: Any, measurement: int) -> tuple[Floats, Floats, NDArray[np.compl
         raise InputError("path", f"must be of the convention {', '.join(_CONVENTIONS)}, but is of {convention!r:.80}")
     if sofa.GLOBAL_DataType not in ("TF", "FIR"):
         raise InputError("path", f"must hold TF or FIR data, but holds {sofa.GLOBAL_DataType!r:.80}")
-    directions = _directions(sofa, measurement)
     if sofa.GLOBAL_DataType == "TF":
         frequencies = np.atleast_1d(np.asarray(sofa.N, dtype=np.float64))
-        values = _of(sofa.Data_Real, len(directions), measurement) + 1j * _of(
-            sofa.Data_Imag, len(directions), measurement
-        )
+        values = _of(sofa.Data_Real, measurement) + 1j * _of(sofa.Data_Imag, measurement)
     else:
-        frequencies, values = _transformed(sofa, len(directions), measurement)
-    if values.shape[1] != len(frequencies):
-        raise InputError("path", f"must hold values for {len(frequencies)} frequencies, but holds {values.shape[1]}")
+        frequencies, values = _transformed(sofa, measurement)
+    directions = _directions(sofa, measurement)
+    if values.shape != (len(directions), len(frequencies)):
+        raise InputError(
+            "path",
+            f"must hold values for {len(directions)} receivers and {len(frequencies)} frequencies, but holds "
+            f"{values.shape[0]} x {values.shape[1]}",
+        )
     return directions, frequencies, values
 
 
-def _of(data: Any, receivers: int, measurement: int) -> Floats:
+def _of(data: Any, measurement: int) -> Floats:
     """Return one measurement (R, N) of data (M, R, N), whose last axes are dropped by sofar where their length is 1."""
     array: Any = np.ma.filled(np.asanyarray(data, dtype=np.float64), np.nan)
     array = array.reshape(array.shape + (1,) * (3 - array.ndim))
     as_count("measurement", measurement, at_least=0, at_most=array.shape[0] - 1)
-    if array.shape[1] != receivers:
-        raise InputError("path", f"must hold values for {receivers} receivers, but holds {array.shape[1]}")
     return np.asarray(array[measurement])
 
 
-def _transformed(sofa: Any, receivers: int, measurement: int) -> tuple[Floats, NDArray[np.complex128]]:
+def _transformed(sofa: Any, measurement: int) -> tuple[Floats, NDArray[np.complex128]]:
     """Return frequencies and the spectrum of impulse responses, delays included."""
     from scipy.fft import next_fast_len, rfft, rfftfreq
 
-    samples = _of(sofa.Data_IR, receivers, measurement)
+    samples = _of(sofa.Data_IR, measurement)
     rate = float(np.ravel(sofa.Data_SamplingRate)[0])
     size = next_fast_len(_PADDING * samples.shape[1], real=True)
     frequencies = np.asarray(rfftfreq(size, 1.0 / rate), dtype=np.float64)
     delay = np.atleast_2d(np.asarray(sofa.Data_Delay, dtype=np.float64))
     delay = delay[measurement if len(delay) > 1 else 0] / rate
-    turn = -2j * np.pi * frequencies * np.broadcast_to(delay, (receivers,))[:, None]
+    turn = -2j * np.pi * frequencies * np.broadcast_to(delay, samples.shape[:1])[:, None]
     return frequencies, np.asarray(rfft(samples, size, axis=1) * np.exp(turn), dtype=np.complex128)
 
 
@@ -154,6 +154,8 @@ def _cartesian(sofa: Any, name: str, measurement: int) -> Floats:
         return np.asarray(given)
     if kind != "spherical":
         raise InputError("path", f"must have cartesian or spherical {name}, but it is {kind!r:.80}")
+    if str(getattr(sofa, f"{name}_Units", "degree")).lower().startswith("rad"):
+        raise InputError("path", f"must have {name} in degrees, as AES69 asks, but it is in radians")
     azimuth, elevation = np.radians(given[:, 0]), np.radians(given[:, 1])
     around = np.cos(elevation)
     unit = np.column_stack([around * np.cos(azimuth), around * np.sin(azimuth), np.sin(elevation)])

@@ -10,13 +10,14 @@ import numpy as np
 
 from clsim.acoustics.acoustic_centre import fit_delay
 from clsim.acoustics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere
-from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.arrays import Floats, as_floats, read_only
 from clsim.errors import InputError
 from clsim.scene.gain_tables import (
     as_frequencies,
     as_gains,
     check_known,
     check_level,
+    check_options,
     joined_over_frequency,
     known_band,
     over_axis,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
-_MOST_SCATTERED = 6000  # directions off a grid, whose equations take 0.3 GB and seconds
+_MOST_SCATTERED = 4000  # directions off a grid, whose equations take 0.2 GB and two seconds
 _AXIS = np.array([1.0, 0.0, 0.0])
 
 
@@ -88,8 +89,7 @@ class SphericalTable:
     delay: Floats = field(init=False, repr=False)  # (4,) s, by 1 and by direction
 
     def __post_init__(self) -> None:
-        if self.outside is not None:
-            as_choice("outside", self.outside, ("hold",))
+        check_options(self.outside, self.relative_to_axis, self.name)
         frequencies = as_frequencies(self.frequencies)
         given = as_floats("directions", self.directions, (None, 3))
         length = np.linalg.norm(given, axis=1)
@@ -111,9 +111,8 @@ class SphericalTable:
                 f"must be at most {_MOST_SCATTERED} unless they are an equiangular grid, but are {len(directions)}",
             )
         if self.relative_to_axis:
-            axis = SphericalTable(directions, frequencies, values).gain_towards(
-                _AXIS, frequencies, 1.0
-            )  # no formula: any speed
+            whole = SphericalTable(directions, frequencies, values)
+            axis = whole.gain_towards(_AXIS, frequencies, 1.0)  # a table does not ask for the speed of sound
             values = over_axis(values, axis, frequencies)
         delay = np.zeros(4)
         if np.iscomplexobj(values):

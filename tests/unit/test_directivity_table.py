@@ -81,6 +81,9 @@ def test_fit_delay_in_three_dimensions(rng):
     values = np.exp(-2j * np.pi * f * (wanted[0] + points @ wanted[1:])[:, None])
     pairs = np.column_stack([np.arange(59), np.arange(1, 60)])
     np.testing.assert_allclose(fit_delay(points, f, values, pairs), wanted, atol=1e-12)
+    many = np.linspace(30e3, 35e3, 20_000)  # so many that not all points are looked at
+    values = np.exp(-2j * np.pi * many * (wanted[0] + points @ wanted[1:])[:, None])
+    np.testing.assert_allclose(fit_delay(points, many, values, pairs), wanted, atol=1e-11)
 
 
 def test_levels_in_db_do_not_overshoot():
@@ -257,6 +260,8 @@ GOOD = {"angles_degrees": [0, 90, 180], "frequencies": [1e3, 2e3], "values": np.
         ({"rear": "fold"}, "rear", '"hold", "mirror", "zero"'),
         ({"side": "left"}, "side", '"positive"'),
         ({"outside": "zero"}, "outside", '"hold"'),
+        ({"relative_to_axis": "no"}, "relative_to_axis", "true or false"),
+        ({"name": 3}, "name", "a text"),
     ],
 )
 def test_bad_values_are_refused_by_name(change, field, message):

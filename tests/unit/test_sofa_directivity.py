@@ -115,6 +115,10 @@ def test_impulse_responses_become_their_spectrum(tmp_path: Path, rng) -> None:
     at = np.arange(count)[:, None]
     expected = np.exp(turn * (first + at)) + 0.5 * np.exp(turn * (second[:, None] + at))
     np.testing.assert_allclose(table.values, expected, atol=1e-10)
+    netcdf = pytest.importorskip("netCDF4")
+    with netcdf.Dataset(tmp_path / "ir.sofa", "a") as file:  # a convention that sofar does not know
+        file.SOFAConventions = "FreeFieldDirectivityIR"
+    np.testing.assert_array_equal(SphericalTable.from_sofa(tmp_path / "ir.sofa").values, table.values)
 
 
 def test_between_the_bins_of_an_impulse_response(tmp_path: Path) -> None:
@@ -170,6 +174,7 @@ def test_other_conventions_and_odd_geometry(tmp_path: Path) -> None:
     for changes, message in (
         ({"ReceiverPosition": positions}, "on a sphere about the source"),
         ({"SourceUp": np.array([[2.0, 0, 0]])}, "different directions"),
+        ({"ListenerPosition": np.full((1, 3), 0.3)}, "on a sphere about the source"),
         ({"N": FREQUENCIES[::-1].copy()}, "increase strictly"),
         ({"Data_Real": np.full((1, len(grid()), 3), np.nan)}, "must be finite"),
     ):

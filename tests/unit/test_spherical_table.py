@@ -190,7 +190,7 @@ UPPER = spiral(200)[:100]
         (spiral(50), [1e3], np.full((50, 1), np.nan), "values[0][0]", "finite"),
         (spiral(50), [1e3], np.zeros((50, 1)), "values", "not all be 0"),
         (spiral(50), [2e3, 1e3], np.ones((50, 2)), "frequencies", "increase"),
-        (spiral(6001), [1e3], np.ones((6001, 1)), "directions", "at most 6000"),
+        (spiral(4001), [1e3], np.ones((4001, 1)), "directions", "at most 4000"),
     ],
 )
 def test_bad_values_are_refused_by_name(directions, frequencies, values, field: str, message: str) -> None:
