@@ -11,8 +11,9 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
 
-_ROUNDS = 2  # the second finds what the first left
-_ENOUGH = 500_000  # values to find a handful of numbers from
+# Which neighbours a round looks at, in frequency (f) or direction (d): either may be too far apart at first, or always.
+_ROUNDS = (("f", "fd", "fd"), ("d", "fd", "fd"), ("d", "d"))
+_ENOUGH = 50_000  # values to find a handful of numbers from
 
 
 def fit_delay(
@@ -52,24 +53,47 @@ def fit_delay(
     >>> (343.0 * fit_delay(cosine, f, ahead, pairs)).round(6).tolist()
     [0.0, -0.01]
     """
-    found = np.zeros(1 + points.shape[1])
-    every = -(-values.size // _ENOUGH)
-    some, (a, b) = slice(None, None, every), neighbours[::every].T
+    some = slice(None, None, -(-values.size // _ENOUGH))
+    a, b = neighbours[:: -(-len(neighbours) * len(frequencies) // _ENOUGH)].T
     steps = np.column_stack([np.ones(len(points[some])), points[some]])
     apart = np.column_stack([np.zeros(len(a)), points[b] - points[a]])
-    for _ in range(_ROUNDS):
-        turn = 2j * np.pi * (found[0] + points @ found[1:])[:, None]
+    gaps = np.diff(frequencies)
+
+    def products(t: Floats) -> tuple[Any, Any]:
+        """Return neighbours' products in frequency and in direction, without the delay t."""
+        turn = 2j * np.pi * (t[0] + points @ t[1:])[:, None]
         here, one, other = (values[k] * np.exp(turn[k] * frequencies) for k in (some, a, b))
-        matrix, right = np.zeros((len(found), len(found))), np.zeros(len(found))
-        _add(matrix, right, steps, np.diff(frequencies), here[:, :-1], here[:, 1:])
-        _add(matrix, right, apart, frequencies, one, other)
-        found += np.linalg.lstsq(matrix, right)[0]
-    return found
+        return np.conj(here[:, :-1]) * here[:, 1:], np.conj(one) * other
+
+    def stillness(t: Floats) -> float:
+        """Return how little neighbours' phases differ: 1 if not at all."""
+        both = [(p.real.sum(), np.abs(p).sum()) for p in products(t) if p.size]
+        return float(np.mean([level / max(total, 1e-300) for level, total in both]))
+
+    nothing = np.zeros(1 + points.shape[1])
+    starts = [nothing]
+    if len(gaps):  # what all directions turn by between two frequencies
+        starts.append(
+            nothing - np.eye(len(nothing))[0] * np.angle(products(nothing)[0].sum()) / (2 * np.pi * gaps.mean())
+        )
+    found = list(starts)
+    for start in starts:
+        for rounds in _ROUNDS:
+            t = start
+            for kinds in rounds:
+                over_frequency, over_direction = products(t)
+                matrix, right = np.zeros((len(t), len(t))), np.zeros(len(t))
+                if "f" in kinds:
+                    _add(matrix, right, steps, gaps, over_frequency)
+                if "d" in kinds:
+                    _add(matrix, right, apart, frequencies, over_direction)
+                t = t + np.linalg.lstsq(matrix, right)[0]
+            found.append(t)
+    return max(found, key=stillness)
 
 
-def _add(matrix: Floats, right: Floats, steps: Floats, scale: Floats, a: Any, b: Any) -> None:
-    """Add the normal equations of ``phase(conj(a) b) = -2 pi scale (steps @ t)``, a and b (m, F)."""
-    product = np.conj(a) * b
+def _add(matrix: Floats, right: Floats, steps: Floats, scale: Floats, product: Any) -> None:
+    """Add the normal equations of ``phase(product) = -2 pi scale (steps @ t)``, product (m, F)."""
     weight = np.abs(product)
     matrix += np.einsum("mi,m,mj->ij", steps, weight @ scale**2, steps)
     right -= steps.T @ ((weight * np.angle(product)) @ scale) / (2.0 * np.pi)

