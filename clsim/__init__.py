@@ -17,12 +17,14 @@ from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.tracks import Tracks, track
 from clsim.scene.air import Air
 from clsim.scene.directivity import Cardioid, Omni, Piston, named_directivity
+from clsim.scene.directivity_table import DirectivityTable
 from clsim.scene.electronics import Electronics
 from clsim.scene.material import Material
 from clsim.scene.mesh_room import MeshRoom
 from clsim.scene.room import Shoebox
 from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene.signal import Signal
+from clsim.scene.spherical_table import SphericalTable
 from clsim.scene.trajectory import Trajectory
 from clsim.scene.transducer import Transducer, named_transducer
 
@@ -35,6 +37,7 @@ __all__ = [
     "ClsimError",
     "ClsimWarning",
     "DeviceError",
+    "DirectivityTable",
     "Electronics",
     "InputError",
     "Lagrange",
@@ -49,6 +52,7 @@ __all__ = [
     "Shoebox",
     "Signal",
     "Source",
+    "SphericalTable",
     "Tracks",
     "Trajectory",
     "Transducer",

@@ -69,6 +69,28 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--limit", type=int, default=300, metavar="N", help="strongest paths drawn (default: 300)")
     view.add_argument("--open", action="store_true", help="open it in a browser")
 
+    plot = commands.add_parser("plot", help="draw beams, or what air absorbs").add_subparsers(
+        required=True, metavar="PICTURE"
+    )
+    beam = plot.add_parser("beam", help="beams of a scene's sources and receivers, of a transducer or of a table")
+    beam.add_argument("scene", type=Path, nargs="?", help="scene file (TOML)")
+    beam.add_argument("--end", metavar="NAME", help="only this source or receiver")
+    beam.add_argument("--name", help="a named directivity instead of a scene, for example T4010A1")
+    beam.add_argument("--table", type=Path, metavar="FILE", help="a table instead of a scene (.csv, .npz, .mat, .sofa)")
+    beam.add_argument("--rear", choices=("hold", "mirror", "zero"), help="beyond the last angle of --table")
+    beam.add_argument("--scale", choices=("db", "linear"), help="what real values of --table are")
+    beam.add_argument("--hold", action="store_true", help="at other frequencies than the table's, as at the nearest")
+    beam.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="a curve for each")
+    air = plot.add_parser("air", help="absorption of air by frequency and by humidity")
+    air.add_argument("--temperature", type=float, default=20.0, metavar="CELSIUS", help="default: 20")
+    air.add_argument("--pressure", type=float, default=101_325.0, metavar="PA", help="default: 101325")
+    air.add_argument(
+        "--humidity", type=float, nargs="+", default=[0.1, 0.3, 0.5, 0.7, 0.9], metavar="H", help="relative, 0 to 1"
+    )
+    for picture, name in ((beam, "beam"), (air, "air")):
+        picture.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the picture (.png)")
+        picture.set_defaults(command="plot", picture=name)
+
     devices = commands.add_parser("devices", help="list the OpenCL devices of this machine")
     devices.set_defaults(command="devices")
     schema = commands.add_parser("schema", help="print the JSON schema of scene files, for editors")

@@ -2,34 +2,47 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from clsim.acoustics.directivity import cardioid_gain, piston_gain
-from clsim.arrays import Complexes, Floats, as_choice, as_number
+from clsim.arrays import Floats, as_choice, as_number
+from clsim.scene.directivity_table import DirectivityTable
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
 # Murata states 80° between the -6 dB points at 40 kHz for both: the beam of a baffled piston of this radius.
 _NAMED_RADIUS = {"MA40S4S": 0.0047, "MA40S4R": 0.0047}  # m
 
-DIRECTIVITY_NAMES = tuple(_NAMED_RADIUS)
+# Nicera, T4010A1: directivity at 40 kHz as published, 0 to 90 degrees in steps of 10.
+_NICERA_FREQUENCY = 40e3  # Hz
+_NICERA_ANGLES = np.arange(0.0, 91.0, 10.0)  # degrees
+_NICERA_DB = np.array([0.0, 0.0, 0.0, -1.0, -3.0, -6.0, -9.0, -12.0, -14.0, -15.0])
+
+DIRECTIVITY_NAMES = (*_NAMED_RADIUS, "T4010A1")
+_EVERYWHERE = (0.0, math.inf)
 
 
 @runtime_checkable
 class Directivity(Protocol):
-    """Anything with a gain by the angle to an axis."""
+    """Anything with a gain by the angle from its axis."""
 
     @property
     def is_complex(self) -> bool:
-        """Whether the gain has a phase."""
+        """Whether gains have a phase."""
         ...
 
-    def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats | Complexes:
-        """Return the gain of sound pressure by direction, 1 on the axis.
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies (low, high) in Hz at which the gain is known."""
+        ...
+
+    def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
+        """Return the gain of sound pressure by direction, 1 on the axis unless its table says otherwise.
 
         Parameters
         ----------
@@ -44,37 +57,52 @@ class Directivity(Protocol):
         Returns
         -------
         ndarray (...)
-            Gain, 1.
+            Gain, 1: float64, or complex128 if `is_complex` (``exp(+j 2 pi f t)``: a delay has falling phase).
+
+        Raises
+        ------
+        InputError
+            If a frequency lies outside `band`.
         """
         ...
 
 
 @runtime_checkable
 class SphericalDirectivity(Protocol):
-    """Anything with a gain by direction, without an axis of symmetry."""
+    """Anything with a gain by direction that differs round its axis."""
 
     @property
     def is_complex(self) -> bool:
-        """Whether the gain has a phase."""
+        """Whether gains have a phase."""
         ...
 
-    def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats | Complexes:
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies (low, high) in Hz at which the gain is known."""
+        ...
+
+    def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain of sound pressure by direction.
 
         Parameters
         ----------
         direction : ndarray (..., 3)
-            Unit vectors in the transducer's own frame: of departure for a source, towards the incoming image for a
-            receiver.
+            Unit vectors in the transducer's own frame (axis +x, up +z; the orientation turns it into the world): of
+            departure for a source, towards the incoming image for a receiver.
         frequency : array_like (...)
-            Frequency, Hz; broadcasts against the leading axes of `direction`.
+            Frequency, Hz; broadcasts against `direction` without its last axis.
         speed_of_sound : float
             Speed of sound, m/s.
 
         Returns
         -------
         ndarray (...)
-            Gain, 1; complex where `is_complex`.
+            Gain, 1: float64, or complex128 if `is_complex` (``exp(+j 2 pi f t)``).
+
+        Raises
+        ------
+        InputError
+            If a frequency lies outside `band`.
         """
         ...
 
@@ -94,6 +122,7 @@ class Omni:
 
     kind: ClassVar[str] = "omni"
     is_complex: ClassVar[bool] = False
+    band: ClassVar[tuple[float, float]] = _EVERYWHERE
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return 1 for every direction; see `Directivity.gain`."""
@@ -122,6 +151,7 @@ class Cardioid:
 
     kind: ClassVar[str] = "cardioid"
     is_complex: ClassVar[bool] = False
+    band: ClassVar[tuple[float, float]] = _EVERYWHERE
     weight: float = 0.5
 
     def __post_init__(self) -> None:
@@ -157,6 +187,7 @@ class Piston:
 
     kind: ClassVar[str] = "piston"
     is_complex: ClassVar[bool] = False
+    band: ClassVar[tuple[float, float]] = _EVERYWHERE
     radius: float
 
     def __post_init__(self) -> None:
@@ -167,20 +198,24 @@ class Piston:
         return piston_gain(cosine, frequency, self.radius, speed_of_sound)
 
 
-def named_directivity(name: str) -> Directivity:
+def named_directivity(name: str, outside: str | None = None) -> Directivity:
     """Return the directivity of a transducer by its name.
 
     Parameters
     ----------
-    name : {"MA40S4S", "MA40S4R"}
-        Murata's open 40 kHz transmitter and receiver. Each is the baffled piston of 4.7 mm radius, which has
+    name : {"MA40S4S", "MA40S4R", "T4010A1"}
+        Murata's open 40 kHz transmitter and receiver: each is the baffled piston of 4.7 mm radius, which has
         the 80° between -6 dB points that the maker states at 40 kHz. It is an equivalent piston, not a
         measurement: side lobes, rear and other frequencies are the formula's.
+        Nicera's 40 kHz transmitter: the published levels at 40 kHz in steps of 10° up to 90°, the last of them
+        (-15 dB) kept behind. They are nominal, read to whole dB, and have no phase.
+    outside : {None, "hold"}
+        What a table (T4010A1) gives at other frequencies than its own: refused (None), or the same.
 
     Returns
     -------
     Directivity
-        A `Piston`.
+        A `Piston` or a `DirectivityTable`.
 
     Raises
     ------
@@ -191,5 +226,14 @@ def named_directivity(name: str) -> Directivity:
     --------
     >>> named_directivity("MA40S4S")
     Piston(radius=0.0047)
+    >>> gain = named_directivity("T4010A1").gain(np.cos(np.radians([0.0, 50.0])), 40e3, 343.0)
+    >>> (20 * np.log10(gain)).round(3).tolist()
+    [0.0, -6.0]
     """
-    return Piston(_NAMED_RADIUS[as_choice("name", name, DIRECTIVITY_NAMES)])
+    if outside is not None:
+        as_choice("outside", outside, ("hold",))
+    if as_choice("name", name, DIRECTIVITY_NAMES) in _NAMED_RADIUS:
+        return Piston(_NAMED_RADIUS[name])
+    return DirectivityTable.from_db(
+        _NICERA_ANGLES, [_NICERA_FREQUENCY], _NICERA_DB[:, None], rear="hold", outside=outside, name=name
+    )

@@ -16,8 +16,8 @@ from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.air import Air
-from clsim.scene.directivity import Cardioid, Directivity, Omni, Piston, named_directivity
 from clsim.scene.scene import Receiver, Scene, Source
+from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
 from clsim.scene_file.rooms import RoomModel
@@ -31,44 +31,10 @@ class _Air(Model):
     speed_of_sound: float | Literal["iso9613"] | None = None
 
 
-class _Omni(Model):
-    kind: Literal["omni"] = "omni"
-
-    def build(self) -> Directivity:
-        return Omni()
-
-
-class _Cardioid(Model):
-    kind: Literal["cardioid"]
-    weight: float = 0.5
-
-    def build(self) -> Directivity:
-        return Cardioid(self.weight)
-
-
-class _Piston(Model):
-    kind: Literal["piston"]
-    radius: float
-
-    def build(self) -> Directivity:
-        return Piston(self.radius)
-
-
-class _Named(Model):
-    kind: Literal["named"]
-    name: str
-
-    def build(self) -> Directivity:
-        return named_directivity(self.name)
-
-
-_Directivity = Annotated[_Omni | _Cardioid | _Piston | _Named, Field(discriminator="kind")]
-
-
 class _End(Model):
     name: str
     trajectory: TrajectoryModel
-    directivity: _Directivity = _Omni()
+    directivity: DirectivityModel = OmniModel()
     aim: Vector | None = None
     transducer: TransducerModel | None = None
 
@@ -78,7 +44,7 @@ class _End(Model):
         return {
             "name": self.name,
             "trajectory": within("trajectory", lambda: self.trajectory.build(base)),
-            "directivity": within("directivity", self.directivity.build),
+            "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
@@ -253,10 +219,10 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
     parts = [content["room"], *content["room"]["obstacles"]]
     for end in [*content["sources"], *content["receivers"]]:
         signal = end.get("signal", {})
-        parts += [end["trajectory"], end.get("transducer", {}), signal, signal.get("pulse", {})]
+        parts += [end["trajectory"], end["directivity"], end.get("transducer", {}), signal, signal.get("pulse", {})]
     for part in parts:
-        if "path" in part:
-            part["path"] = Path(os.path.relpath(file.base / part["path"], folder)).as_posix()
+        for key in {"path", "phases_path"} & part.keys():
+            part[key] = Path(os.path.relpath(file.base / part[key], folder)).as_posix()
     return tomli_w.dumps(content)
 
 
@@ -298,7 +264,7 @@ def _choices(field: str) -> str:
     unions: dict[str, Any] = {
         "trajectory": TrajectoryModel,
         "signal": SignalModel,
-        "directivity": _Directivity,
+        "directivity": DirectivityModel,
         "pulse": PulseModel,
         "transducer": TransducerModel,
         "room": RoomModel,

@@ -13,6 +13,7 @@ class OffCentre:
 
     ahead: float
     is_complex = True
+    band = (0.0, float("inf"))
 
     def gain(self, cosine, frequency, speed_of_sound):
         turns = np.asarray(frequency) * self.ahead * cosine / speed_of_sound
@@ -24,6 +25,7 @@ class Lopsided:
     """A beam without any symmetry: different to the left, above and ahead, and not centred either; or real."""
 
     is_complex: bool = True
+    band: tuple[float, float] = (0.0, float("inf"))
 
     def gain_towards(self, direction, frequency, speed_of_sound):
         x, y, z = np.moveaxis(np.asarray(direction, dtype=np.float64), -1, 0)

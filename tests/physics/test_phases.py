@@ -101,6 +101,7 @@ class _Seen:
     """A beam seen in a mirror across x."""
 
     is_complex = True
+    band = (0.0, float("inf"))
 
     def __init__(self, beam: Lopsided) -> None:
         self._beam = beam

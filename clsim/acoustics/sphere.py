@@ -1,0 +1,216 @@
+"""Interpolation over the sphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from scipy.interpolate import NdBSpline, RBFInterpolator
+
+    from clsim.arrays import Floats
+
+_SAME = 1e-5  # rad, between directions that count as one
+_SAME_CIRCLE = 1e-4  # rad, between circles of a grid that count as one
+_NEIGHBOURS = 4
+
+
+def merged(directions: Floats, values: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:
+    """Return unit vectors (n, 3) that differ by more than 1e-5 rad, and the mean of what each has of values (m, f)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    pairs = KDTree(directions).query_pairs(_SAME, output_type="ndarray")
+    if not len(pairs):
+        return directions, values
+    size = len(directions)
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    count, label = connected_components(links, directed=False)
+    total = np.zeros((count, values.shape[1]), dtype=values.dtype)
+    np.add.at(total, label, values)
+    first = np.unique(label, return_index=True)[1]
+    return directions[first], total / np.bincount(label)[:, None]
+
+
+def largest_hole(directions: Floats) -> float:
+    """Return the radius in degrees of the widest cap of the sphere without a direction in it; at least 90 is a side.
+
+    Notes
+    -----
+    Caps without points are those that facets of the convex hull cut off.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        offsets = -ConvexHull(directions).equations[:, 3]
+    except (QhullError, ValueError):  # fewer than four points, or all in one plane
+        return 180.0
+    return float(np.degrees(np.arccos(np.clip(offsets.min(), -1.0, 1.0))))
+
+
+def neighbours_on_sphere(directions: Floats) -> NDArray[np.intp]:
+    """Return pairs (m, 2) of each direction and those nearest to it."""
+    from scipy.spatial import KDTree
+
+    nearest = np.asarray(KDTree(directions).query(directions, k=min(_NEIGHBOURS + 1, len(directions)))[1])
+    here = np.broadcast_to(nearest[:, :1], nearest[:, 1:].shape)
+    return np.column_stack([here.ravel(), nearest[:, 1:].ravel()])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridOnSphere:
+    """Directions on circles about +z, the same azimuths on each, evenly all round.
+
+    Parameters
+    ----------
+    colatitudes : ndarray (e,)
+        From +z, increasing, rad; 0 and pi where there are poles.
+    azimuths : ndarray (a,)
+        From +x towards +y, evenly, rad; an even number.
+    index : ndarray (e, a)
+        Which direction stands there.
+    """
+
+    colatitudes: Floats
+    azimuths: Floats
+    index: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, directions: Floats) -> GridOnSphere | None:
+        """Return the grid that different unit vectors (n, 3) are, or None if they are none."""
+        colatitude, azimuth = _angles(directions)
+        pole = np.minimum(colatitude, np.pi - colatitude) < _SAME
+        off = np.flatnonzero(~pole)
+        if len(off) < 12:
+            return None
+        circles, row = _levels(colatitude[off])
+        azimuths, column = _levels(np.where(azimuth[off] > 2.0 * np.pi - _SAME_CIRCLE, 0.0, azimuth[off]))
+        e, a = len(circles), len(azimuths)
+        step = 2.0 * np.pi / max(a, 1)
+        if e < 3 or a < 4 or a % 2 or e * a != len(off):
+            return None
+        if np.any(np.abs(azimuths - azimuths[0] - step * np.arange(a)) > _SAME_CIRCLE):
+            return None
+        index = np.full((e, a), -1)
+        index[row, column] = off
+        if index.min() < 0:
+            return None
+        for at in (0.0, np.pi):
+            for here in np.flatnonzero(pole & (np.abs(colatitude - at) < _SAME)):
+                place = int(np.searchsorted(circles, at))
+                circles, index = np.insert(circles, place, at), np.insert(index, place, here, axis=0)
+        return cls(circles, azimuths[0] + step * np.arange(a), index)
+
+    def through(self, values: NDArray[np.complex128]) -> OnGrid:
+        """Return the function of direction that goes through values (n, u).
+
+        Notes
+        -----
+        Great circles through the poles are closed: colatitudes go on from the pole down the opposite azimuth, to 2 pi
+        (the "double Fourier sphere"; P. E. Merilees, Atmosphere 11 (1), 13-20, 1973). Values are then periodic in both
+        angles, and a periodic cubic spline in each goes through them. A pole that the grid lacks is put in first.
+        """
+        from scipy.interpolate import NdBSpline
+
+        circle, table = _closed(*_with_poles(self.colatitudes, values[self.index]))
+        knots, coefficients = _periodic_spline(circle, np.concatenate([table.real, table.imag], axis=-1))
+        others, coefficients = _periodic_spline(self.azimuths, np.swapaxes(coefficients, 0, 1))
+        spline = NdBSpline((knots, others), np.ascontiguousarray(np.swapaxes(coefficients, 0, 1)), 3)
+        return OnGrid(spline, self.azimuths[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnGrid:
+    """A periodic spline of colatitude and azimuth, which begins at the value told in rad."""
+
+    spline: NdBSpline
+    first_azimuth: float
+
+    def __call__(self, directions: Floats) -> NDArray[np.complex128]:
+        """Return values (m, u) in directions (m, 3), unit vectors."""
+        colatitude, azimuth = _angles(directions)
+        azimuth = self.first_azimuth + (azimuth - self.first_azimuth) % (2.0 * np.pi)
+        return _complex(self.spline(np.column_stack([colatitude, azimuth])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScatterOnSphere:
+    """Radial functions about directions anywhere."""
+
+    functions: RBFInterpolator
+
+    @classmethod
+    def through(cls, directions: Floats, values: NDArray[np.complex128]) -> ScatterOnSphere:
+        """Return the function of direction that goes through values (n, u) in directions (n, 3).
+
+        Notes
+        -----
+        The sum of the cubes of distances to all directions and a linear function: the smoothest of all that go through
+        the values, in the sense of the norm that belongs to the cube (H. Wendland, "Scattered Data Approximation",
+        2005, chapters 8 and 17).
+        """
+        from scipy.interpolate import RBFInterpolator
+
+        return cls(RBFInterpolator(directions, np.concatenate([values.real, values.imag], axis=1), kernel="cubic"))
+
+    def __call__(self, directions: Floats) -> NDArray[np.complex128]:
+        """Return values (m, u) in directions (m, 3), unit vectors."""
+        return _complex(self.functions(directions))
+
+
+def _closed(colatitudes: Floats, down: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:
+    """Return colatitudes (n,) up to 2 pi, and values (n, a, u) that go on from (e, a, u) down the opposite azimuths."""
+    inner = (colatitudes > _SAME) & (colatitudes < np.pi - _SAME)
+    up = np.roll(down, down.shape[1] // 2, axis=1)[inner][::-1]
+    return np.concatenate([colatitudes, 2.0 * np.pi - colatitudes[inner][::-1]]), np.concatenate([down, up])
+
+
+def _with_poles(colatitudes: Floats, down: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:
+    """Return colatitudes and values (e, a, u) with poles: the mean, where they are missing, of what goes over them."""
+    from scipy.interpolate import BSpline
+
+    circle, table = _closed(colatitudes, down)
+    over = BSpline(*_periodic_spline(circle, table), 3)
+    for pole, seen in ((0.0, 2.0 * np.pi), (np.pi, np.pi)):
+        if np.abs(colatitudes - pole).min() > _SAME:
+            place = int(np.searchsorted(colatitudes, pole))
+            colatitudes = np.insert(colatitudes, place, pole)
+            down = np.insert(down, place, over(seen).mean(axis=0), axis=0)
+    return colatitudes, down
+
+
+def _periodic_spline(x: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return knots and coefficients (n + 3, ...) of the cubic spline of period 2 pi through values (n, ...) at x."""
+    from scipy.interpolate import BSpline
+
+    period = 2.0 * np.pi
+    knots = np.concatenate([x[-3:] - period, x, x[:4] + period])
+    matrix = BSpline.design_matrix(x, knots, 3).toarray()
+    matrix[:, :3] += matrix[:, -3:]  # the last three functions are the first ones, a period later
+    found = np.linalg.solve(matrix[:, :-3], values.reshape(len(x), -1)).reshape(values.shape)
+    return knots, np.concatenate([found, found[:3]])
+
+
+def _complex(stacked: Any) -> NDArray[np.complex128]:
+    """Return (m, u) complex from (m, 2 u), real parts first."""
+    half = stacked.shape[1] // 2
+    return np.asarray(stacked[:, :half] + 1j * stacked[:, half:])
+
+
+def _angles(directions: Floats) -> tuple[Floats, Floats]:
+    """Return colatitudes from +z (n,), 0 to pi, and azimuths from +x towards +y (n,), 0 to 2 pi, of unit vectors."""
+    x, y, z = directions.T
+    return np.arctan2(np.hypot(x, y), z), np.arctan2(y, x) % (2.0 * np.pi)
+
+
+def _levels(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return values that differ by more than a grid's tolerance, increasing, and which of them each one is."""
+    order = np.argsort(values)
+    new = np.diff(values[order], prepend=-np.inf) > _SAME_CIRCLE
+    label = np.empty(len(values), dtype=np.intp)
+    label[order] = np.cumsum(new) - 1
+    return values[order][new], label

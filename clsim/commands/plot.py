@@ -1,0 +1,132 @@
+"""`clsim plot`: pictures of the beams of a scene, and of what air absorbs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import Floats, as_number
+from clsim.errors import InputError
+from clsim.output.beam_plots import Beam, air_picture, beams_picture
+from clsim.scene.air import Air
+from clsim.scene.directivity import Directivity, SphericalDirectivity, named_directivity
+from clsim.scene.scene import Source
+from clsim.scene_file import load_scene
+from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
+
+if TYPE_CHECKING:
+    import argparse
+
+    from clsim.scene.scene import Scene
+
+_MOST_CURVES = 5
+_USUAL = (20e3, 40e3, 60e3)  # Hz, of a beam that is known everywhere
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Draw the picture; return the exit status."""
+    if options.output.suffix.lower() != ".png":
+        raise InputError("--output", f"must end in .png, but is {options.output}")
+    if options.picture == "air":
+        air_picture([_air(options, humidity) for humidity in options.humidity], options.output)
+    else:
+        beams_picture(_beams(options), options.output)
+    print(options.output)
+    return 0
+
+
+def _air(options: argparse.Namespace, humidity: float) -> Air:
+    try:
+        return Air(options.temperature, humidity, options.pressure)
+    except InputError as error:
+        named = {"temperature_celsius": "--temperature", "relative_humidity": "--humidity", "pressure": "--pressure"}
+        raise InputError(named[error.field], error.problem) from error
+
+
+def _beams(options: argparse.Namespace) -> list[Beam]:
+    wanted = None if options.frequencies is None else _checked_frequencies(options.frequencies)
+    given = [name for name in ("scene", "name", "table") if getattr(options, name) is not None]
+    if len(given) != 1:
+        raise InputError("plot beam", f"must be given one of SCENE, --name and --table, but is given {len(given)}")
+    if options.end is not None and options.scene is None:
+        raise InputError("--end", f"must come with a scene file, but is {options.end!r:.80}")
+    if options.scene is not None:
+        return _scene_beams(load_scene(options.scene).scene, options.end, wanted)
+    directivity = _read(options)
+    frequencies = _usual_frequencies(directivity) if wanted is None else wanted
+    title = options.name if options.name is not None else options.table.stem
+    return [_checked(Beam(title, directivity, frequencies, Air().sound_speed), "--frequencies")]
+
+
+def _read(options: argparse.Namespace) -> Directivity | SphericalDirectivity:
+    """Return the directivity of a name or of a table's file."""
+    if options.name is not None:
+        try:
+            return named_directivity(options.name, outside="hold" if options.hold else None)
+        except InputError as error:
+            raise InputError(f"--{error.field}", error.problem) from error
+    path, outside = str(options.table), "hold" if options.hold else None
+    try:
+        if options.table.suffix == ".sofa":
+            return SofaModel.model_validate({"kind": "sofa", "path": path, "outside": outside}).build(Path())
+        content = {"kind": "table", "path": path, "rear": options.rear, "scale": options.scale, "outside": outside}
+        return DirectivityTableModel.model_validate(content).build(Path())
+    except InputError as error:
+        raise error.within("--table") from error
+
+
+def _scene_beams(scene: Scene, end: str | None, wanted: Floats | None) -> list[Beam]:
+    """Return the beams of a scene's sources and receivers, or of one of them."""
+    ends = [item for _, item in scene.named_ends()]
+    chosen = [item for item in ends if end is None or item.name == end]
+    if not chosen:
+        names = ", ".join(repr(item.name) for item in ends)
+        raise InputError("--end", f"must be one of {names:.200}, but is {end!r:.80}")
+    heard = wanted if wanted is not None else _heard_frequencies(scene)
+    beams = []
+    for item in chosen:
+        frequencies = heard
+        if wanted is None:  # those of the sources that the beam is known at
+            low, high = item.directivity.band
+            frequencies = heard[(heard >= low) & (heard <= high)]
+            if not len(frequencies):
+                frequencies = _usual_frequencies(item.directivity)
+        what = "source" if isinstance(item, Source) else "receiver"
+        beam = Beam(f"{what} {item.name}", item.directivity, frequencies, scene.air.sound_speed)
+        beams.append(_checked(beam, f"--frequencies (for {item.name})"))
+    return beams
+
+
+def _heard_frequencies(scene: Scene) -> Floats:
+    """Return the ends and the centres of what the sources emit, Hz."""
+    found = set()
+    for source in scene.sources:
+        emitted = source.emitted
+        found |= {*emitted.band(), emitted.centre_frequency}
+    kept: Floats = np.array(sorted({float(f"{f:.3g}") for f in found if f > 0.0}))
+    return np.asarray(kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST_CURVES)).round().astype(int)])
+
+
+def _usual_frequencies(directivity: Directivity | SphericalDirectivity) -> Floats:
+    """Return frequencies spread over a beam's band, Hz."""
+    low, high = directivity.band
+    if math.isinf(high):
+        table = getattr(directivity, "frequencies", None)
+        if table is None:
+            return np.array(_USUAL)
+        low, high = float(table[0]), float(table[-1])
+    return np.unique(np.linspace(low, high, _MOST_CURVES))
+
+
+def _checked_frequencies(given: list[float]) -> Floats:
+    return np.array([as_number("--frequencies", f, above=0.0, at_most=50e6, unit="Hz") for f in given])
+
+
+def _checked(beam: Beam, field: str) -> Beam:
+    low, high = beam.directivity.band
+    for f in beam.frequencies[(beam.frequencies < low) | (beam.frequencies > high)][:1]:
+        raise InputError(field, f"must lie within the table, {low:.6g} to {high:.6g} Hz, but has {f:.6g} Hz")
+    return beam

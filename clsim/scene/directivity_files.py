@@ -1,0 +1,121 @@
+"""Angles, frequencies and values from text, NumPy and MATLAB files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+
+    from clsim.arrays import Floats
+
+_SEPARATORS = ("\t", ";", ",")  # a comma may be part of a number where one of the others separates
+
+
+def read_csv_table(field: str, path: str | PathLike[str]) -> tuple[Floats, Floats, Floats]:
+    """Return angles (a,), frequencies (f,) and values (a, f) of a text file.
+
+    Parameters
+    ----------
+    field : str
+        Name used in errors.
+    path : path-like
+        First row: any word, then frequencies. Other rows: the angle, then a value for each frequency.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a row is no such row; the message names the line.
+    """
+    try:
+        text = Path(path).read_text("utf-8-sig")
+    except OSError as error:
+        raise InputError(field, f"cannot be read: {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(field, f"must be a text file, but is not: {path}") from error
+    lines = [(n, line.strip()) for n, line in enumerate(text.splitlines(), start=1)]
+    lines = [(n, line) for n, line in lines if line and not line.startswith("#")]
+    if len(lines) < 2:
+        raise InputError(
+            field, f"must hold a row of frequencies and rows of values, but holds {len(lines)} rows: {path}"
+        )
+    separator = next((s for s in _SEPARATORS if s in lines[0][1]), ",")
+    rows: list[list[float]] = []
+    for n, line in lines:
+        cells = [cell.strip() for cell in line.split(separator)]
+        if rows and len(cells) != len(rows[0]) + 1:
+            raise InputError(
+                field,
+                f"must have a value for each of {len(rows[0])} frequencies, but line {n} has {len(cells) - 1}: {path}",
+            )
+        try:
+            numbers = [float(c if separator == "," else c.replace(",", ".")) for c in (cells if rows else cells[1:])]
+        except ValueError as error:
+            raise InputError(field, f"must hold numbers, but line {n} is {line!r:.80}: {path}") from error
+        if not numbers:
+            raise InputError(field, f"must begin with a row of frequencies, but line {n} is {line!r:.80}: {path}")
+        rows.append(numbers)
+    table = np.array(rows[1:])
+    return table[:, 0], np.array(rows[0]), table[:, 1:]
+
+
+def read_npz_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tuple[Any, Any, Any]:
+    """Return three arrays of a NumPy file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or lacks one.
+    """
+    try:
+        with Path(path).open("rb") as stream:  # np.load leaves a broken file open
+            file = np.load(stream, allow_pickle=False)
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise InputError("path", f"must be a .npz file of several arrays, but is one array: {path}")
+            return _picked(file, names, path)
+    except OSError as error:
+        raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
+    except InputError:
+        raise
+    except Exception as error:  # whatever a parser meets in a broken file
+        raise InputError("path", f"must be a .npz file of numbers, but is not: {path}") from error
+
+
+def read_mat_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tuple[Any, Any, Any]:
+    """Return three variables of a MATLAB file, vectors as (n,).
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or lacks one.
+    """
+    from scipy.io import loadmat
+
+    if not Path(path).is_file():
+        raise InputError("path", f"cannot be read: {path}: no such file")
+    try:
+        angles, frequencies, values = _picked(loadmat(path, appendmat=False), names, path)
+    except NotImplementedError as error:
+        raise InputError("path", f"must be a MATLAB file up to version 7.2; save it with -v7: {path}") from error
+    except OSError as error:
+        raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
+    except InputError:
+        raise
+    except Exception as error:  # whatever a parser meets in a broken file
+        raise InputError("path", f"must be a MATLAB file, but is not: {path}") from error
+    return np.ravel(angles), np.ravel(frequencies), values
+
+
+def _picked(file: Mapping[str, Any], names: tuple[str, str, str], path: str | PathLike[str]) -> tuple[Any, Any, Any]:
+    there = sorted(name for name in file if not name.startswith("__"))
+    for what, name in zip(("angles", "frequencies", "values"), names, strict=True):
+        if name not in there:
+            raise InputError(what, f"must be one of {', '.join(map(repr, there))[:200]}, but is {name!r:.80}: {path}")
+    angles, frequencies, values = (np.asarray(file[name]) for name in names)
+    return angles, frequencies, values

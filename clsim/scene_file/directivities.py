@@ -1,0 +1,119 @@
+"""Tables of directivities."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from clsim.errors import InputError
+from clsim.scene.directivity import (
+    Cardioid,
+    Directivity,
+    Omni,
+    Piston,
+    SphericalDirectivity,
+    named_directivity,
+)
+from clsim.scene.directivity_table import DirectivityTable
+from clsim.scene.spherical_table import SphericalTable
+from clsim.scene_file.model import Model
+
+
+class OmniModel(Model):
+    """The same in every direction."""
+
+    kind: Literal["omni"] = "omni"
+
+    def build(self, base: Path) -> Directivity:
+        """Return what it says."""
+        return Omni()
+
+
+class _Cardioid(Model):
+    kind: Literal["cardioid"]
+    weight: float = 0.5
+
+    def build(self, base: Path) -> Directivity:
+        return Cardioid(self.weight)
+
+
+class _Piston(Model):
+    kind: Literal["piston"]
+    radius: float
+
+    def build(self, base: Path) -> Directivity:
+        return Piston(self.radius)
+
+
+class _Named(Model):
+    kind: Literal["named"]
+    name: str
+    outside: Literal["hold"] | None = None
+
+    def build(self, base: Path) -> Directivity:
+        return named_directivity(self.name, self.outside)
+
+
+class DirectivityTableModel(Model):
+    """A file of values by angle and frequency: ``.csv``, ``.txt``, ``.npz`` or ``.mat``."""
+
+    kind: Literal["table"]
+    path: str
+    phases_path: str | None = None
+    scale: Literal["linear", "db"] | None = None
+    angles: str | None = None
+    frequencies: str | None = None
+    values: str | None = None
+    rear: Literal["hold", "mirror", "zero"] | None = None
+    side: Literal["positive", "negative", "mean"] | None = None
+    outside: Literal["hold"] | None = None
+    relative_to_axis: bool = False
+
+    def build(self, base: Path) -> Directivity:
+        """Return what it says."""
+        path = base / self.path
+        options: dict[str, Any] = {
+            name: getattr(self, name) for name in ("rear", "side", "outside", "relative_to_axis")
+        } | {"name": path.stem}
+        names = {
+            name: getattr(self, name) for name in ("angles", "frequencies", "values") if getattr(self, name) is not None
+        }
+        suffix = path.suffix.lower()
+        if suffix in (".csv", ".txt"):
+            for name in names:
+                raise InputError(
+                    name, f"must be left out for text files, whose layout is fixed, but is {names[name]!r}"
+                )
+            phases = None if self.phases_path is None else base / self.phases_path
+            return DirectivityTable.from_csv(path, phases, self.scale or "db", **options)
+        if suffix not in (".npz", ".mat"):
+            raise InputError("path", f"must end in .csv, .txt, .npz or .mat, but is {self.path!r:.80}")
+        if self.phases_path is not None:
+            raise InputError("phases_path", f"must be left out for {suffix} files, which can hold complex values")
+        read = DirectivityTable.from_npz if suffix == ".npz" else DirectivityTable.from_mat
+        return read(path, self.scale, **names, **options)
+
+
+class SofaModel(Model):
+    """A SOFA file."""
+
+    kind: Literal["sofa"]
+    path: str
+    measurement: int = 0
+    outside: Literal["hold"] | None = None
+    relative_to_axis: bool = False
+
+    def build(self, base: Path) -> SphericalDirectivity:
+        """Return what it says."""
+        path = base / self.path
+        return SphericalTable.from_sofa(
+            path, self.measurement, outside=self.outside, relative_to_axis=self.relative_to_axis, name=path.stem
+        )
+
+
+DirectivityModel = Annotated[
+    OmniModel | _Cardioid | _Piston | _Named | DirectivityTableModel | SofaModel,
+    Field(discriminator="kind"),
+]
