@@ -250,14 +250,18 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
 
     content = file.model.model_dump(exclude_none=True, warnings=False)
     content["render"] |= resolved
-    parts = [content["room"], *content["room"]["obstacles"]]
-    for end in [*content["sources"], *content["receivers"]]:
-        signal = end.get("signal", {})
-        parts += [end["trajectory"], end.get("transducer", {}), signal, signal.get("pulse", {})]
-    for part in parts:
-        if "path" in part:
-            part["path"] = Path(os.path.relpath(file.base / part["path"], folder)).as_posix()
+    _move_paths(content, file.base, folder)
     return tomli_w.dumps(content)
+
+
+def _move_paths(content: Any, base: Path, folder: Path) -> None:
+    """Make every ``path`` that is relative to one folder relative to another, however deep it stands."""
+    parts = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, part in parts:
+        if key == "path" and isinstance(part, str):
+            content[key] = Path(os.path.relpath(base / part, folder)).as_posix()
+        else:
+            _move_paths(part, base, folder)
 
 
 def scene_schema() -> dict[str, Any]:
