@@ -132,8 +132,9 @@ class Material(ReflectingSurface):
 
         Notes
         -----
-        Monotone cubics join real factors over the logarithm of frequency; of complex ones the magnitude likewise, and
-        the unwrapped phase over frequency, so that a delay stays one.
+        Monotone cubics join real factors over the logarithm of frequency. Complex ones first lose their mean delay,
+        which is put back afterwards; of the rest monotone cubics over frequency join real and imaginary parts. So a
+        delay stays one, and a factor may pass through zero.
 
         Examples
         --------

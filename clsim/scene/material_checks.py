@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _LONGEST = 2**17  # samples of an impulse response
 ROUNDING = 1e-9  # by which a magnitude may exceed 1
 _UNCLEAR = 0.75 * math.pi  # rad, step of phase beyond which its direction is a guess
+_FAINT = 0.1  # of the largest magnitude, below which it does not matter
 _NOISE = 0.02  # error of a factor beyond which its noise is told
 
 
@@ -63,9 +64,11 @@ def check_clear_phase(frequencies: Floats, factors: NDArray[Any]) -> None:
     """Warn if the phase turns so far between two frequencies that nobody can tell which way."""
     if factors.dtype.kind != "c":
         return
-    some = np.abs(factors) > 1e-9
-    f, turn = frequencies[some], np.abs(np.diff(np.unwrap(np.angle(factors[some]))))
+    magnitude = np.abs(factors)
+    turn = np.abs(np.angle(factors[1:] * factors[:-1].conj()))
+    turn[np.minimum(magnitude[1:], magnitude[:-1]) < _FAINT * magnitude.max()] = 0.0  # through zero any turn is fair
     for i in np.flatnonzero(turn > _UNCLEAR)[:1]:
+        f = frequencies
         warnings.warn(
             f"factors: the phase turns by {turn[i]:.2f} rad from {f[i]:g} to {f[i + 1]:g} Hz, one way or the other; "
             "give frequencies closer together, or take away the delay",

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
 
-_NOTHING = 1e-9  # of the largest magnitude, below which a value has no phase
 _FEW = 512  # samples of an impulse response that are summed at once
 
 
@@ -103,16 +102,17 @@ class FactorTable:
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
         """Return the factor as a function of frequency.
 
-        A delay is a phase in proportion to frequency, which monotone cubics over frequency keep exactly; magnitudes
-        go over the logarithm of frequency, as absorption does. Neither overshoots.
+        Complex factors lose their mean delay first, so that a delay stays one however coarse the table, and get it
+        back behind. Real and imaginary parts of the rest are joined by monotone cubics: magnitudes and phases would
+        go astray where a factor comes near zero.
         """
         if not self.is_complex:
             return _over_octaves(self.frequencies, self.factors)
-        magnitudes = np.abs(self.factors)
-        magnitude = _over_octaves(self.frequencies, magnitudes)
-        some = magnitudes > _NOTHING * magnitudes.max(initial=1e-300)
-        phase = _smooth(self.frequencies[some], np.unwrap(np.angle(self.factors[some])))
-        return lambda f: magnitude(f) * np.exp(1j * phase(f))
+        turn = _mean_turn(self.frequencies, self.factors)
+        rest = self.factors * np.exp(-1j * turn * self.frequencies)
+        real, imaginary = _smooth(self.frequencies, rest.real), _smooth(self.frequencies, rest.imag)
+        low, high = self.frequencies[0], self.frequencies[-1]
+        return lambda f: (real(f) + 1j * imaginary(f)) * np.exp(1j * turn * np.clip(f, low, high))
 
     def describe(self) -> str:
         """Return what it is."""
@@ -191,6 +191,14 @@ def _band(frequencies: Floats, outside: str | None) -> tuple[float, float]:
     return (0.0, math.inf) if outside == "hold" else (float(frequencies[0]), float(frequencies[-1]))
 
 
+def _mean_turn(frequencies: Floats, factors: NDArray[Any]) -> float:
+    """Return how far the phase turns per Hz, in the mean over the steps of a table, strong ones first."""
+    step = factors[1:] * factors[:-1].conj()
+    weight = np.abs(step)
+    total = float(weight @ np.diff(frequencies))
+    return float(weight @ np.angle(step)) / total if total > 0.0 else 0.0
+
+
 @lru_cache(maxsize=256)
 def _curves(table: AbsorptionTable | FactorTable | ImpedanceTable) -> Callable[[Floats], NDArray[Any]]:
     return table.curves()
@@ -201,7 +209,7 @@ def _smooth(x: Floats, y: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
     from scipy.interpolate import PchipInterpolator
 
     if len(x) < 2:
-        return lambda at: np.full(np.shape(at), y[0] if len(y) else 0.0)
+        return lambda at: np.full(np.shape(at), y[0])
     through = PchipInterpolator(x, y)
     return lambda at: np.asarray(through(np.clip(at, x[0], x[-1])))
 
