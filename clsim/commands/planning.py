@@ -11,13 +11,13 @@ from clsim.commands.console import progress
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.find_paths import find_paths
 from clsim.render.plan import Plan, plan_render
+from clsim.scene.room import Shoebox
 
 if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
+    from clsim.scene.scene import Scene
     from clsim.scene_file import SceneFile
-
-    pass
 
 
 def planned(file: SceneFile, overrides: dict[str, Any]) -> tuple[PathSet, Plan]:
@@ -39,9 +39,23 @@ def planned(file: SceneFile, overrides: dict[str, Any]) -> tuple[PathSet, Plan]:
         name = file.scene.receivers[i].name
         warnings.warn(f"receivers[{i}]: no path reaches {name!r}; it will hear nothing", ClsimWarning, stacklevel=2)
     try:
-        return paths, plan_render(file.scene, paths, **(file.render | overrides))
+        plan = plan_render(file.scene, paths, **(file.render | overrides))
     except InputError as error:
         raise error.within("render") from error
+    _check_materials(file.scene, plan)
+    return paths, plan
+
+
+def _check_materials(scene: Scene, plan: Plan) -> None:
+    """Warn of walls that are not known at the frequencies at which they are rendered, or refuse them."""
+    room = scene.room
+    materials = dict.fromkeys(room.materials if isinstance(room, Shoebox) else room.wall_materials)
+    for material in materials:
+        for emission in plan.emissions:
+            try:
+                material.check_known(emission.basis.nodes)
+            except InputError as error:
+                raise InputError("room", f"frequency {error.problem}") from error
 
 
 def path_table(paths: PathSet, plan: Plan, times: Any) -> PathTable:

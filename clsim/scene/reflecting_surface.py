@@ -137,28 +137,29 @@ class ReflectingSurface:
             raise InputError("cosine", f"must be above 0 and at most 1, but is {_first_bad(cos, usual):g}")
         c = as_number("speed_of_sound", speed_of_sound, above=0.0, unit="m/s")
         shape = np.broadcast_shapes(f.shape, cos.shape)
-        f, cos = self._within_band(f), np.minimum(cos, 1.0)
+        self.check_known(f)
+        f, cos = np.clip(f, *self.model.band), np.minimum(cos, 1.0)
         factor = self.model.factor(f, cos, c)
         if self.roughness:
             factor = factor * coherent_share(self.roughness, f, cos, c)
         factor = factor / np.maximum(np.abs(factor), 1.0)
         return np.array(np.broadcast_to(factor, shape))
 
-    def _within_band(self, frequency: Floats) -> Floats:
-        """Return frequencies moved into the band, with a warning or an error if they were not."""
+    def check_known(self, frequency: ArrayLike) -> None:
+        """Raise an InputError if the material is not known at frequencies in Hz, warn if it is held there."""
+        f = np.asarray(frequency, dtype=np.float64)
         low, high = self.model.band
-        outside = (frequency < low * (1.0 - _ROUNDING)) | (frequency > high * (1.0 + _ROUNDING))
-        if np.any(outside):
-            known = f"known from {low:.6g} to {high:.6g} Hz"
-            if not self.model.beyond:
-                raise InputError(
-                    "frequency",
-                    f"must lie where the material {self._called} is known, {low:.6g} to {high:.6g} Hz, but is "
-                    f"{frequency[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it",
-                )
-            text = f"the material {self._called} is {known}; {self.model.beyond}"
-            warnings.warn(text, ClsimWarning, stacklevel=3)
-        return np.clip(frequency, low, high)
+        outside = (f < low * (1.0 - _ROUNDING)) | (f > high * (1.0 + _ROUNDING))
+        if not np.any(outside):
+            return
+        if not self.model.beyond:
+            raise InputError(
+                "frequency",
+                f"must be from {low:.6g} to {high:.6g} Hz, where the material {self._called} is known, but is "
+                f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it",
+            )
+        text = f"the material {self._called} is known from {low:.6g} to {high:.6g} Hz; {self.model.beyond}"
+        warnings.warn(text, ClsimWarning, stacklevel=3)
 
     @property
     def _called(self) -> str:

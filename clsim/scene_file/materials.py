@@ -12,7 +12,8 @@ from clsim.errors import InputError
 from clsim.scene.material import Material
 from clsim.scene_file.model import Model, within
 
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+# How many there are is checked in our own words; editors are told here.
+Pair = Annotated[list[float], Field(json_schema_extra={"minItems": 2, "maxItems": 2})]
 Complex = float | Pair  # a complex number is written [real, imaginary]
 
 
@@ -30,7 +31,7 @@ class _Table(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Material:
-        return Material.from_table(**self.arguments() | {"factors": _numbers(self.factors)})
+        return Material.from_table(**self.arguments() | {"factors": _numbers("factors", self.factors)})
 
 
 class _Impedance(Model):
@@ -39,7 +40,7 @@ class _Impedance(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Material:
-        return Material.from_impedance(**self.arguments() | {"impedances": _numbers(self.impedances)})
+        return Material.from_impedance(**self.arguments() | {"impedances": _numbers("impedances", self.impedances)})
 
 
 class _Echo(Model):
@@ -116,7 +117,7 @@ class MaterialModel(Model):
             make: partial[Material] = partial(told.build, base)
             return within(way, make)
         try:
-            return Material.named(told) if isinstance(told, str) else Material.from_reflection(_number(told))
+            return Material.named(told) if isinstance(told, str) else Material.from_reflection(_number("", told))
         except InputError as error:  # the constructor's word for it is another
             raise InputError(way, error.problem) from error
 
@@ -136,9 +137,13 @@ def is_material(value: Any) -> bool:
     )
 
 
-def _number(value: float | list[float]) -> float | complex:
-    return complex(*value) if isinstance(value, list) else value
+def _number(field: str, value: float | list[float]) -> float | complex:
+    if not isinstance(value, list):
+        return value
+    if len(value) != 2:
+        raise InputError(field, f"must be a number or [real, imaginary], but is {value!r:.80}")
+    return complex(*value)
 
 
-def _numbers(values: list[float | list[float]]) -> list[float | complex]:
-    return [_number(value) for value in values]
+def _numbers(field: str, values: list[float | list[float]]) -> list[float | complex]:
+    return [_number(f"{field}[{i}]", value) for i, value in enumerate(values)]

@@ -1,7 +1,9 @@
 """The built-in materials: all load, all say where they are from, tables say what was published."""
 
+import json
 import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from clsim.scene.material_library import LIBRARY
 
 TABLES = [name for name, entry in LIBRARY.items() if entry.constructor == "absorption"]
 ESTIMATES = [name for name in LIBRARY if name.startswith("estimated-")]
+DATA = Path(__file__).parents[3] / "shared" / "data" / "materials" / "pyroomacoustics_materials.json"
 OCTAVES = np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3])
 
 
@@ -143,3 +146,18 @@ def test_the_command_tells_errors_in_a_line(arguments, message, capsys):
     assert printed.out == ""
     assert printed.err.count("\n") == 1
     assert message in printed.err
+
+
+@pytest.mark.skipif(not DATA.exists(), reason=f"no real data: {DATA} is missing")
+def test_ninety_published_entries_of_somebody_else_are_materials():
+    content = json.loads(DATA.read_text("utf-8"))
+    entries = [entry for group in content["absorption"].values() for entry in group.values()]
+    assert len(entries) == 90
+    for entry in entries:
+        alpha = np.array(entry["coeffs"])
+        f = np.array(entry.get("center_freqs", content["center_freqs"]))[: len(alpha)]
+        material = Material.from_absorption(f, alpha, entry["description"])
+        np.testing.assert_allclose(material.reflection_at(f) ** 2, 1.0 - alpha, atol=1e-14)
+        between = material.reflection_at(np.geomspace(f[0], f[-1], 300)) ** 2
+        assert between.min() >= (1.0 - alpha).min() - 1e-12
+        assert between.max() <= (1.0 - alpha).max() + 1e-12

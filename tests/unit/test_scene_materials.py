@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+import tomli_w
 
 import clsim
+from clsim.cli import main
 from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
 
 COMPLEX = {"frequencies": [30e3, 50e3], "factors": [[0.5, 0.1], 0.4]}
@@ -87,7 +89,7 @@ def test_a_complex_number_is_a_pair(folder):
         ({"reflection": 0.9, "named": "carpet"}, r"room\.walls: must have one of .* but has reflection and named"),
         ({"reflection": 1.2}, r"room\.walls\.reflection: must be from -1 to 1, but is 1.2"),
         ({"reflection": [0.9, 0.9]}, r"room\.walls\.reflection: must have a magnitude of at most 1, but is 0.9\+0.9j"),
-        ({"reflection": [0.9]}, r"room\.walls\.reflection: "),
+        ({"reflection": [0.9]}, r"room\.walls\.reflection: must be a number or \[real, imaginary\], but is \[0.9\]"),
         ({"reflection": "0.9"}, r"room\.walls\.reflection: must be a valid number"),
         ({"reflection": 0.9, "roughness": 0.2}, r"room\.walls\.roughness: must be at most 0.1 m, but is 0.2 m"),
         ({"reflection": 0.9, "roughness": -1.0}, r"room\.walls\.roughness: must be at least 0 m"),
@@ -98,13 +100,13 @@ def test_a_complex_number_is_a_pair(folder):
         ({"table": COMPLEX | {"frequencies": [50e3, 30e3]}}, r"room\.walls\.table\.frequencies: must increase strictly"),
         ({"table": COMPLEX | {"factors": [0.5]}}, r"room\.walls\.table\.factors: must have the shape 2, but has 1"),
         ({"table": COMPLEX | {"factors": [0.5, [0.9, 0.9]]}}, r"room\.walls\.table\.factors\[1\]: must have a magnitude"),
-        ({"table": COMPLEX | {"factors": [0.5, [0.9]]}}, r"room\.walls\.table\.factors\[1\]: "),
-        ({"table": COMPLEX | {"factors": []}}, r"room\.walls\.table\.factors: "),
+        ({"table": COMPLEX | {"factors": [0.5, [0.9]]}}, r"room\.walls\.table\.factors\[1\]: must be a number or \[real, imaginary\], but is \[0.9\]"),
+        ({"table": COMPLEX | {"factors": []}}, r"room\.walls\.table\.factors: must have the shape 2, but has 0"),
         ({"table": COMPLEX | {"outside": "zero"}}, r"room\.walls\.table\.outside: must be 'hold'"),
         ({"impedance": IMPEDANCE | {"impedances": [1.0, -1.0]}}, r"room\.walls\.impedance\.impedances\[1\]: must have a real part"),
         ({"impulse_response": {"samples": [], "sampling_rate": 1e5}}, r"room\.walls\.impulse_response\.samples: must not be empty"),
         ({"impulse_response": {"samples": [1.2], "sampling_rate": 1e5}}, r"room\.walls\.impulse_response\.samples: must send back no more"),
-        ({"impulse_response": {"samples": [0.2], "sampling_rate": 1e5, "band": [1.0]}}, r"room\.walls\.impulse_response\.band: "),
+        ({"impulse_response": {"samples": [0.2], "sampling_rate": 1e5, "band": [1.0]}}, r"room\.walls\.impulse_response\.band: must have the shape 2, but has 1"),
         ({"wav": {"path": "none.wav"}}, r"room\.walls\.wav\.path: must be a sound file, but there is no file .*none.wav"),
         ({"wav": {"path": "wall.wav", "channel": 1}}, r"room\.walls\.wav\.channel: must be below 1"),
         ({"wav": {"path": "wall.wav", "chanel": 1}}, r"room\.walls\.wav\.chanel: is no known key"),
@@ -154,3 +156,28 @@ def test_all_ways_pass_through_the_checks_of_a_scene_without_warnings(folder):
         warnings.simplefilter("error")
         for way, told in WAYS.items():
             material({way: told}, folder)
+
+
+@pytest.mark.parametrize("command", ["check", "paths", "run"])
+def test_a_material_beyond_its_table_is_told_once(command, folder, capsys, device):
+    content = scene({"default": {"named": "carpet"}, "x_min": {"named": "brick"}, "x_max": {"reflection": 0.5}})
+    file = folder / "scene.toml"
+    file.write_text(tomli_w.dumps(content), "utf-8")
+    more = ["-o", str(folder / "out"), "--no-plots"] if command == "run" else []
+    assert main([command, str(file), *more]) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "the material" in line]
+    assert len(told) == 2
+    for line, name in zip(sorted(told), ("brick", "carpet"), strict=True):
+        assert line.startswith(f"clsim: warning: the material '{name}' is known from 125 to 4000 Hz; outside, the")
+        assert f"'estimated-{name}', an estimate" in line
+
+
+def test_a_table_that_does_not_reach_is_an_error_in_a_line(folder, capsys, device):
+    file = folder / "scene.toml"
+    file.write_text(tomli_w.dumps(scene({"table": {"frequencies": [1e3, 2e3], "factors": [0.5, 0.5]}})), "utf-8")
+    assert main(["check", str(file)]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.endswith(
+        "\nclsim: error: room: frequency must be from 1000 to 2000 Hz, where the material (table of factors) is known, "
+        "but is 40000 Hz; extend it by name (outside=) or give more of it\n"
+    )
