@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 MATERIAL_NAMES = tuple(LIBRARY)
 
+_RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
 _HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
 
 
@@ -187,6 +188,8 @@ class Material(ReflectingSurface):
         given.flags.writeable = False
         for i in np.flatnonzero(given.real < 0.0)[:1]:
             raise InputError(f"impedances[{i}]", f"must have a real part of at least 0 (passive), but is {given[i]:g}")
+        for i in np.flatnonzero(np.abs(given) > _RIGID)[:1]:
+            raise InputError(f"impedances[{i}]", f"must have a magnitude of at most {_RIGID:g}, but is {given[i]:g}")
         return cls(ImpedanceTable(f, given, _outside(outside, "hold")), name)
 
     @classmethod

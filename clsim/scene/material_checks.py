@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 _LONGEST = 2**17  # samples of an impulse response
-ROUNDING = 1e-9  # by which a magnitude may exceed 1
+ROUNDING = 1e-9  # by which a magnitude may exceed 1, and within which frequencies are the same
 _UNCLEAR = 0.75 * math.pi  # rad, step of phase beyond which its direction is a guess
 _FAINT = 0.1  # of the largest magnitude, below which it does not matter
 _NOISE = 0.02  # error of a factor beyond which its noise is told
@@ -27,7 +27,7 @@ def checked_frequencies(value: ArrayLike) -> Floats:
     f = as_floats("frequencies", value, (None,))
     for i in np.flatnonzero(f <= 0.0)[:1]:
         raise InputError(f"frequencies[{i}]", f"must be above 0 Hz, but is {f[i]:g} Hz")
-    for i in np.flatnonzero(np.diff(f) <= 0.0)[:1] + 1:
+    for i in np.flatnonzero(np.diff(f) <= ROUNDING * f[:-1])[:1] + 1:
         raise InputError(
             "frequencies",
             f"must increase strictly, but [{i}] = {f[i]:g} Hz follows [{i - 1}] = {f[i - 1]:g} Hz",

@@ -210,7 +210,8 @@ def _smooth(x: Floats, y: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
 
     if len(x) < 2:
         return lambda at: np.full(np.shape(at), y[0])
-    through = PchipInterpolator(x, y)
+    with np.errstate(over="ignore"):  # of next to nothing over nothing
+        through = PchipInterpolator(x, y)
     return lambda at: np.asarray(through(np.clip(at, x[0], x[-1])))
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Model = ConstantFactor | AbsorptionTable | FactorTable | ImpedanceTable | MeasuredEcho | SolidWall | PorousLayer
 
+_FREQUENCIES = 1e-6, 1e9  # Hz, between which no formula overflows
 _ROUNDING = 1e-9  # by which a cosine may exceed 1, and a frequency the ends of a table
 
 
@@ -105,7 +106,7 @@ class ReflectingSurface:
         Parameters
         ----------
         frequency : array_like (...)
-            Positive, Hz.
+            Hz, 1e-6 to 1e9.
         cosine : array_like (...)
             Cosine of the angle of incidence, to the wall's normal: above 0, at most 1.
         speed_of_sound : float
@@ -128,15 +129,19 @@ class ReflectingSurface:
             If a frequency lies outside a table of absorption; its nearest end is taken. The words depend on the
             material alone, so that a filter for equal warnings shows each once.
         """
-        f = np.asarray(frequency, dtype=np.float64)
-        if not np.all((f > 0.0) & np.isfinite(f)):
-            raise InputError("frequency", f"must be finite and above 0 Hz, but is {_first_bad(f, f > 0.0):g} Hz")
-        cos = np.asarray(cosine, dtype=np.float64)
+        f, cos = _numbers("frequency", frequency), _numbers("cosine", cosine)
+        sane = (f >= _FREQUENCIES[0]) & (f <= _FREQUENCIES[1])
+        if not np.all(sane):
+            low, high = _FREQUENCIES
+            raise InputError("frequency", f"must be from {low:g} to {high:g} Hz, but is {_first_bad(f, sane):g} Hz")
         usual = (cos > 0.0) & (cos <= 1.0 + _ROUNDING)
         if not np.all(usual):
             raise InputError("cosine", f"must be above 0 and at most 1, but is {_first_bad(cos, usual):g}")
-        c = as_number("speed_of_sound", speed_of_sound, above=0.0, unit="m/s")
-        shape = np.broadcast_shapes(f.shape, cos.shape)
+        c = as_number("speed_of_sound", speed_of_sound, at_least=1.0, at_most=1e5, unit="m/s")
+        try:
+            shape = np.broadcast_shapes(f.shape, cos.shape)
+        except ValueError as error:
+            raise InputError("cosine", f"must broadcast with frequency, {f.shape}, but has {cos.shape}") from error
         self.check_known(f)
         f, cos = np.clip(f, *self.model.band), np.minimum(cos, 1.0)
         factor = self.model.factor(f, cos, c)
@@ -166,5 +171,12 @@ class ReflectingSurface:
         return repr(self.name) if self.name else f"({self.describe()})"
 
 
+def _numbers(field: str, value: ArrayLike) -> Floats:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(field, f"must be numbers, but is {value!r:.80}") from error
+
+
 def _first_bad(values: Floats, good: NDArray[np.bool_]) -> float:
-    return float(values[~(good & np.isfinite(values))].flat[0])
+    return float(values[~good].flat[0])

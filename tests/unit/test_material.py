@@ -125,6 +125,7 @@ TABLES = {
     [
         ([1e3, 1e3], [0.1, 0.2], "frequencies"),
         ([2e3, 1e3], [0.1, 0.2], "frequencies"),
+        ([1e3, np.nextafter(1e3, 2e3)], [0.1, 0.2], "frequencies"),
         ([0.0, 1e3], [0.1, 0.2], "frequencies[0]"),
         ([1e3, np.inf], [0.1, 0.2], "frequencies[1]"),
         ([], [], "frequencies"),
@@ -152,6 +153,8 @@ def test_bad_tables_are_refused_by_name(values, frequencies, given, field):
         (lambda: Material.from_table([1e3], [0.1], outside="zero"), r'outside: must be one of "hold", but is \'zero\''),
         (lambda: Material.from_impedance([1e3], [1.0], outside="extend"), r'outside: must be one of "hold"'),
         (lambda: Material.from_impedance([1e3], [-0.1 + 2j]), r"impedances\[0\]: must have a real part of at least 0 \(passive\), but is -0.1\+2j"),
+        (lambda: Material.from_impedance([1e3, 2e3], [1.0, 1e300j]), r"impedances\[1\]: must have a magnitude of at most 1e\+12"),
+        (lambda: Material.from_impulse_response([1e300, 1e308], 192e3), r"samples: must send back no more"),
         (lambda: Material.from_solid(0.0, 3500.0), "density: must be above 0"),
         (lambda: Material.from_solid(2300.0, np.nan), "sound_speed: must be finite"),
         (lambda: Material.from_solid(30.0, 400.0), "density: must be that of a hard solid, .* but that is 12000 Pa s/m"),
@@ -394,9 +397,9 @@ def test_impedances_reflect_by_the_formula(impedance, cosine):
 
 
 def test_the_limits_of_impedances():
-    soft, hard = Material.from_impedance([1e3], [0.0]), Material.from_impedance([1e3], [1e15])
+    soft, hard = Material.from_impedance([1e3], [0.0]), Material.from_impedance([1e3], [1e12])
     np.testing.assert_allclose(soft.reflection_at(1e3, COSINES), -1.0, rtol=EXACT)
-    np.testing.assert_allclose(hard.reflection_at(1e3, COSINES), 1.0, rtol=EXACT)
+    np.testing.assert_allclose(hard.reflection_at(1e3, COSINES), 1.0, rtol=1e-10)  # 2 / (0.03 · 1e12)
     matched = Material.from_impedance([1e3], [2.0])  # at 60 degrees nothing comes back
     assert abs(matched.reflection_at(1e3, 0.5)) < EXACT
 
@@ -511,7 +514,7 @@ def test_roughness_multiplies_by_its_loss(make):
 
 def some_materials() -> st.SearchStrategy[Material]:
     """Return any material that the constructors make, perhaps rough."""
-    f = st.lists(st.floats(50.0, 200e3), min_size=1, max_size=6, unique=True).map(sorted)
+    f = st.lists(st.integers(50, 200_000), min_size=1, max_size=6, unique=True).map(sorted)
     unit = st.builds(lambda r, a: r * cmath.exp(1j * a), st.floats(0.0, 1.0), st.floats(-3.2, 3.2))
     zeta = st.builds(complex, st.floats(0.0, 1e6), st.floats(-1e6, 1e6))
 
@@ -564,7 +567,7 @@ def test_models_are_passive_by_themselves_not_by_being_clipped():
     assert np.abs(Material.from_solid(2300.0, 3500.0).model.factor(f, cosine, 343.2)).max() <= 1.0
 
 
-@pytest.mark.parametrize("frequency", [0.0, -1.0, np.nan, np.inf, [1e3, -2.0]])
+@pytest.mark.parametrize("frequency", [0.0, -1.0, np.nan, np.inf, [1e3, -2.0], 5e-324, 1e300])
 def test_bad_frequencies_are_refused(frequency):
     with pytest.raises(InputError) as error:
         Material.from_reflection(0.5).reflection_at(frequency)
@@ -577,11 +580,24 @@ def test_bad_cosines_are_refused(cosine):
         Material.from_reflection(0.5).reflection_at(40e3, cosine)
 
 
-@pytest.mark.parametrize("speed", [0.0, np.nan, None])
+@pytest.mark.parametrize("speed", [0.0, 1e-300, np.inf, np.nan, None])
 def test_bad_speeds_of_sound_are_refused(speed):
     with pytest.raises(InputError) as error:
         Material.from_reflection(0.5).reflection_at(40e3, 1.0, speed)
     assert error.value.field == "speed_of_sound"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("high",), "frequency: must be numbers, but is 'high'"),
+        ((1e3, "steep"), "cosine: must be numbers, but is 'steep'"),
+        (([1e3, 2e3], [1.0, 1.0, 1.0]), r"cosine: must broadcast with frequency, \(2,\), but has \(3,\)"),
+    ],
+)
+def test_what_is_no_number_or_does_not_broadcast_is_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        Material.from_reflection(0.5).reflection_at(*arguments)
 
 
 def test_frequency_and_angle_broadcast():
