@@ -156,7 +156,7 @@ def coherent_share(rms: float, frequency: ArrayLike, cosine: ArrayLike, speed_of
     ``exp(-2 (k σ cos θ)²)``: J. A. Ogilvy, "Theory of Wave Scattering from Random Rough Surfaces", 1991, chapter 4,
     for heights with a normal distribution, slopes below 1 and roughness without shadows (Kirchhoff's approximation:
     features at least about a wavelength long; finer ones take away less). What is lost is scattered to other
-    directions. With ``k σ cos θ`` above 1 less than 2 % of the energy is left, and the scattered sound is louder.
+    directions: half of the energy where ``k σ cos θ`` is 0.42, 98 % where it is 1.
 
     Examples
     --------
