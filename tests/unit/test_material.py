@@ -444,6 +444,11 @@ def test_the_boundary_layer_takes_its_part():
     np.testing.assert_allclose(wall.reflection_at(40e3, at), (at - layer) / (at + layer), rtol=1e-9)
     assert abs(wall.reflection_at(40e3)) == pytest.approx(0.9962, abs=1e-4)
     assert (wall.is_complex, wall.depends_on_angle) == (True, True)
+    # At 60 degrees sin² is 3/4; 0.4 / sqrt(0.71) is the heat's share.
+    assert layer[1] / layer[0] == pytest.approx(1 + 0.75 * math.sqrt(0.71) / 0.4, rel=1e-12)
+    concrete = Material.from_solid(2300.0, 3500.0)
+    bare = Material.from_solid(2300.0, 3500.0, boundary_layer=False).reflection_at(40e3)
+    np.testing.assert_allclose(concrete.reflection_at(40e3, at), bare * (at - layer) / (at + layer), rtol=EXACT)
 
 
 def test_a_layer_of_air_on_a_wall_is_a_delay():
@@ -451,6 +456,19 @@ def test_a_layer_of_air_on_a_wall_is_a_delay():
     for cosine in COSINES:
         got = backed_layer_reflection(1.0, 1.0, phase, cosine)
         np.testing.assert_allclose(got, np.exp(-2j * phase * cosine), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("ratio", [0.01, 0.05, 1.0])
+def test_miki_in_its_other_form(ratio):
+    """The form with 1000 f / σ, as it is printed too, with its own rounded coefficients."""
+    X = 1000.0 * ratio
+    impedance, index = porous_medium(ratio * 20e3, 20e3)
+    for got, expected in (
+        (impedance - 1, (5.50 - 8.43j) * X**-0.632),
+        (index - 1, (7.81 - 11.41j) * X**-0.618),
+    ):
+        assert got.real == pytest.approx(expected.real, rel=4e-3)
+        assert got.imag == pytest.approx(expected.imag, rel=4e-3)
 
 
 @pytest.mark.parametrize("cosine", COSINES)
