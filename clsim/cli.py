@@ -91,6 +91,16 @@ def _parser() -> argparse.ArgumentParser:
         picture.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the picture (.png)")
         picture.set_defaults(command="plot", picture=name)
 
+    materials = commands.add_parser(
+        "materials", help="list or draw the built-in materials, with sources and uncertainty",
+        description="List the built-in materials, with sources and uncertainty, or draw what they send back.",
+    )  # fmt: skip
+    materials.add_argument("names", nargs="*", metavar="NAME", help="which (default: all)")
+    materials.add_argument("-o", "--output", type=Path, metavar="FILE", help="draw them to this PNG instead")
+    materials.add_argument(
+        "--frequency", type=float, default=40e3, metavar="HZ", help="at which angles are shown (default: 40000)"
+    )
+    materials.set_defaults(command="materials")
     devices = commands.add_parser("devices", help="list the OpenCL devices of this machine")
     devices.set_defaults(command="devices")
     schema = commands.add_parser("schema", help="print the JSON schema of scene files, for editors")

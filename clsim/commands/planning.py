@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from clsim.paths.path_table import PathTable
     from clsim.scene_file import SceneFile
 
-    pass
-
 
 def planned(file: SceneFile, overrides: dict[str, Any]) -> tuple[PathSet, Plan]:
     """Return the paths of a scene file and the plan of rendering them, with overrides of its ``[render]``."""
@@ -41,6 +39,8 @@ def planned(file: SceneFile, overrides: dict[str, Any]) -> tuple[PathSet, Plan]:
     try:
         return paths, plan_render(file.scene, paths, **(file.render | overrides))
     except InputError as error:
+        if error.field.split("[")[0] in ("room", "sources", "receivers"):
+            raise
         raise error.within("render") from error
 
 

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
-    from clsim.scene.material import Material
     from clsim.scene.scene import Scene
 
 _TRAIL = 400  # points of a drawn trajectory
@@ -136,21 +135,13 @@ def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: s
 def _walls(scene: Scene) -> list[ViewedWall]:
     room = scene.room
     mesh = room if isinstance(room, MeshRoom) else MeshRoom.joined([room])
-    names = {id(m): _material_name(m) for m in mesh.wall_materials}
+    names = {id(m): m.name or m.describe() for m in mesh.wall_materials}
     corners = mesh.vertices[mesh.triangles]
     walls = []
     for w, name in enumerate(mesh.wall_names):
         mine = corners[mesh.walls.of_triangle == w]
         walls.append(ViewedWall(name, names[id(mesh.wall_materials[w])], mine, mesh.walls.edges_of(w)))
     return walls
-
-
-def _material_name(material: Material) -> str:
-    if material.name:
-        return material.name
-    if material.reflection is not None:
-        return f"reflection {material.reflection:g}"
-    return "absorption table"
 
 
 def _ends(scene: Scene, times: Floats) -> list[ViewedEnd]:

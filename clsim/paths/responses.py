@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals, PathGroup
     from clsim.scene.directivity import AnyDirectivity
+    from clsim.scene.material import Material
     from clsim.scene.scene import Scene
 
 NEPERS = np.log(10.0) / 20.0  # in one dB
+_GRAZING = 1e-9  # least cosine of an angle of incidence
 
 
 class Responses:
@@ -52,8 +54,10 @@ class Responses:
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
         self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
         self._factors = np.ones((len(materials) + 1, len(frequencies)), dtype=self.dtype)
-        self._factors[:-1] = scene.room.reflections(frequencies)
-        self._factors[self.angular] = 1.0
+        for material in dict.fromkeys(materials):
+            if not material.depends_on_angle:
+                rows = [m is material for m in (*materials, None)]
+                self._factors[rows] = material.reflection_at(known(frequencies, material), 1.0, scene.air.sound_speed)
 
     def walls(self, group: PathGroup) -> Floats | Complexes:
         """Return the product of the factors (P, F) of each path's walls, of those that are the same at every angle."""
@@ -87,7 +91,9 @@ class Responses:
             for wall in np.unique(group.walls[:, bounce][self.angular[group.walls[:, bounce]]]):
                 rows = np.flatnonzero(group.walls[:, bounce] == wall)
                 cosine = np.abs(np.einsum("pti,pi->pt", found.departure[rows], normals[rows]))
-                response[rows] *= scene.room.wall_materials[wall].reflection_at(frequencies, cosine[..., None], c)
+                material = scene.room.wall_materials[wall]
+                angle = np.maximum(cosine, _GRAZING)[..., None]
+                response[rows] *= material.reflection_at(known(frequencies, material), angle, c)
         if not isinstance(source.directivity, Omni):
             towards = seen_from(source.orientation, found.emitted, found.departure)
             response *= beam_gain(source.directivity, towards, frequencies, c)
@@ -148,6 +154,15 @@ def beam_gain(
     directivity: AnyDirectivity, towards: Floats, frequencies: Floats, speed_of_sound: float
 ) -> Floats | Complexes:
     """Return the gain (..., F) of a directivity in directions (..., 3) of its own frame."""
+    f = known(frequencies, directivity)
     if isinstance(directivity, SphericalDirectivity):
-        return directivity.gain_towards(towards[..., None, :], frequencies, speed_of_sound)
-    return directivity.gain(np.clip(towards[..., :1], -1.0, 1.0), frequencies, speed_of_sound)
+        return directivity.gain_towards(towards[..., None, :], f, speed_of_sound)
+    return directivity.gain(np.clip(towards[..., :1], -1.0, 1.0), f, speed_of_sound)
+
+
+def known(frequencies: Floats, thing: Material | AnyDirectivity) -> Floats:
+    """Return the frequencies nearest to given ones at which a material or a beam is known.
+
+    Where a signal is more than next to nothing they are the same: plans see to that.
+    """
+    return np.asarray(np.clip(frequencies, *thing.band))

@@ -30,7 +30,9 @@ BLOCKS = (768, 384, 192, 96)  # samples in a block, divisors of a segment, tried
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 _PRESSURE_BUDGET = 64 * 2**20  # bytes of output held at a time
 DEFAULT_RESPONSE_ERROR_DB = -80.0  # of air, walls and beams over a signal's band
+AT_CENTRE = "centre"  # instead of that error: all of them as at the centre of the signal's band
 EXACT_DB = -100.0  # the same for the reference engine
+_MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, for which walls and beams need not be known
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
 _LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
 _WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
@@ -194,7 +196,7 @@ def plan_render(
     motion: str = "retarded",
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
-    response_error_db: float | None = DEFAULT_RESPONSE_ERROR_DB,
+    response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -229,7 +231,7 @@ def plan_tracks(
     *,
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
-    response_error_db: float | None = DEFAULT_RESPONSE_ERROR_DB,
+    response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -251,7 +253,9 @@ def plan_tracks(
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
     samples = _samples(signals, starts, tracks, rate, duration, ringing)
-    if response_error_db is not None:
+    if response_error_db != AT_CENTRE:
+        if isinstance(response_error_db, str):
+            raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
         as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
     emissions = []
     for i, (signal, start) in enumerate(zip(signals, starts, strict=True)):
@@ -335,23 +339,44 @@ def _basis(
     tracks: Tracks,
     until: float,
     rate: float,
-    error_db: float | None,
+    error_db: float | str,
     engine: str,
 ) -> Basis:
     """Return the functions of frequency that a source's paths need."""
     if not isinstance(tracks, SceneTracks):
         return flat_basis(signal.centre_frequency)
-    floor_db = EXACT_DB if error_db is None else min(error_db, EXACT_DB) if engine == "reference" else error_db
     frequencies, energy = signal.energy_spectrum()
     below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+    main = frequencies[np.searchsorted(below, [_MAIN_SHARE, 1.0 - _MAIN_SHARE])]
+    _check_known(tracks.scene, index, float(main[0]), float(main[1]))
+    floor_db = EXACT_DB if isinstance(error_db, str) or engine == "reference" else error_db
     low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
     low = min(max(low, frequencies[1]), 0.999 * high)
-    if error_db is not None:
+    if not isinstance(error_db, str):
+        floor_db = min(floor_db, error_db)
         band = partial(band_of, low, high, frequencies, energy)
         return scene_basis(tracks, index, band, until, rate, floor_db)
     if is_complex(tracks.scene):
         return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
     return flat_basis(signal.centre_frequency)
+
+
+def _check_known(scene: Scene, source: int, low: float, high: float) -> None:
+    """Refuse, or warn, where walls or beams are not known from `low` to `high` Hz, where a source's signal is."""
+    beams = [(f"sources[{source}]", scene.sources[source].directivity)]
+    beams += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
+    for field, beam in beams:
+        if not (beam.band[0] <= low and high <= beam.band[1]):
+            raise InputError(
+                f"{field}.directivity",
+                f"must cover the signal of source {source}, {low:.0f} to {high:.0f} Hz, but is known from "
+                f'{beam.band[0]:.6g} to {beam.band[1]:.6g} Hz; give more of it, or say outside="hold"',
+            )
+    for material in dict.fromkeys(scene.room.wall_materials):
+        try:
+            material.check_known([low, high])
+        except InputError as error:
+            raise InputError("room", f"{error.field} {error.problem}") from error
 
 
 def _described(emission: Emission) -> str:

@@ -34,7 +34,7 @@ def render(
     motion: str = "retarded",
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
-    response_error_db: float | None = DEFAULT_RESPONSE_ERROR_DB,
+    response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -59,9 +59,9 @@ def render(
     transition : float or "gate"
         Seconds in which a path begins and ends, by a raised cosine centred on the boundary; or at once, which
         splatters.
-    response_error_db : float or None
+    response_error_db : float or "centre"
         Bound on the error of each path's response over the signal's band (air, walls, beams), -120 to -20 dB relative
-        to the strongest arrival. With None all of them are what they are at the centre of the signal's band.
+        to the strongest arrival. With "centre" they are what they are at the centre of the signal's band.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -121,7 +121,7 @@ def render_tracks(
     *,
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
-    response_error_db: float | None = DEFAULT_RESPONSE_ERROR_DB,
+    response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,

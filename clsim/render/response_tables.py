@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.paths.responses import beam_gain, known
 from clsim.scene.directivity import Omni, SphericalDirectivity
 
 if TYPE_CHECKING:
@@ -51,8 +52,11 @@ def beam_table(
     if kind == NONE:
         return np.zeros(0, dtype=np.float32)
     if kind == SPHERICAL:
-        return _sphere(_by_direction(directivity, frequencies, speed_of_sound), len(frequencies), parts)
+        return _sphere(
+            lambda towards: beam_gain(directivity, towards, frequencies, speed_of_sound), len(frequencies), parts
+        )
     assert not isinstance(directivity, SphericalDirectivity)
+    frequencies = known(frequencies, directivity)
     half = CELLS // 2  # two splines: the gain of a piston bends at 90 degrees
     cosine = np.linspace(-1.0, 1.0, CELLS + 1)
     ends = (slice(0, half + 1), slice(half, CELLS + 1))
@@ -69,7 +73,7 @@ def wall_table(material: Material, frequencies: Floats, speed_of_sound: float, p
     """Return the table of a material over the root of the cosine of the angle of incidence, flat."""
     root = np.linspace(0.0, 1.0, CELLS + 1)
     cosine = np.maximum(root, 1e-6)[:, None] ** 2
-    factor = material.reflection_at(frequencies, cosine, speed_of_sound)
+    factor = material.reflection_at(known(frequencies, material), cosine, speed_of_sound)
     return _cubics(root, _shaped(factor, (CELLS + 1, len(frequencies))), parts)
 
 
@@ -89,14 +93,6 @@ def _cubics(place: Floats, values: Floats | Complexes, parts: int) -> NDArray[np
 def _split(values: Floats | Complexes, parts: int) -> Floats:
     """Return real, and imaginary, parts (..., parts, M) of values (..., M)."""
     return np.stack([values.real, values.imag][:parts], axis=-2)
-
-
-def _by_direction(
-    directivity: AnyDirectivity, frequencies: Floats, speed_of_sound: float
-) -> Callable[[Floats], Floats | Complexes]:
-    if isinstance(directivity, SphericalDirectivity):
-        return lambda towards: directivity.gain_towards(towards[..., None, :], frequencies, speed_of_sound)
-    return lambda towards: directivity.gain(towards[..., :1], frequencies, speed_of_sound)
 
 
 def _sphere(gain: Callable[[Floats], Floats | Complexes], count: int, parts: int) -> NDArray[np.float32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,50 +14,10 @@ from clsim.scene.material import Material
 from clsim.scene.mesh_room import MeshRoom
 from clsim.scene.mesh_walls import FLATNESS
 from clsim.scene.room import Shoebox
+from clsim.scene_file.materials import MaterialModel, is_material
 from clsim.scene_file.model import Model, Vector, within
 
 Corners = list[Annotated[list[float], Field(min_length=2, max_length=2)]]
-
-
-class AbsorptionModel(Model):
-    """Absorption coefficients by frequency."""
-
-    frequencies: list[float]
-    coefficients: list[float]
-
-
-class MaterialModel(Model):
-    """One of the ways to say what a wall is made of."""
-
-    reflection: float | None = None
-    named: str | None = None
-    absorption: AbsorptionModel | None = None
-
-    def build(self) -> Material:
-        """Return the material."""
-        given = self.model_dump(exclude_none=True)
-        if len(given) != 1:
-            raise InputError(
-                "", f"must have one of reflection, named, absorption, but has {', '.join(given) or 'none'}"
-            )
-        if self.reflection is not None:
-            factor = self.reflection
-            if not -1.0 <= factor <= 1.0:
-                raise InputError("reflection", f"must be from -1 to 1, but is {factor:g}")
-            return Material.from_reflection(factor)
-        if self.named is not None:
-            try:
-                return Material.named(self.named)
-            except InputError as error:
-                raise InputError("named", error.problem) from error
-        return within("absorption", lambda: Material.from_absorption(**given["absorption"]))
-
-
-def _is_one_material(value: Any) -> bool:
-    """Return whether a table is one material, not materials by name, which are tables themselves."""
-    return not isinstance(value, dict) or all(
-        key == "absorption" or not isinstance(entry, dict) for key, entry in value.items()
-    )
 
 
 class WallsModel(Model):
@@ -70,10 +31,10 @@ class WallsModel(Model):
     z_min: MaterialModel | None = None
     z_max: MaterialModel | None = None
 
-    def build(self) -> dict[str, Material]:
-        """Return the materials."""
+    def build(self, base: Path) -> dict[str, Material]:
+        """Return the materials; paths are relative to `base`."""
         given = {name: material for name, material in self.arguments().items() if material is not None}
-        return {name: within(name, material.build) for name, material in given.items()}
+        return {name: within(name, partial(material.build, base)) for name, material in given.items()}
 
 
 def _walls_kind(value: Any) -> str:
@@ -83,14 +44,14 @@ def _walls_kind(value: Any) -> str:
 
 Materials = Annotated[
     Annotated[MaterialModel, Tag("material")] | Annotated[dict[str, MaterialModel], Tag("materials")],
-    Discriminator(lambda value: "material" if _is_one_material(value) else "materials"),
+    Discriminator(lambda value: "material" if is_material(value) else "materials"),
 ]
 
 
-def _build_materials(materials: MaterialModel | dict[str, MaterialModel]) -> Material | dict[str, Material]:
+def _build_materials(materials: MaterialModel | dict[str, MaterialModel], base: Path) -> Material | dict[str, Material]:
     if isinstance(materials, MaterialModel):
-        return materials.build()
-    return {name: within(name, material.build) for name, material in materials.items()}
+        return materials.build(base)
+    return {name: within(name, partial(material.build, base)) for name, material in materials.items()}
 
 
 class MeshModel(Model):
@@ -105,7 +66,7 @@ class MeshModel(Model):
 
     def build(self, base: Path) -> MeshRoom:
         """Return the mesh."""
-        materials = within("materials", lambda: _build_materials(self.materials))
+        materials = within("materials", lambda: _build_materials(self.materials, base))
         file = base / self.path
         try:
             return MeshRoom.from_file(file, self.scale, self.up, materials, flatness=self.flatness)
@@ -126,7 +87,7 @@ class PlanModel(Model):
 
     def build(self, base: Path) -> MeshRoom:
         """Return the room."""
-        materials = within("materials", lambda: _build_materials(self.materials))
+        materials = within("materials", lambda: _build_materials(self.materials, base))
         return MeshRoom.from_plan(self.outline, self.height, materials, [np.array(p) for p in self.pillars])
 
 
@@ -170,7 +131,7 @@ class ShoeboxRoomModel(_WithObstacles):
     def build(self, base: Path) -> Shoebox | MeshRoom:
         """Return the room."""
         walls: Any = self.walls
-        return self.joined(Shoebox(np.array(self.size), within("walls", walls.build)), base)
+        return self.joined(Shoebox(np.array(self.size), within("walls", partial(walls.build, base))), base)
 
 
 class MeshRoomModel(_WithObstacles, MeshModel):

@@ -14,6 +14,7 @@ from pydantic import Field, ValidationError
 from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.air import Air
 from clsim.scene.scene import Receiver, Scene, Source
@@ -109,7 +110,7 @@ class _Render(Model):
     motion: Literal["retarded", "quasi-static"] = "retarded"
     amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
     transition: float | Literal["gate"] = DEFAULT_TRANSITION
-    response_error_db: float | None = None
+    response_error_db: float | Literal["centre"] = DEFAULT_RESPONSE_ERROR_DB
     engine: Literal["opencl", "reference"] = "opencl"
     device: str | None = None
     duration: float | None = None
@@ -216,14 +217,18 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
 
     content = file.model.model_dump(exclude_none=True, warnings=False)
     content["render"] |= resolved
-    parts = [content["room"], *content["room"]["obstacles"]]
-    for end in [*content["sources"], *content["receivers"]]:
-        signal = end.get("signal", {})
-        parts += [end["trajectory"], end["directivity"], end.get("transducer", {}), signal, signal.get("pulse", {})]
-    for part in parts:
-        for key in {"path", "phases_path"} & part.keys():
-            part[key] = Path(os.path.relpath(file.base / part[key], folder)).as_posix()
+    _move_paths(content, file.base, folder)
     return tomli_w.dumps(content)
+
+
+def _move_paths(content: Any, base: Path, folder: Path) -> None:
+    """Make every ``path`` that is relative to one folder relative to another, however deep it stands."""
+    parts = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, part in parts:
+        if key in ("path", "phases_path") and isinstance(part, str):
+            content[key] = Path(os.path.relpath(base / part, folder)).as_posix()
+        else:
+            _move_paths(part, base, folder)
 
 
 def scene_schema() -> dict[str, Any]:

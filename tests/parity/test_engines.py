@@ -39,7 +39,7 @@ def plan(world: clsim.Scene, order: int = 3, **options) -> Plan:
         clsim.find_paths(world, order),
         RATE,
         duration=options.pop("duration", 0.08),
-        response_error_db=None,
+        response_error_db="centre",
         **options,
     )
 
@@ -55,7 +55,7 @@ def difference_db(got: np.ndarray, wanted: np.ndarray) -> float:
 def reference(world: clsim.Scene, order: int = 3, **options) -> np.ndarray:
     paths = clsim.find_paths(world, order)
     return clsim.render(
-        world, paths, RATE, engine="reference", duration=0.08, response_error_db=None, **options
+        world, paths, RATE, engine="reference", duration=0.08, response_error_db="centre", **options
     ).pressure
 
 

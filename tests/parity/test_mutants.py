@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_responses import Lopsided, OffCentre, Porous, Rough
+from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 from scipy.spatial.transform import Rotation, Slerp
 
 import clsim
@@ -29,7 +29,7 @@ def _walls(phased: bool) -> list[clsim.Material]:
     walls[0] = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
     walls[3] = clsim.Material.from_absorption([20e3, 40e3, 60e3], [0.5, 0.3, 0.2])
     if phased:
-        walls[2], walls[5] = Porous(), Rough()
+        walls[2], walls[5] = POROUS, ROUGH
     return walls
 
 

@@ -1,10 +1,12 @@
-"""Beams and walls that have a phase, no symmetry, or an angle: written down here, independent of clsim's own."""
+"""Beams without symmetry or with a phase, and what walls ought to do: written down here, independent of clsim's own."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 import clsim
+
+_BAND = np.linspace(20e3, 60e3, 401)
 
 
 @dataclass(frozen=True)
@@ -36,27 +38,16 @@ class Lopsided:
         return loud * np.exp(2j * np.pi * turns)
 
 
-class Porous(clsim.Material):
-    """A wall of a complex specific impedance that falls with frequency: its factor depends on the angle."""
-
-    def __init__(self) -> None:
-        super().__init__(0.5, "porous")
-
-    is_complex = property(lambda self: True)
-    depends_on_angle = property(lambda self: True)
-
-    def reflection_at(self, frequency, cosine=1.0, speed_of_sound=343.2):
-        zeta = 3.0 + 2.0j - 1.5j * np.asarray(frequency) / 40e3
-        return (zeta * cosine - 1.0) / (zeta * cosine + 1.0)
+def porous_factor(frequency, cosine):
+    """Return what a wall of a complex specific impedance that changes with frequency sends back."""
+    zeta = 3.0 + 2.0j - 1.5j * np.asarray(frequency) / 40e3
+    return (zeta * cosine - 1.0) / (zeta * cosine + 1.0)
 
 
-class Rough(clsim.Material):
-    """A hard wall whose roughness takes from what it reflects straight on; real."""
+def rough_factor(frequency, cosine, speed_of_sound):
+    """Return what a rough pressure-release wall sends back straight on; real."""
+    return -0.95 * np.exp(-2.0 * (2 * np.pi * np.asarray(frequency) / speed_of_sound * 0.4e-3 * cosine) ** 2)
 
-    def __init__(self) -> None:
-        super().__init__(0.5, "rough")
 
-    depends_on_angle = property(lambda self: True)
-
-    def reflection_at(self, frequency, cosine=1.0, speed_of_sound=343.2):
-        return -0.95 * np.exp(-2.0 * (2 * np.pi * np.asarray(frequency) / speed_of_sound * 0.4e-3 * cosine) ** 2)
+POROUS = clsim.Material.from_impedance(_BAND, 3.0 + 2.0j - 1.5j * _BAND / 40e3, outside="hold", name="porous")
+ROUGH = clsim.Material.from_reflection(-0.95).rough(0.4e-3)

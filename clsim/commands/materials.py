@@ -1,0 +1,43 @@
+"""`clsim materials`: the built-in materials, listed or drawn."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.output.material_plot import reflection_loss, reflection_losses
+from clsim.scene.material import MATERIAL_NAMES, Material
+from clsim.scene.material_library import LIBRARY
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def execute(options: argparse.Namespace) -> int:
+    """List the materials that were named, or all, or draw them; return the exit status."""
+    names = list(dict.fromkeys(options.names)) or list(MATERIAL_NAMES)
+    for name in names:
+        if name not in LIBRARY:
+            raise InputError("NAME", f"must be a built-in material (`clsim materials` lists them), but is {name!r:.80}")
+    if not (np.isfinite(options.frequency) and options.frequency > 0.0):
+        raise InputError("--frequency", f"must be finite and above 0 Hz, but is {options.frequency:g} Hz")
+    materials = [Material.named(name) for name in names]
+    if options.output is not None:
+        reflection_losses(materials, options.output, frequency=options.frequency)
+        print(options.output)
+        return 0
+    print(f"{'name':<27} {'known (Hz)':<14} {f'loss at {options.frequency / 1e3:g} kHz':<17} what")
+    for material in materials:
+        low, high = material.band
+        known = f"{low:g} to {high:g}" if np.isfinite(high) else "all"
+        loss = float(reflection_loss(material, np.array([options.frequency]), np.ones(1))[0]) + 0.0
+        held = "" if low <= options.frequency <= high else " held"
+        print(f"{material.name:<27} {known:<14} {f'{loss:.2f} dB{held}':<17} {LIBRARY[material.name].what}")
+    print("\nsources and uncertainty (tables: of the absorption; estimates: of the factor)")
+    for source in dict.fromkeys(LIBRARY[name].source for name in names):
+        print(f"{source}")
+        for name in (n for n in names if LIBRARY[n].source == source):
+            print(f"  {name}: {LIBRARY[name].uncertainty}")
+    return 0

@@ -1,0 +1,64 @@
+"""The built-in materials: what `material_library.toml` says of them."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+_CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryEntry:
+    """A built-in material.
+
+    Attributes
+    ----------
+    name, what : str
+        What it is called, and what it is.
+    source, uncertainty : str
+        Where it is from, and how sure.
+    constructor, arguments : str, dict
+        The constructor of `Material` that makes it, without ``from_``, and its arguments.
+    roughness : float
+        Root mean square of its heights, m.
+    beyond : str
+        What happens outside its table.
+    """
+
+    name: str
+    what: str
+    source: str
+    uncertainty: str
+    constructor: str
+    arguments: dict[str, Any]
+    roughness: float
+    beyond: str
+
+    @property
+    def estimated(self) -> bool:
+        """Whether it is calculated from assumed properties."""
+        return self.name.startswith("estimated-")
+
+
+def _read(path: Path) -> dict[str, LibraryEntry]:
+    content = tomllib.loads(path.read_text("utf-8"))
+    library = {}
+    for name, row in content["materials"].items():
+        constructor = next(key for key in _CONSTRUCTORS if key in row)
+        argument = _CONSTRUCTORS[constructor]
+        arguments = {argument: row[constructor]} if argument else row[constructor]
+        if constructor == "absorption":
+            arguments |= {"frequencies": content["octaves"]}
+        instead = row.get("ultrasound")
+        advice = f"for ultrasound there is {instead!r}, an estimate" if instead else "measure it for ultrasound"
+        library[name] = LibraryEntry(
+            name, row["what"], content["sources"][row["source"]], row["uncertainty"], constructor, arguments,
+            row.get("roughness", 0.0), f"outside, the absorption at the nearest end is taken; {advice}",
+        )  # fmt: skip
+    return library
+
+
+LIBRARY = _read(Path(__file__).with_suffix(".toml"))

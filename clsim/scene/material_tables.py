@@ -1,0 +1,221 @@
+"""Walls of which factors are told or measured: a number, tables by frequency, an impulse response."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.reflection import reflection_from_absorption, reflection_from_impedance
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+
+_FEW = 512  # samples of an impulse response that are summed at once
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantFactor:
+    """One factor, real or complex, at every frequency and angle."""
+
+    value: float | complex
+
+    band = (0.0, math.inf)
+    beyond = ""
+    depends_on_angle = False
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether it has a phase."""
+        return isinstance(self.value, complex)
+
+    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return the factor, once per frequency."""
+        return np.full(frequency.shape, self.value)
+
+    def describe(self) -> str:
+        """Return the factor."""
+        return f"reflection {self.value:g}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AbsorptionTable:
+    """Absorption coefficients at increasing frequencies in Hz; outside, the nearest end is held with a warning."""
+
+    frequencies: Floats
+    coefficients: Floats
+    beyond: str = "outside, the absorption at the nearest end is taken"
+
+    is_complex = False
+    depends_on_angle = False
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Known where the table is."""
+        return float(self.frequencies[0]), float(self.frequencies[-1])
+
+    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return real factors by frequency."""
+        return np.asarray(reflection_from_absorption(np.clip(_curves(self)(frequency), 0.0, 1.0)))
+
+    def curves(self) -> Callable[[Floats], NDArray[Any]]:
+        """Return the absorption as a function of frequency."""
+        return _over_octaves(self.frequencies, self.coefficients)
+
+    def describe(self) -> str:
+        """Return what it is."""
+        return "absorption table"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FactorTable:
+    """Factors, real or complex, at increasing frequencies in Hz; outside, refused (None) or held by name."""
+
+    frequencies: Floats
+    factors: NDArray[Any]
+    outside: str | None
+
+    beyond = ""
+    depends_on_angle = False
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether factors have a phase."""
+        return self.factors.dtype.kind == "c"
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Known where the table is, or everywhere by name."""
+        return _band(self.frequencies, self.outside)
+
+    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return factors by frequency."""
+        return _curves(self)(frequency)
+
+    def curves(self) -> Callable[[Floats], NDArray[Any]]:
+        """Return the factor as a function of frequency.
+
+        Complex factors lose their mean delay first, so that a delay stays one however coarse the table, and get it
+        back behind. Real and imaginary parts of the rest are joined by monotone cubics: magnitudes and phases would
+        go astray where a factor comes near zero.
+        """
+        if not self.is_complex:
+            return _over_octaves(self.frequencies, self.factors)
+        turn = _mean_turn(self.frequencies, self.factors)
+        rest = self.factors * np.exp(-1j * turn * self.frequencies)
+        real, imaginary = _smooth(self.frequencies, rest.real), _smooth(self.frequencies, rest.imag)
+        low, high = self.frequencies[0], self.frequencies[-1]
+        return lambda f: (real(f) + 1j * imaginary(f)) * np.exp(1j * turn * np.clip(f, low, high))
+
+    def describe(self) -> str:
+        """Return what it is."""
+        return "complex table" if self.is_complex else "table of factors"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImpedanceTable:
+    """Specific impedances over that of air, at increasing frequencies in Hz, of a locally reacting wall."""
+
+    frequencies: Floats
+    impedances: NDArray[np.complex128]
+    outside: str | None
+
+    beyond = ""
+    is_complex = True
+    depends_on_angle = True
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Known where the table is, or everywhere by name."""
+        return _band(self.frequencies, self.outside)
+
+    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return complex factors by frequency and angle."""
+        return reflection_from_impedance(_curves(self)(frequency), cosine)
+
+    def curves(self) -> Callable[[Floats], NDArray[Any]]:
+        """Return the impedance as a function of frequency; monotone cubics keep its real part above 0."""
+        resistance = _over_octaves(self.frequencies, self.impedances.real)
+        reactance = _over_octaves(self.frequencies, self.impedances.imag)
+        return lambda f: resistance(f) + 1j * reactance(f)
+
+    def describe(self) -> str:
+        """Return what it is."""
+        return "locally reacting impedance"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredEcho:
+    """Impulse response of a reflection: samples, their rate in Hz, the index that is 0 s, the band in Hz."""
+
+    samples: Floats
+    sampling_rate: float
+    reference: float
+    measured: tuple[float, float]
+    outside: str | None
+
+    beyond = ""
+    is_complex = True
+    depends_on_angle = False
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Known where it was measured, or everywhere by name."""
+        return self.measured if self.outside is None else (0.0, math.inf)
+
+    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return the spectrum at frequencies, ``sum h[n] exp(-2j π f (n - reference) / sampling_rate)``."""
+        f, back = np.unique(np.clip(frequency, *self.measured), return_inverse=True)
+        turn = -2j * np.pi * f / self.sampling_rate  # per sample
+        # A long sum as a short sum of short ones: few exponentials, and a product of matrices.
+        rows = np.pad(self.samples, (0, -len(self.samples) % _FEW)).reshape(-1, _FEW)
+        spectrum = np.zeros(len(f), dtype=np.complex128)
+        for part in np.array_split(np.arange(len(f)), max(1, len(f) // 512)):
+            short = np.exp(turn[part, None] * np.arange(_FEW)) @ rows.T
+            spectrum[part] = (short * np.exp(turn[part, None] * _FEW * np.arange(len(rows)))).sum(axis=1)
+        return np.asarray((spectrum * np.exp(-turn * self.reference))[back].reshape(frequency.shape))
+
+    def describe(self) -> str:
+        """Return what it is."""
+        return f"impulse response of {len(self.samples)} samples"
+
+
+def _band(frequencies: Floats, outside: str | None) -> tuple[float, float]:
+    return (0.0, math.inf) if outside == "hold" else (float(frequencies[0]), float(frequencies[-1]))
+
+
+def _mean_turn(frequencies: Floats, factors: NDArray[Any]) -> float:
+    """Return how far the phase turns per Hz, in the mean over the steps of a table, strong ones first."""
+    step = factors[1:] * factors[:-1].conj()
+    weight = np.abs(step)
+    total = float(weight @ np.diff(frequencies))
+    return float(weight @ np.angle(step)) / total if total > 0.0 else 0.0
+
+
+@lru_cache(maxsize=256)
+def _curves(table: AbsorptionTable | FactorTable | ImpedanceTable) -> Callable[[Floats], NDArray[Any]]:
+    return table.curves()
+
+
+def _smooth(x: Floats, y: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
+    """Return monotone cubics through points, which overshoot none of them; held at the ends."""
+    from scipy.interpolate import PchipInterpolator
+
+    if len(x) < 2:
+        return lambda at: np.full(np.shape(at), y[0])
+    with np.errstate(over="ignore"):  # of next to nothing over nothing
+        through = PchipInterpolator(x, y)
+    return lambda at: np.asarray(through(np.clip(at, x[0], x[-1])))
+
+
+def _over_octaves(frequencies: Floats, values: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
+    """Return monotone cubics over the logarithm of frequency."""
+    curve = _smooth(np.log(frequencies), values)
+    return lambda f: curve(np.log(f))

@@ -1,0 +1,149 @@
+"""Tables of what walls are made of."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from clsim.errors import InputError
+from clsim.scene.material import Material
+from clsim.scene_file.model import Model, within
+
+# How many there are is checked in our own words; editors are told here.
+Pair = Annotated[list[float], Field(json_schema_extra={"minItems": 2, "maxItems": 2})]
+Complex = float | Pair  # a complex number is written [real, imaginary]
+
+
+class _Absorption(Model):
+    frequencies: list[float]
+    coefficients: list[float]
+
+    def build(self, base: Path) -> Material:
+        return Material.from_absorption(**self.arguments())
+
+
+class _Table(Model):
+    frequencies: list[float]
+    factors: list[Complex]
+    outside: Literal["hold"] | None = None
+
+    def build(self, base: Path) -> Material:
+        return Material.from_table(**self.arguments() | {"factors": _numbers("factors", self.factors)})
+
+
+class _Impedance(Model):
+    frequencies: list[float]
+    impedances: list[Complex]
+    outside: Literal["hold"] | None = None
+
+    def build(self, base: Path) -> Material:
+        return Material.from_impedance(**self.arguments() | {"impedances": _numbers("impedances", self.impedances)})
+
+
+class _Echo(Model):
+    reference: float = 0.0
+    band: Pair | None = None
+    outside: Literal["hold"] | None = None
+    tolerance: float = 0.05
+
+
+class _ImpulseResponse(_Echo):
+    samples: list[float]
+    sampling_rate: float
+
+    def build(self, base: Path) -> Material:
+        return Material.from_impulse_response(**self.arguments())
+
+
+class _ImpulseResponseFile(_Echo):
+    path: str
+    channel: int = 0
+    scale: float = 1.0
+
+    def build(self, base: Path) -> Material:
+        return Material.from_wav(**self.arguments() | {"path": base / self.path})
+
+
+class _Solid(Model):
+    density: float
+    sound_speed: float
+    boundary_layer: bool = True
+
+    def build(self, base: Path) -> Material:
+        return Material.from_solid(**self.arguments())
+
+
+class _Porous(Model):
+    flow_resistivity: float
+    thickness: float
+    outside: Literal["extend"] | None = None
+
+    def build(self, base: Path) -> Material:
+        return Material.from_porous(**self.arguments())
+
+
+class MaterialModel(Model):
+    """One of the ways to say what a wall is made of, and how rough it is (m)."""
+
+    reflection: Complex | None = None
+    named: str | None = None
+    absorption: _Absorption | None = None
+    table: _Table | None = None
+    impedance: _Impedance | None = None
+    impulse_response: _ImpulseResponse | None = None
+    wav: _ImpulseResponseFile | None = None
+    solid: _Solid | None = None
+    porous: _Porous | None = None
+    roughness: float = 0.0
+
+    def build(self, base: Path) -> Material:
+        """Return the material; paths are relative to `base`."""
+        ways = [name for name in type(self).model_fields if name != "roughness"]
+        given = [name for name in ways if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError("", f"must have one of {', '.join(ways)}, but has {' and '.join(given) or 'none of them'}")
+        material = self._built(given[0], base)
+        try:
+            return material.rough(self.roughness) if self.roughness else material
+        except InputError as error:
+            raise InputError("roughness", error.problem) from error
+
+    def _built(self, way: str, base: Path) -> Material:
+        told = getattr(self, way)
+        if not isinstance(told, str | float | list):
+            make: partial[Material] = partial(told.build, base)
+            return within(way, make)
+        try:
+            return Material.named(told) if isinstance(told, str) else Material.from_reflection(_number("", told))
+        except InputError as error:  # the constructor's word for it is another
+            raise InputError(way, error.problem) from error
+
+
+_WORDS = frozenset(MaterialModel.model_fields)
+
+
+def is_material(value: Any) -> bool:
+    """Return whether a table is one material, not materials by name, which are tables themselves.
+
+    A material's own tables (``absorption``, ``solid`` ...) could be names of groups in a mesh as well: what stands in
+    them tells.
+    """
+    return not isinstance(value, dict) or all(
+        not isinstance(entry, dict) or (key in MaterialModel.model_fields and not entry.keys() & _WORDS)
+        for key, entry in value.items()
+    )
+
+
+def _number(field: str, value: float | list[float]) -> float | complex:
+    if not isinstance(value, list):
+        return value
+    if len(value) != 2:
+        raise InputError(field, f"must be a number or [real, imaginary], but is {value!r:.80}")
+    return complex(*value)
+
+
+def _numbers(field: str, values: list[float | list[float]]) -> list[float | complex]:
+    return [_number(f"{field}[{i}]", value) for i, value in enumerate(values)]
