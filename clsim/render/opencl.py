@@ -15,7 +15,7 @@ from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
 from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan
-from clsim.render.silence import Sounding, sounding
+from clsim.render.silence import CELL, Sounding, sounding
 from clsim.render.slots import Active, Slots, fill_slots
 from clsim.render.tracks import SceneTracks
 
@@ -176,18 +176,24 @@ class OpenclEngine:
         if not np.any(streams):
             return None
         out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * int(emission.rows[-1]) * stride)
+        found = sounding(streams, before, after)
+        sparse = self.skips_silence and found.pays
+        if sparse:
+            cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, out.size)
+        following = self._upload(found.following)
         for bank, row, stream in zip(emission.banks, emission.rows, streams, strict=False):
             rows, taps = bank.taps.shape
-            kernel = self._compiler.kernel("branches", {"LANES": self._layout.lanes, "TAPS": taps})
+            constants = {"LANES": self._layout.lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(sparse)}
+            kernel = self._compiler.kernel("branches", constants)
             emitted = np.zeros(stride + taps + channel, dtype=np.float32)
             here = stream[before - _taps_before(bank) : before + width + _taps_after(bank)]
             emitted[: len(here)] = here
             kernel(
                 self._queue, (width // channel, rows), None, self._upload(emitted),
                 self._upload(bank.taps.astype(np.float32)), np.int32(stride), np.int32(row), out,
+                following,
             )  # fmt: skip
-        found = sounding(streams, before, after)
-        return _Branches(out, stride, first, least, most, found if self.skips_silence and found.pays else None)
+        return _Branches(out, stride, first, least, most, found if sparse else None)
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)

@@ -260,8 +260,9 @@ def plan_tracks(
     emissions = []
     for i, (signal, start) in enumerate(zip(signals, starts, strict=True)):
         signal = signal.at_rate(rate)
-        high, removed_db, bank = _delay_filters(i, signal, interpolator, tracks, rate)
-        basis = _basis(i, signal, high, tracks, samples / rate, rate, response_error_db, engine)
+        spectrum = signal.energy_spectrum()
+        high, removed_db, bank = _delay_filters(i, spectrum, interpolator, tracks, rate)
+        basis = _basis(i, signal, spectrum, high, tracks, samples / rate, rate, response_error_db, engine)
         banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
         emissions.append(Emission(signal, start, banks, basis, high, removed_db))
     draft = Plan(tracks, tuple(emissions), interpolator, rate, samples, SEGMENT, engine, device)
@@ -311,13 +312,13 @@ def _samples(
 
 
 def _delay_filters(
-    index: int, signal: Signal, interpolator: Interpolator, tracks: Tracks, rate: float
+    index: int, spectrum: tuple[Floats, Floats], interpolator: Interpolator, tracks: Tracks, rate: float
 ) -> tuple[float, float, Bank]:
     """Return the end of the band that matters, the share above it in dB, and the filters for band and speed."""
     field, max_rate = f"signals[{index}]", tracks.max_rate(index)
     widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
     floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
-    band, removed_db = _occupied_band(signal, widest, floor_db - 6.0)
+    band, removed_db = _occupied_band(spectrum, widest, floor_db - 6.0)
     bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
@@ -335,6 +336,7 @@ def _delay_filters(
 def _basis(
     index: int,
     signal: Signal,
+    spectrum: tuple[Floats, Floats],
     high: float,
     tracks: Tracks,
     until: float,
@@ -345,8 +347,10 @@ def _basis(
     """Return the functions of frequency that a source's paths need."""
     if not isinstance(tracks, SceneTracks):
         return flat_basis(signal.centre_frequency)
-    frequencies, energy = signal.energy_spectrum()
+    frequencies, energy = spectrum
     below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+    if not energy.any():  # silence needs nothing
+        return flat_basis(signal.centre_frequency)
     main = frequencies[np.searchsorted(below, [_MAIN_SHARE, 1.0 - _MAIN_SHARE])]
     _check_known(tracks.scene, index, float(main[0]), float(main[1]))
     floor_db = EXACT_DB if isinstance(error_db, str) or engine == "reference" else error_db
@@ -393,9 +397,9 @@ def _described(emission: Emission) -> str:
     )
 
 
-def _occupied_band(signal: Signal, widest: float, share_db: float) -> tuple[float, float]:
+def _occupied_band(spectrum: tuple[Floats, Floats], widest: float, share_db: float) -> tuple[float, float]:
     """Return the highest frequency that matters, and the share of energy above it in dB."""
-    frequencies, energy = signal.energy_spectrum()
+    frequencies, energy = spectrum
     total = float(energy.sum())
     if total <= 0.0:
         return 0.5 * widest, -math.inf

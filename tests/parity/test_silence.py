@@ -39,7 +39,7 @@ def box_plan(signal: clsim.Signal, order: int = 4, **options) -> Plan:
 
 def pillar_plan() -> Plan:
     source = clsim.Source("s", pulses(0.05, 10), around((3.0, 2.0, 1.2), 1.5, 2.0))
-    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((5.2, 3.4, 1.4)))]
+    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((6.2, 4.4, 1.4)))]
     scene = clsim.Scene(clsim.MeshRoom(*pillar_room(), WALL), clsim.Air(), [source], ears)
     return plan_render(scene, clsim.find_paths(scene, 2), RATE, duration=0.5)
 
@@ -95,7 +95,8 @@ def test_cells_are_those_that_filters_hear(rng: np.random.Generator) -> None:
 
 MUTANTS = {
     "bounds too narrow": ("tracks", "cell_at(s, start - longest)] <=", "cell_at(s, start - longest + 200.0)] <="),
-    "first group too late": ("tracks", "* CELL - start + shortest", "* CELL - start + longest + 40.0"),
+    "first group too late": ("tracks", "* CELL - start + shortest;\n    const double end", "* CELL - start + longest + 40.0;\n    const double end"),
+    "next block too late": ("tracks", "* CELL - start + shortest;\n    return", "* CELL - start + longest + 800.0;\n    return"),
     "last group too early": ("tracks", "+ 1) * CELL - start + longest", "+ 1) * CELL - start + shortest - 40.0"),
     "cells before the origin": ("tracks", "s->origin + (double)block * BLOCK;\n    return", "(double)block * BLOCK;\n    return"),
     "last node forgotten": ("tracks", "solved = block + 3;", "solved = block + 4;"),
