@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.render.plan import Emission, Plan
+    from clsim.render.emission import Emission
+    from clsim.render.plan import Plan
 
 _NUMBERS = 2**22  # gains held at a time
 

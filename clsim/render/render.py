@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.opencl import OpenclEngine
-from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
+from clsim.render.plan import Plan, plan_render, plan_tracks
 from clsim.render.receiving import Receiving
 from clsim.render.reference import ReferenceEngine
 from clsim.render.tracks import SceneTracks, Tracks

@@ -13,8 +13,8 @@ from pydantic import Field, ValidationError
 
 from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
+from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.air import Air
 from clsim.scene.scene import Receiver, Scene, Source
