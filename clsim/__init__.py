@@ -8,6 +8,7 @@ The pipeline is four values and three arrows between them::
 """
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.output.stores import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
@@ -56,6 +57,7 @@ __all__ = [
     "find_paths",
     "named_directivity",
     "named_transducer",
+    "open_store",
     "plan_render",
     "render",
     "render_chunks",

@@ -11,6 +11,7 @@ from typing import Any
 
 from clsim.commands.console import one_line_warnings
 from clsim.errors import ClsimError
+from clsim.output.stores import KINDS
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -25,14 +26,18 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (ClsimError, OSError) as error:
-        print(f"clsim: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
-    except MemoryError:
-        print("clsim: error: not enough memory; choose a smaller [render] chunk or max_order", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("clsim: interrupted; nothing half-written was left", file=sys.stderr)
-        return 130
+        return _failed(f"clsim: error: {error}", error, 2)
+    except MemoryError as error:
+        return _failed("clsim: error: not enough memory; choose a smaller [render] chunk or max_order", error, 2)
+    except KeyboardInterrupt as error:
+        nothing = "" if getattr(error, "__notes__", None) else "; nothing half-written was left"
+        return _failed(f"clsim: interrupted{nothing}", error, 130)
+
+
+def _failed(message: str, error: BaseException, status: int) -> int:
+    """Print what went wrong and what is noted beside it on one line; return the exit status."""
+    print(" ".join("; ".join([message, *getattr(error, "__notes__", [])]).split()), file=sys.stderr)
+    return status
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -44,6 +49,10 @@ def _parser() -> argparse.ArgumentParser:
     run = _command(commands, "run", "render a scene file into a folder of sound files, tables and pictures")
     run.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the results go")
     run.add_argument("--force", action="store_true", help="write over results that are already there")
+    run.add_argument("--resume", action="store_true", help="go on with a run that was killed, if there is one")
+    run.add_argument(
+        "--store", choices=KINDS, default="wav", help="format of the sound: WAV files, Zarr or HDF5 (default: wav)"
+    )
     run.add_argument(
         "--table",
         choices=("npz", "parquet", "none"),

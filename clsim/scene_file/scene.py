@@ -250,14 +250,24 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
 
     content = file.model.model_dump(exclude_none=True, warnings=False)
     content["render"] |= resolved
+    for part in _parts_with_path(content):
+        part["path"] = Path(os.path.relpath(file.base / part["path"], folder)).as_posix()
+    return tomli_w.dumps(content)
+
+
+def referenced_files(file: SceneFile) -> list[Path]:
+    """Return the files that a scene file names: meshes, sounds, trajectories."""
+    content = file.model.model_dump(exclude_none=True, warnings=False)
+    return [file.base / part["path"] for part in _parts_with_path(content)]
+
+
+def _parts_with_path(content: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the tables of a scene file that name a file."""
     parts = [content["room"], *content["room"]["obstacles"]]
     for end in [*content["sources"], *content["receivers"]]:
         signal = end.get("signal", {})
         parts += [end["trajectory"], end.get("transducer", {}), signal, signal.get("pulse", {})]
-    for part in parts:
-        if "path" in part:
-            part["path"] = Path(os.path.relpath(file.base / part["path"], folder)).as_posix()
-    return tomli_w.dumps(content)
+    return [part for part in parts if "path" in part]
 
 
 def scene_schema() -> dict[str, Any]:
