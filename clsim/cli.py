@@ -15,7 +15,7 @@ from clsim.output.stores import KINDS
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; return the exit status: 0, 2 for an error, 130 when interrupted."""
+    """Run the command line; return the exit status: 0, 2 for an error, 130 when interrupted; 1 if members failed."""
     options = _parser().parse_args(arguments)
     try:
         with one_line_warnings():
@@ -78,6 +78,14 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--limit", type=int, default=300, metavar="N", help="strongest paths drawn (default: 300)")
     view.add_argument("--open", action="store_true", help="open it in a browser")
 
+    study = _command(commands, "study", "render a scene many times with other values of some of its fields", "study")
+    study.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the results go")
+    study.add_argument("--resume", action="store_true", help="go on with a study that was stopped or killed")
+    study.add_argument("--retry", action="store_true", help="the same, and run members that failed again")
+    study.add_argument("--limit", type=int, default=1000, metavar="N", help="members allowed (default: 1000)")
+    study.add_argument("--workers", type=int, metavar="N", help="processes (default: one per GPU, else per two cores)")
+    study.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work instead")
+
     devices = commands.add_parser("devices", help="list the OpenCL devices of this machine")
     devices.set_defaults(command="devices")
     schema = commands.add_parser("schema", help="print the JSON schema of scene files, for editors")
@@ -85,9 +93,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _command(commands: Any, name: str, text: str) -> Any:
+def _command(commands: Any, name: str, text: str, file: str = "scene") -> Any:
     parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-    parser.add_argument("scene", type=Path, help="scene file (TOML)")
+    parser.add_argument(file, type=Path, help=f"{file} file (TOML)")
     parser.set_defaults(command=name)
     return parser
 

@@ -107,9 +107,7 @@ def _draw(plan: Plan, table: PathTable, sounds: list[Readable], folder: Path, na
                 history(table, r, made[-1])
                 made[-3:] = made[-1:] + made[-3:-1]
             title = plan.tracks.receiver_names[r]
-            spectrogram(
-                sound, plan.sampling_rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r]
-            )
+            spectrogram(sound, plan.sampling_rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r])
             echogram(table, r, 0, made[-1])
             advance(1)
     return made

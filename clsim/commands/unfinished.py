@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 import time
 import tomllib
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from clsim.scene_file import referenced_files
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
+    from pathlib import Path
 
     from clsim.output.stores import SoundStore
     from clsim.paths.path_set import PathSet
@@ -122,9 +123,7 @@ class Unfinished:
             old, done, state = self._journal.load()
             difference = first_difference(old, json.loads(json.dumps(identity)))
             if difference is not None:
-                raise InputError(
-                    "--resume", f"must go on with the same run, but {difference} (--force begins anew)"
-                )
+                raise InputError("--resume", f"must go on with the same run, but {difference} (--force begins anew)")
             receiving.restore(state)
         else:
             store.create()
@@ -134,7 +133,7 @@ class Unfinished:
         try:
             with progress("rendering", plan.path_count * plan.samples) as advance:
                 advance(plan.path_count * done)
-                noted = time.monotonic()
+                noted = -math.inf
                 for start, samples in render_chunks(plan, first=done, receiving=receiving):
                     store.write(start, samples)
                     done = start + samples.shape[1]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, DeviceError
-from clsim.opencl.device import Compiler, find_device, upload
+from clsim.opencl.device import find_device, opened, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
@@ -72,9 +72,8 @@ class OpenclEngine:
         self._plan = plan
         self._info, device = find_device(plan.device)
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
-        self._context = cl.Context([device])
+        self._context, self._compiler = opened(device)
         self._queue = cl.CommandQueue(self._context)
-        self._compiler = Compiler(self._context)
         self._tracks: DeviceTracks | HostTracks
         if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
             self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler)

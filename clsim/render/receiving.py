@@ -53,7 +53,7 @@ class Receiving:
         return out
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Return all that the receivers remember of the pieces so far, for `restore`; noise and clocks remember none."""
+        """Return all that the receivers remember of the pieces so far; noise and clocks remember nothing."""
         return {f"{i}.{name}": value for i, end in self._ends.items() for name, value in end.state().items()}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:

@@ -222,7 +222,7 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     try:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
-        raise _explain(error, content) from error
+        raise explain(error, content) from error
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
     receivers = [within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
     room = within("room", lambda: model.room.build(base))
@@ -275,7 +275,7 @@ def scene_schema() -> dict[str, Any]:
     return SceneModel.model_json_schema()
 
 
-def _explain(error: ValidationError, content: Any) -> InputError:
+def explain(error: ValidationError, content: Any) -> InputError:
     """Return one of pydantic's complaints in our words, with the field's path."""
     # A misspelt key comes before what is then missing.
     complaints = error.errors(include_url=False)
