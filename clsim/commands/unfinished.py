@@ -58,8 +58,6 @@ class Unfinished:
         if options.resume and options.force:
             raise InputError("--resume", "must be given without --force, which begins anew")
         if options.force or options.resume:
-            if options.force:
-                shutil.rmtree(self._place, ignore_errors=True)
             return
         if self._journal.exists():
             raise InputError(
@@ -103,10 +101,10 @@ class Unfinished:
             try:
                 yield self._place
             except BaseException as error:
-                if self._journal.exists():
-                    error.add_note(f"what was rendered is kept in {self._place}: --resume goes on with it")
-                else:
+                if not self._journal.exists():
                     shutil.rmtree(self._place, ignore_errors=True)
+                elif not isinstance(error, InputError):  # which says itself what can be done
+                    error.add_note(f"what was rendered is kept in {self._place}: --resume goes on with it")
                 raise
             shutil.rmtree(self._place)
 
@@ -126,6 +124,7 @@ class Unfinished:
                 raise InputError("--resume", f"must go on with the same run, but {difference} (--force begins anew)")
             receiving.restore(state)
         else:
+            self._journal.discard()
             store.create()
         if done == plan.samples:
             return

@@ -35,6 +35,10 @@ class Journal:
         """Return whether there is something to go on from."""
         return self._path.exists()
 
+    def discard(self) -> None:
+        """Forget what there was to go on from."""
+        self._path.unlink(missing_ok=True)
+
     def save(self, identity: dict[str, Any], done: int, state: State) -> None:
         """Note that `done` samples are on the disk, and the state of the receivers behind them."""
         write: Any = np.savez

@@ -56,7 +56,7 @@ class Rows:
                     raise OSError(
                         error.errno, f"{os.strerror(error.errno or 0)} ({size / 2**20:.0f} MiB are needed)", str(path)
                     ) from error
-            os.truncate(number, size)
+            os.truncate(number, max(size, os.fstat(number).st_size))
 
     def write(self, start: int, samples: NDArray[Any]) -> None:
         """Write samples (rows, n) of all rows from sample `start` on.

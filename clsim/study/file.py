@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Keep = Literal["recording", "truth", "paths", "metrics"]
 DEFAULT_LIMIT = 1000
-_TAKEN = ("member", "status", "seconds", "error", "receiver")  # names in the summary
+TAKEN = ("member", "status", "seconds", "error", "receiver")  # names in the summary
 
 
 class _Range(Model):
@@ -139,7 +139,7 @@ class Study:
             unknown = [f for f in member.changes if error.problem == "is no known key" and _reaches(f, error.field)]
             if unknown:
                 raise InputError("vary", f"must name fields of the scene, but {error.field} is no known key") from error
-            told = ", ".join(f"{f} = {json.dumps(v):.40}" for f, v in member.changes.items())
+            told = ", ".join(f"{f} = {json.dumps(v, default=str):.40}" for f, v in member.changes.items())
             raise InputError(f"member {member.number} ({told:.200})", str(error)) from error
 
 
@@ -252,7 +252,7 @@ def _fields(vary: _Vary, content: dict[str, Any], names: dict[str, str]) -> list
             raise error.within("field") from error
         if field in names:
             raise InputError("field", f"must be varied once, but {field!r} is varied twice")
-        if not name or name in names.values() or name in _TAKEN or "/" in name or name.startswith("."):
+        if not name or name in names.values() or name in TAKEN or "/" in name or name.startswith("."):
             raise InputError("name", f"must be a name that is not taken, but is {name!r:.80}")
         names[field] = name
     given = [name for name in ("values", "range", "random") if getattr(vary, name) is not None]

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimError, ClsimWarning, InputError
+from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.output.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, StoredSound, consolidate, texts
-from clsim.study.file import Member, Study
+from clsim.study.file import TAKEN, Member, Study
 from clsim.study.truth import direct_truth
 
 if TYPE_CHECKING:
@@ -82,12 +82,12 @@ def row_of_group(group: Path) -> dict[str, Any]:
     return row
 
 
-def check_worker(folder: str, needs_device: bool, device: str | None) -> str:
-    """Return what keeps a worker from doing its work, or an empty text."""
+def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[str, bool]:
+    """Return what keeps a worker from doing its work, or an empty text, and whether that is its device."""
     from clsim.opencl.device import find_device
 
     if not (Path(folder) / SETTINGS).exists():
-        return f"does not see {folder}: workers on other machines need it under the same path"
+        return f"does not see {folder}: workers on other machines need it under the same path", False
     try:
         study = _settings(folder)
         if study.metrics:
@@ -95,8 +95,8 @@ def check_worker(folder: str, needs_device: bool, device: str | None) -> str:
         if needs_device:
             find_device(device)
     except Exception as error:
-        return _told(error)
-    return ""
+        return _told(error), isinstance(error, DeviceError)
+    return "", False
 
 
 def _told(error: BaseException) -> str:
@@ -194,7 +194,7 @@ def _computed(study: Study, member: Member, device: str | None) -> Any:
         _add_paths(content, paths, times, file)
     if study.metrics:
         function = metrics_function(study.metrics, study.folder)
-        _add_metrics(content, function(recording, paths, dict(member.parameters)))
+        _add_metrics(content, function(recording, paths, dict(member.parameters)), {*TAKEN, *member.parameters})
     return content
 
 
@@ -242,7 +242,7 @@ def _add_paths(content: Any, paths: PathSet, times: Any, file: SceneFile) -> Non
         content[f"path_{name}"] = (("path", "instant", "axis"), getattr(table, name))
 
 
-def _add_metrics(content: Any, found: Any) -> None:
+def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
     """Add what the user's function returned: numbers, arrays, or arrays with dimensions of their own.
 
     Raises
@@ -256,7 +256,7 @@ def _add_metrics(content: Any, found: Any) -> None:
         raise InputError("metrics", f"must return a dict, but returned {found!r:.80}")
     receivers = content.sizes["receiver"]
     for name, value in found.items():
-        if not isinstance(name, str) or not name.isidentifier() or name in content.variables:
+        if not isinstance(name, str) or not name.isidentifier() or name in taken | set(content.variables):
             raise InputError("metrics", f"must return names that are not taken yet, but returned {name!r:.80}")
         if isinstance(value, xarray.DataArray):
             content[name] = value

@@ -323,8 +323,8 @@ def _check_workers(client: Any, folder: Path, needs_device: bool, device: str | 
         raise InputError("--scheduler", f"must have workers, but has none after {_PATIENCE:g} s") from error
     except ImportError as error:
         raise InputError("--scheduler", f"its workers must have clsim installed, but: {error}") from error
-    for address, problem in found.items():
-        if "OpenCL device" in problem:
+    for address, (problem, is_device) in found.items():
+        if is_device:
             raise DeviceError(f"worker {address}: {problem}")
         if problem:
             raise InputError(f"worker {address}", problem)

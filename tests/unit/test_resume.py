@@ -224,6 +224,17 @@ def test_an_unfinished_run_must_be_told_what_becomes_of_it(unfinished: Path, cap
     assert len(sound(unfinished / "out", "wav")[0]) == 19_200
 
 
+def test_a_bad_scene_with_force_loses_nothing(unfinished: Path, capsys) -> None:
+    path = unfinished / "scene.toml"
+    path.write_text(LONG.replace("reflection", "reflektion"), "utf-8")
+    assert main(command(path, unfinished / "out", "wav", "--force")) == 2
+    assert done(unfinished / "out") > 0
+    path.write_text(LONG, "utf-8")
+    assert main(command(path, unfinished / "out", "hdf5", "--resume")) == 2
+    assert "; " not in capsys.readouterr().err  # what to do is told once
+    assert done(unfinished / "out") > 0
+
+
 def test_resume_begins_where_there_is_nothing_and_leaves_what_is_whole(
     scene: Path, tmp_path: Path, capsys, device
 ) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -221,6 +222,33 @@ def test_a_killed_study_goes_on(folder: Path) -> None:
     assert not (folder / "out" / ".partial").exists()
 
 
+def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
+    disk = folder / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
+    if os.geteuid() != 0 or shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("only root may mount a small disk")
+    try:
+        arguments = [
+            *write(folder, [0], [1.0 + 0.001 * i for i in range(30)])[:-1],
+            str(disk / "out"),
+            "--workers",
+            "1",
+        ]
+        assert main(arguments) == 2
+        err = capsys.readouterr().err
+        assert err.startswith("clsim: error: [Errno 28] No space left on device")
+        assert "--resume goes on" in err
+        assert err.count("\n") == 1
+        finished = {p.name for p in (disk / "out" / "study.zarr").glob("m*")}
+        assert 0 < len(finished) < 30
+        subprocess.run(["mount", "-o", "remount,size=64m", str(disk)], check=True)
+        assert main([*arguments, "--resume"]) == 0
+        assert sum(len(processes) for processes in runs(folder).values()) <= 30 + 2  # that which found the disk full
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
 def test_an_interrupted_study_is_one_line(folder: Path) -> None:
     arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], [1.5 + 0.001 * i for i in range(40)])]
     study = subprocess.Popen(
@@ -294,6 +322,8 @@ def test_functions_that_cannot_be_used_are_one_line(folder: Path, capsys, body: 
         ("3", "must return a dict, but returned 3"),
         ("{'a': 'b'}", "must return numbers, but a is 'b'"),
         ("{'sound': 1}", "must return names that are not taken yet, but returned 'sound'"),
+        ("{'order': 1}", "must return names that are not taken yet, but returned 'order'"),
+        ("{'seconds': 1}", "must return names that are not taken yet, but returned 'seconds'"),
         ("{'a b': 1}", "must return names that are not taken yet, but returned 'a b'"),
         ("[][0]", "IndexError: list index out of range (judge.py, line 2)"),
     ],
