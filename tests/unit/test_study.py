@@ -252,7 +252,13 @@ def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
 def test_an_interrupted_study_is_one_line(folder: Path) -> None:
     arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], [1.5 + 0.001 * i for i in range(40)])]
     study = subprocess.Popen(
-        arguments, env=ENVIRONMENT, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        arguments,
+        env=ENVIRONMENT,
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests themselves ignore it, too
     )
     while study.poll() is None and not list((folder / "out" / "study.zarr").glob("m*")):
         time.sleep(0.02)
