@@ -8,6 +8,7 @@ The pipeline is four values and three arrows between them::
 """
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
@@ -27,6 +28,8 @@ from clsim.scene.signal import Signal
 from clsim.scene.spherical_table import SphericalTable
 from clsim.scene.trajectory import Trajectory
 from clsim.scene.transducer import Transducer, named_transducer
+from clsim.study.run import run_study
+from clsim.study.truth import direct_truth
 
 __version__ = "0.1.0"
 
@@ -57,12 +60,15 @@ __all__ = [
     "Trajectory",
     "Transducer",
     "TruncatedLagrange",
+    "direct_truth",
     "find_paths",
     "named_directivity",
     "named_transducer",
+    "open_store",
     "plan_render",
     "render",
     "render_chunks",
     "render_tracks",
+    "run_study",
     "track",
 ]

@@ -1,28 +1,29 @@
-"""`clsim run`: sound files, a path table and pictures from a scene file."""
+"""`clsim run`: sound, a path table and pictures from a scene file."""
 
 from __future__ import annotations
 
 import re
 import warnings
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.commands.console import progress
 from clsim.commands.planning import path_table, planned
+from clsim.commands.unfinished import Unfinished, run_identity
 from clsim.errors import ClsimWarning, InputError
-from clsim.output.atomic import atomic_path
+from clsim.output.atomic import safe_path
 from clsim.output.plots import echogram, history, spectrogram
+from clsim.output.stores import StoredSound, sound_store
 from clsim.output.table import write_table
-from clsim.output.wav import SoundFile, WavWriter
-from clsim.render.render import render_chunks
 from clsim.scene_file import completed_scene, load_scene
 
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
+    from clsim.output.levels import Readable
+    from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.render.plan import Plan
 
@@ -31,49 +32,52 @@ _LARGEST_TABLE = 2_000_000  # paths times instants
 
 def execute(options: argparse.Namespace) -> int:
     """Render a scene file into a folder; return the exit status."""
+    folder: Path = options.output
+    unfinished = Unfinished(folder)
+    unfinished.check(options)
     file = load_scene(options.scene)
     paths, plan = planned(file, _overrides(options))
-    folder: Path = options.output
-    names = file_names(plan.tracks.receiver_names)
-    if not options.force and (folder / "scene.toml").exists():
-        raise InputError(
-            "--output", f"must hold no results yet, but {folder / 'scene.toml'} exists (--force writes over)"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    sounds = [folder / f"{name}.wav" for name in names]
-    _write_sounds(plan, sounds)
-    made = [*sounds]
-    table = path_table(paths, plan, _table_times(plan, options.table_rate))
-    if options.table != "none":
-        made.append(folder / f"paths.{options.table}")
-        write_table(table, made[-1])
-    if not options.no_plots:
-        made += _draw(plan, table, sounds, folder, names)
-    made.append(folder / "scene.toml")
+    times = _table_times(plan, options.table_rate)
     resolved = {**_overrides(options), "duration": plan.duration, "chunk": plan.chunk}
-    with atomic_path(made[-1]) as temporary:
-        temporary.write_text(completed_scene(file, folder, **resolved), "utf-8")
+    text = completed_scene(file, folder, **resolved)
+    if options.resume and unfinished.already_whole(text):
+        print(folder / "scene.toml")
+        return 0
+    names = file_names(plan.tracks.receiver_names)
+    identity = run_identity(file, paths, plan, {"store": options.store})
+    with unfinished.opened() as place:
+        store = sound_store(options.store, place, _stored(paths, plan, text), names)
+        unfinished.render(plan, store, identity)
+        made = unfinished.move(store)
+        table = path_table(paths, plan, times)
+        if options.table != "none":
+            made.append(folder / f"paths.{options.table}")
+            write_table(table, made[-1])
+        if not options.no_plots:
+            made += _draw(plan, table, [store.row(folder, r) for r in range(len(names))], folder, names)
+        made.append(folder / "scene.toml")
+        with safe_path(made[-1]) as temporary:
+            temporary.write_text(text, "utf-8")
     for path in made:
         print(path)
     return 0
+
+
+def _stored(paths: PathSet, plan: Plan, text: str) -> StoredSound:
+    """Return what a store says of the sound."""
+    import clsim
+
+    positions = np.concatenate([r.trajectory.position(np.zeros(1)) for r in paths.scene.receivers])
+    return StoredSound(
+        plan.tracks.receiver_names, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk, text,
+        clsim.__version__,
+    )  # fmt: skip
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
     """Return what the command line says instead of the scene file's ``[render]``."""
     names = ("device", "engine", "duration")
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-
-
-def _write_sounds(plan: Plan, sounds: list[Path]) -> None:
-    """Render into one file per receiver, piece by piece; none of them appears before all are whole."""
-    work = plan.path_count * plan.samples
-    with ExitStack() as stack:
-        writers = [stack.enter_context(WavWriter(path, plan.sampling_rate, samples=plan.samples)) for path in sounds]
-        with progress("rendering", work) as advance:
-            for _, pressure in render_chunks(plan):
-                for writer, samples in zip(writers, pressure, strict=True):
-                    writer.write(samples)
-                advance(plan.path_count * pressure.shape[1])
 
 
 def _table_times(plan: Plan, rate: float) -> Any:
@@ -92,9 +96,9 @@ def _table_times(plan: Plan, rate: float) -> Any:
     return np.linspace(0.0, (count - 1) / rate, min(count, most))
 
 
-def _draw(plan: Plan, table: PathTable, sounds: list[Path], folder: Path, names: list[str]) -> list[Path]:
+def _draw(plan: Plan, table: PathTable, sounds: list[Readable], folder: Path, names: list[str]) -> list[Path]:
     """Draw a spectrogram and an echogram for each receiver; return their paths."""
-    made = []
+    made: list[Path] = []
     with progress("drawing", len(names)) as advance:
         for r, (sound, name) in enumerate(zip(sounds, names, strict=True)):
             made += [folder / f"{name}_spectrogram.png", folder / f"{name}_echogram.png"]
@@ -103,9 +107,7 @@ def _draw(plan: Plan, table: PathTable, sounds: list[Path], folder: Path, names:
                 history(table, r, made[-1])
                 made[-3:] = made[-1:] + made[-3:-1]
             title = plan.tracks.receiver_names[r]
-            spectrogram(
-                SoundFile(sound), plan.sampling_rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r]
-            )
+            spectrogram(sound, plan.sampling_rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r])
             echogram(table, r, 0, made[-1])
             advance(1)
     return made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import uuid
 import warnings
 from dataclasses import dataclass
@@ -109,6 +110,25 @@ def upload(context: Any, array: NDArray[Any]) -> Any:
 
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array))
+
+
+_of_thread = threading.local()
+
+
+def opened(device: Any) -> tuple[Any, Compiler]:
+    """Return a context of a device and the compiler of its kernels.
+
+    They are the same ones at every call from a thread, so that many scenes in one process build a kernel once. Another
+    thread has its own, because the arguments of a kernel are set before it is run.
+    """
+    import pyopencl as cl
+
+    found: dict[Any, tuple[Any, Compiler]] = _of_thread.__dict__.setdefault("opened", {})
+    key = device, kernel_source  # kernels of another text are other kernels
+    if key not in found:
+        context = cl.Context([device])
+        found[key] = context, Compiler(context)
+    return found[key]
 
 
 class Compiler:

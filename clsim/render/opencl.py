@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError
-from clsim.opencl.device import Compiler, find_device, upload
+from clsim.opencl.device import find_device, opened, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
@@ -79,9 +79,8 @@ class OpenclEngine:
         self._plan = plan
         self._info, device = find_device(plan.device)
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
-        self._context = cl.Context([device])
+        self._context, self._compiler = opened(device)
         self._queue = cl.CommandQueue(self._context)
-        self._compiler = Compiler(self._context)
         self.skips_silence = True
         shape = (len(plan.emissions), plan.receiver_count)
         self._strongest, self._unheld = np.zeros(shape), np.zeros(shape)  # arrivals, and what no function holds of any

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import as_count
+from clsim.errors import InputError
 from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import Plan, plan_render, plan_tracks
@@ -151,13 +153,20 @@ def render_tracks(
     return _record(plan)
 
 
-def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
+def render_chunks(
+    plan: Plan, *, first: int = 0, receiving: Receiving | None = None
+) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Yield the recording piece by piece, in bounded memory.
 
     Parameters
     ----------
     plan : Plan
         From `plan_render`.
+    first : int
+        Sample to begin with, a whole number of chunks: those before it were rendered earlier.
+    receiving : Receiving, optional
+        The receivers' ends, with all that they remember of the pieces before. Behind each piece its ``state()`` is
+        what another process needs to go on bit for bit, by ``restore``.
 
     Yields
     ------
@@ -165,15 +174,22 @@ def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
         First sample of the piece.
     samples : ndarray (receivers, n) float32
         Sound pressure in Pa, or V of receivers with a transducer: see ``plan.units``.
+
+    Raises
+    ------
+    InputError
+        If `first` is no whole number of chunks, or lies beyond the end.
     """
-    receiving = Receiving(plan)
-    yield from _pieces(plan, receiving)
+    if as_count("first", first, at_most=plan.samples) % plan.chunk and first != plan.samples:
+        raise InputError("first", f"must be a whole number of chunks of {plan.chunk} samples, but is {first}")
+    receiving = Receiving(plan) if receiving is None else receiving
+    yield from _pieces(plan, receiving, first)
     receiving.warn()
 
 
-def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[np.float32]]]:
+def _pieces(plan: Plan, receiving: Receiving, first: int = 0) -> Iterator[tuple[int, NDArray[np.float32]]]:
     engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
-    for start in range(0, plan.samples, plan.chunk):
+    for start in range(first, plan.samples, plan.chunk):
         yield start, receiving(start, engine.render(start, min(start + plan.chunk, plan.samples)))
     if isinstance(engine, OpenclEngine):
         engine.warn()

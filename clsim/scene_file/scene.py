@@ -24,6 +24,8 @@ from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, Traject
 from clsim.scene_file.rooms import RoomModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
 
+_PATHS = ("path", "phases_path")  # keys that name files
+
 
 class _Air(Model):
     temperature_celsius: float = 20.0
@@ -189,7 +191,7 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     try:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
-        raise _explain(error, content) from error
+        raise explain(error, content) from error
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
     receivers = [within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
     room = within("room", lambda: model.room.build(base))
@@ -217,18 +219,22 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
 
     content = file.model.model_dump(exclude_none=True, warnings=False)
     content["render"] |= resolved
-    _move_paths(content, file.base, folder)
+    for part, key in _paths_within(content):
+        part[key] = Path(os.path.relpath(file.base / part[key], folder)).as_posix()
     return tomli_w.dumps(content)
 
 
-def _move_paths(content: Any, base: Path, folder: Path) -> None:
-    """Make every ``path`` that is relative to one folder relative to another, however deep it stands."""
-    parts = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
-    for key, part in parts:
-        if key in ("path", "phases_path") and isinstance(part, str):
-            content[key] = Path(os.path.relpath(base / part, folder)).as_posix()
-        else:
-            _move_paths(part, base, folder)
+def referenced_files(file: SceneFile) -> list[Path]:
+    """Return the files that a scene file names: meshes, sounds, tables, trajectories."""
+    content = file.model.model_dump(exclude_none=True, warnings=False)
+    return [file.base / part[key] for part, key in _paths_within(content)]
+
+
+def _paths_within(content: Any) -> list[tuple[dict[str, Any], str]]:
+    """Return the tables of a scene file that name a file, however deep they stand, and the keys that do."""
+    parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
+    here = [(content, key) for key in _PATHS if isinstance(content, dict) and isinstance(content.get(key), str)]
+    return [*here, *(found for part in parts for found in _paths_within(part))]
 
 
 def scene_schema() -> dict[str, Any]:
@@ -236,7 +242,7 @@ def scene_schema() -> dict[str, Any]:
     return SceneModel.model_json_schema()
 
 
-def _explain(error: ValidationError, content: Any) -> InputError:
+def explain(error: ValidationError, content: Any) -> InputError:
     """Return one of pydantic's complaints in our words, with the field's path."""
     # A misspelt key comes before what is then missing.
     complaints = error.errors(include_url=False)

@@ -1,0 +1,242 @@
+"""What is emitted, and the filters for it: delays, and what air, walls and beams do over a signal's band."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import as_number
+from clsim.errors import ClsimWarning, InputError
+from clsim.paths.responses import is_complex
+from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
+from clsim.render.interpolator import Bandlimited, Bank, Interpolator
+from clsim.render.tracks import SceneTracks, Tracks
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.scene import Scene
+    from clsim.scene.signal import Signal
+
+DEFAULT_RESPONSE_ERROR_DB = -80.0  # of air, walls and beams over a signal's band
+AT_CENTRE = "centre"  # instead of that error: all of them as at the centre of the signal's band
+EXACT_DB = -100.0  # the same for the reference engine
+_MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, for which walls and beams need not be known
+_WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
+_LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
+_WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Emission:
+    """One source's signal and the filters for it.
+
+    Attributes
+    ----------
+    signal : Signal
+        At the sampling rate of the recording.
+    start : float
+        Time at which it begins, s.
+    banks : tuple of Bank
+        Branch filters, for each function of the basis; fewer for those that add little.
+    basis : Basis
+        Functions of frequency that carry the responses of its paths.
+    band : float
+        Highest frequency that the bank holds, Hz.
+    removed_db : float
+        Share of the signal's energy above the band, dB; -inf for none.
+    """
+
+    signal: Signal
+    start: float
+    banks: tuple[Bank, ...]
+    basis: Basis
+    band: float
+    removed_db: float
+
+    @property
+    def bank(self) -> Bank:
+        """The branch filters of the strongest function."""
+        return self.banks[0]
+
+    @property
+    def rows(self) -> NDArray[Any]:
+        """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
+        return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
+
+    def streams(self, first: int, last: int) -> Floats:
+        """Return samples `first` to `last` of the signal through each function of the basis, (K, n)."""
+        half = self.basis.half
+        signal = self.signal.read(first - half, last + half)
+        if half == 0:
+            return signal * self.basis.filters
+        if not np.any(signal):
+            return np.zeros((len(self.basis), last - first))
+        from scipy.signal import oaconvolve
+
+        out = np.asarray(oaconvolve(signal[None], self.basis.filters, mode="valid", axes=1))
+        # What no sound reaches is silent, without the rounding of the transforms.
+        sounding = np.concatenate([[0], np.cumsum(signal != 0.0)])
+        out[:, sounding[2 * half + 1 :] == sounding[: last - first]] = 0.0
+        return out
+
+    def describe(self) -> str:
+        """Return how air, walls and beams are carried, and what it costs."""
+        basis = self.basis
+        if not math.isfinite(basis.asked_db):
+            return f"air, walls and beams are those at {basis.nodes[0]:.6g} Hz"
+        if len(basis) == 1 and basis.at_one_frequency:
+            return f"air, walls and beams hardly change over the signal's band ({basis.error_db:.1f} dB)"
+        rows, most = int(self.rows[-1]), len(self.bank.taps)
+        return (
+            f"{len(basis)} functions of frequency carry air, walls and beams within {basis.error_db:.1f} dB "
+            f"({rows} branch signals, {rows / most:.1f} times the work of one function)"
+        )
+
+
+def design_emission(
+    index: int,
+    signal: Signal,
+    start: float,
+    tracks: Tracks,
+    *,
+    interpolator: Interpolator,
+    until: float,
+    sampling_rate: float,
+    response_error_db: float | str,
+    exact: bool,
+) -> Emission:
+    """Return a source's signal at the sampling rate, Hz, with filters for its band and for how its paths move.
+
+    Parameters
+    ----------
+    index : int
+        Of the source.
+    signal : Signal
+        What it emits.
+    start : float
+        Time at which that begins, s.
+    tracks : Tracks
+        Its paths.
+    interpolator : Interpolator
+        Delays.
+    until : float
+        End of the run, s.
+    sampling_rate : float
+        Hz.
+    response_error_db : float or "centre"
+        As in `render`.
+    exact : bool
+        For the reference engine: -100 dB at least.
+
+    Raises
+    ------
+    InputError
+        If a wall or a beam is not known over the signal's band, or asks for too many functions.
+    """
+    if response_error_db != AT_CENTRE:
+        if isinstance(response_error_db, str):
+            raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
+        as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
+    signal = signal.at_rate(sampling_rate)
+    spectrum = signal.energy_spectrum()
+    high, removed_db, bank = _delay_filters(index, spectrum, interpolator, tracks, sampling_rate)
+    basis = _basis(index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact)
+    banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
+    return Emission(signal, start, banks, basis, high, removed_db)
+
+
+def _delay_filters(
+    index: int, spectrum: tuple[Floats, Floats], interpolator: Interpolator, tracks: Tracks, rate: float
+) -> tuple[float, float, Bank]:
+    """Return the end of the band that matters, the share above it in dB, and the filters for band and speed."""
+    field, max_rate = f"signals[{index}]", tracks.max_rate(index)
+    widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
+    floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
+    band, removed_db = _occupied_band(spectrum, widest, floor_db - 6.0)
+    bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate)
+    if removed_db > _LOUD_SHARE_DB:
+        _warn(
+            f"{field}: {removed_db:.0f} dB of its energy lies above {band:.0f} Hz, the band of the delay filters "
+            "at this sampling rate and speed, and is removed or distorted; fade or window the signal, or sample faster"
+        )
+    if bank.error_db > _WEAK_ERROR_DB:
+        _warn(
+            f"{field}: the delay filters are wrong by up to {bank.error_db:.0f} dB for content at {band:.0f} Hz; "
+            'sample faster or use the "bandlimited" interpolator'
+        )
+    return band, removed_db, bank
+
+
+def _basis(
+    index: int,
+    signal: Signal,
+    spectrum: tuple[Floats, Floats],
+    high: float,
+    tracks: Tracks,
+    until: float,
+    rate: float,
+    error_db: float | str,
+    exact: bool,
+) -> Basis:
+    """Return the functions of frequency that a source's paths need."""
+    if not isinstance(tracks, SceneTracks):
+        return flat_basis(signal.centre_frequency)
+    frequencies, energy = spectrum
+    below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+    if not energy.any():  # silence needs nothing
+        return flat_basis(signal.centre_frequency)
+    main = frequencies[np.searchsorted(below, [_MAIN_SHARE, 1.0 - _MAIN_SHARE])]
+    _check_known(tracks.scene, index, float(main[0]), float(main[1]))
+    floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
+    low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
+    low = min(max(low, frequencies[1]), 0.999 * high)
+    if not isinstance(error_db, str):
+        floor_db = min(floor_db, error_db)
+        band = partial(band_of, low, high, frequencies, energy)
+        return scene_basis(tracks, index, band, until, rate, floor_db)
+    if is_complex(tracks.scene):
+        return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
+    return flat_basis(signal.centre_frequency)
+
+
+def _check_known(scene: Scene, source: int, low: float, high: float) -> None:
+    """Refuse, or warn, where walls or beams are not known from `low` to `high` Hz, where a source's signal is."""
+    beams = [(f"sources[{source}]", scene.sources[source].directivity)]
+    beams += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
+    for field, beam in beams:
+        if not (beam.band[0] <= low and high <= beam.band[1]):
+            raise InputError(
+                f"{field}.directivity",
+                f"must cover the signal of source {source}, {low:.0f} to {high:.0f} Hz, but is known from "
+                f'{beam.band[0]:.6g} to {beam.band[1]:.6g} Hz; give more of it, or say outside="hold"',
+            )
+    for material in dict.fromkeys(scene.room.wall_materials):
+        try:
+            material.check_known([low, high])
+        except InputError as error:
+            raise InputError("room", f"{error.field} {error.problem}") from error
+
+
+def _occupied_band(spectrum: tuple[Floats, Floats], widest: float, share_db: float) -> tuple[float, float]:
+    """Return the highest frequency that matters, and the share of energy above it in dB."""
+    frequencies, energy = spectrum
+    total = float(energy.sum())
+    if total <= 0.0:
+        return 0.5 * widest, -math.inf
+    above = np.append(np.cumsum(energy[::-1])[::-1][1:], 0.0) / total  # energy above each bin
+    edge = frequencies[np.flatnonzero(above <= 10 ** (share_db / 10))[0]]
+    if edge <= widest:
+        return max(float(edge), 0.05 * widest), -math.inf
+    share = float(above[np.searchsorted(frequencies, widest, side="right") - 1])
+    return widest, 10 * math.log10(share) if share > 0.0 else -math.inf
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, ClsimWarning, stacklevel=6)
