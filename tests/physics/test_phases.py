@@ -197,3 +197,22 @@ def test_filters_that_would_be_endless_are_refused() -> None:
     coefficients[0, -1] = 1.0
     with pytest.raises(NoFilterError, match="no filter of up to 2049 taps is within -90 dB"):
         band_filters(coefficients, 40e3, 40.1e3, RATE, -90.0, np.ones(40))
+
+
+@pytest.mark.usefixtures("device")
+def test_a_measured_table_in_a_room(tmp_path) -> None:
+    from scipy.io import savemat
+
+    degrees, f = np.linspace(0.0, 180.0, 39), np.linspace(10e3, 90e3, 2600)
+    measured = OffCentre(4e-3).gain(np.cos(np.radians(degrees))[:, None], f, C)
+    savemat(tmp_path / "beam.mat", {"angles": degrees, "frequencies": f, "values": measured})
+    table = clsim.DirectivityTable.from_mat(tmp_path / "beam.mat")
+    on_grid = table.gain(np.cos(np.radians(degrees))[:, None], f[::100], C)
+    assert np.abs(20 * np.log10(np.abs(on_grid) / np.abs(measured[:, ::100]))).max() < 0.1
+    assert np.abs(np.angle(on_grid / measured[:, ::100], deg=True)).max() < 1.0
+    signal = chirp(25e3, 65e3)
+    got, wanted = (
+        clsim.render(world, clsim.find_paths(world, 2), RATE, duration=0.06).pressure[0]
+        for world in (scene(beam, clsim.Omni(), [HARD] * 6, signal) for beam in (table, OffCentre(4e-3)))
+    )
+    assert np.linalg.norm(got - wanted) < 10 ** (-75 / 20) * np.linalg.norm(wanted)
