@@ -26,7 +26,7 @@ ENGINES = ("opencl", "reference")
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
 BLOCKS = (768, 384, 192, 96)  # samples in a block, divisors of a segment, tried in this order
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
-_PRESSURE_BUDGET = 64 * 2**20  # bytes of output held at a time
+_PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
