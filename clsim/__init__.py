@@ -11,6 +11,7 @@ from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.path_set import PathSet
+from clsim.paths.truth import direct_truth
 from clsim.recording import Recording
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.plan import plan_render
@@ -22,6 +23,7 @@ from clsim.scene.directivity_table import DirectivityTable
 from clsim.scene.electronics import Electronics
 from clsim.scene.material import Material
 from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.room import Shoebox
 from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene.signal import Signal
@@ -29,7 +31,6 @@ from clsim.scene.spherical_table import SphericalTable
 from clsim.scene.trajectory import Trajectory
 from clsim.scene.transducer import Transducer, named_transducer
 from clsim.study.run import run_study
-from clsim.study.truth import direct_truth
 
 __version__ = "0.1.0"
 
@@ -62,10 +63,13 @@ __all__ = [
     "TruncatedLagrange",
     "direct_truth",
     "find_paths",
+    "grid_positions",
     "named_directivity",
     "named_transducer",
     "open_store",
     "plan_render",
+    "positions_from_file",
+    "receiver_array",
     "render",
     "render_chunks",
     "render_tracks",

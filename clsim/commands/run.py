@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from clsim.errors import ClsimWarning, InputError
 from clsim.output.atomic import safe_path
 from clsim.output.plots import echogram, history, spectrogram
 from clsim.output.stores import StoredSound, sound_store
-from clsim.output.table import write_table
+from clsim.output.table import write_table, write_truth
 from clsim.scene_file import completed_scene, load_scene
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from clsim.render.plan import Plan
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
+_MOST_DRAWN = 16  # receivers
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -53,8 +55,13 @@ def execute(options: argparse.Namespace) -> int:
         if options.table != "none":
             made.append(folder / f"paths.{options.table}")
             write_table(table, made[-1])
+        made.append(folder / "truth.npz")
+        write_truth(paths, times, plan.tracks.motion, made[-1])  # type: ignore[attr-defined]
         if not options.no_plots:
-            made += _draw(plan, table, [store.row(folder, r) for r in range(len(names))], folder, names)
+            drawn = range(min(len(names), _MOST_DRAWN))
+            made += _draw(plan, table, [store.row(folder, r) for r in drawn], folder, names[: len(drawn)])
+            if len(drawn) < len(names):
+                print(f"pictures are of the first {_MOST_DRAWN} receivers of {len(names)}", file=sys.stderr)
         made.append(folder / "scene.toml")
         with safe_path(made[-1]) as temporary:
             temporary.write_text(text, "utf-8")

@@ -9,14 +9,16 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, ValidationError
+from pydantic import Discriminator, Field, Tag, ValidationError
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.air import Air
+from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Vector, within
@@ -34,32 +36,71 @@ class _Air(Model):
     speed_of_sound: float | Literal["iso9613"] | None = None
 
 
-class _End(Model):
+class _Common(Model):
     name: str
-    trajectory: TrajectoryModel
     directivity: DirectivityModel = OmniModel()
     aim: Vector | None = None
     transducer: TransducerModel | None = None
 
     def parts(self, base: Path) -> dict[str, Any]:
-        """Return the arguments that sources and receivers share."""
+        """Return the arguments that sources, receivers and arrays of them share."""
         model = self.transducer
         return {
             "name": self.name,
-            "trajectory": within("trajectory", lambda: self.trajectory.build(base)),
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
 
 
+class _End(_Common):
+    trajectory: TrajectoryModel
+
+    def parts(self, base: Path) -> dict[str, Any]:
+        """Return the arguments that sources and receivers share."""
+        return super().parts(base) | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))}
+
+
 class _Receiver(_End):
     electronics: ElectronicsModel | None = None
 
-    def build(self, base: Path) -> Receiver:
+    def build(self, base: Path) -> list[Receiver]:
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
-        return Receiver(**self.parts(base), electronics=electronics)
+        return [Receiver(**self.parts(base), electronics=electronics)]
+
+
+class _Grid(Model):
+    kind: Literal["grid"]
+    x: float | list[float]
+    y: float | list[float]
+    z: float | list[float]
+
+    def build(self, base: Path) -> Floats:
+        return grid_positions(self.x, self.y, self.z)
+
+
+class _PositionsFile(Model):
+    kind: Literal["file"]
+    path: str
+
+    def build(self, base: Path) -> Floats:
+        return positions_from_file(base / self.path)
+
+
+class _ReceiverArray(_Common):
+    positions: Annotated[_Grid | _PositionsFile, Field(discriminator="kind")]
+    electronics: ElectronicsModel | None = None
+
+    def build(self, base: Path) -> list[Receiver]:
+        model = self.electronics
+        electronics = None if model is None else within("electronics", model.build)
+        positions = within("positions", lambda: self.positions.build(base))
+        return receiver_array(positions=positions, electronics=electronics, **self.parts(base))
+
+
+def _receiver_kind(value: Any) -> str:
+    return "array" if isinstance(value, dict) and "positions" in value else "one"
 
 
 class _Source(_End):
@@ -127,7 +168,11 @@ class SceneModel(Model):
     room: RoomModel
     air: _Air = _Air()
     sources: list[_Source]
-    receivers: list[_Receiver]
+    receivers: list[
+        Annotated[
+            Annotated[_Receiver, Tag("one")] | Annotated[_ReceiverArray, Tag("array")], Discriminator(_receiver_kind)
+        ]
+    ]
     paths: _Paths
     render: _Render
 
@@ -193,7 +238,8 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     except ValidationError as error:
         raise explain(error, content) from error
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
-    receivers = [within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
+    entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
+    receivers = [receiver for entry in entries for receiver in entry]
     room = within("room", lambda: model.room.build(base))
     air = within("air", lambda: Air(**model.air.arguments()))
     scene = Scene(room, air, sources, receivers, model.min_distance)

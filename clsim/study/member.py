@@ -22,8 +22,8 @@ import numpy as np
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.output.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, StoredSound, consolidate, texts
+from clsim.paths.truth import direct_truth
 from clsim.study.file import TAKEN, Member, Study
-from clsim.study.truth import direct_truth
 
 if TYPE_CHECKING:
     from collections.abc import Callable
