@@ -186,6 +186,10 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
     found = hashlib.sha256()
     for name in ("source", "receiver", "walls", "image_matrix", "image_offset", "start", "end"):
         found.update(np.ascontiguousarray(getattr(paths, name)).tobytes())
+    filters = hashlib.sha256()  # linear algebra on another number of threads may round otherwise
+    for emission in plan.emissions:
+        for array in (emission.basis.projection, emission.basis.filters, *(bank.taps for bank in emission.banks)):
+            filters.update(np.ascontiguousarray(array).tobytes())
     return {
         "scene": content,
         "contents": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in referenced_files(file)},
@@ -193,4 +197,5 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
         "options": options,
         "versions": {"clsim": clsim.__version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "paths": found.hexdigest(),
+        "filters": filters.hexdigest(),
     }

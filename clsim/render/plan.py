@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,7 @@ from clsim.errors import ClsimWarning, InputError
 from clsim.paths.path_set import PathSet
 from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.quiet import without_quiet
 from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.scene import Receiver, Scene
@@ -41,6 +42,7 @@ class Plan:
     chunk: int
     engine: str
     device: str | None
+    left_out: str = ""
 
     @property
     def duration(self) -> float:
@@ -108,6 +110,7 @@ class Plan:
             f"{self.samples} samples at {self.sampling_rate:g} Hz, {self.duration:g} s, in chunks of {self.chunk}",
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",
+            *([self.left_out] if self.left_out else []),
         ]
         for i, e in enumerate(self.emissions):
             removed = "none" if np.isneginf(e.removed_db) else f"{e.removed_db:.0f} dB"
@@ -134,6 +137,7 @@ def plan_render(
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    quietest_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -146,9 +150,15 @@ def plan_render(
         raise InputError("paths", "must be those of the scene that is rendered, but belong to another one")
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
     ringing = _check_receivers(scene, rate)
+    tracks, left_out = track(paths, motion=motion, amplitude=amplitude, transition=transition), ""
+    if quietest_db is not None:
+        below_db = as_number("quietest_db", quietest_db, at_least=-300.0, at_most=-20.0, unit="dB")
+        end = min(max(source.start + source.emitted.duration for source in scene.sources), tracks.last_time())
+        tail = max((float(tracks.delay_range(i, end, end)[1].max()) for i in range(len(tracks.groups))), default=0.0)
+        tracks, left_out = without_quiet(tracks, below_db, min(duration or end + tail, tracks.last_time()))
     return plan_tracks(
         [source.emitted for source in scene.sources],
-        track(paths, motion=motion, amplitude=amplitude, transition=transition),
+        tracks,
         sampling_rate,
         starts=[source.start for source in scene.sources],
         interpolator=interpolator,
@@ -158,6 +168,7 @@ def plan_render(
         duration=duration,
         chunk=chunk,
         ringing=ringing,
+        left_out=left_out,
     )
 
 
@@ -174,8 +185,12 @@ def plan_tracks(
     duration: float | None = None,
     chunk: int | None = None,
     ringing: float = 0.0,
+    left_out: str = "",
 ) -> Plan:
-    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`; receivers ring on, s."""
+    """Return the plan of rendering signals along tracks; arguments as in `render_tracks`.
+
+    Receivers ring on for a while, s, and `left_out` tells what of the scene is not in the tracks.
+    """
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
     as_choice("engine", engine, ENGINES)
     interpolator = Bandlimited() if interpolator is None else interpolator
@@ -197,8 +212,8 @@ def plan_tracks(
         )
         for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
     )  # fmt: skip
-    draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device)
-    return Plan(tracks, emissions, interpolator, rate, samples, _chunk(draft, chunk), engine, device)
+    draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device, left_out)
+    return replace(draft, chunk=_chunk(draft, chunk))
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:

@@ -38,6 +38,7 @@ def render(
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    quietest_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -65,6 +66,9 @@ def render(
     response_error_db : float or "centre"
         Bound on the error of each path's response over the signal's band (air, walls, beams), -120 to -20 dB relative
         to the strongest arrival. With "centre" they are what they are at the centre of the signal's band.
+    quietest_db : float, optional
+        Leave out paths that stay below this level, dB relative to the strongest arrival at the same receiver; the
+        recording's notes tell how many, and a bound of what they add up to.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -111,8 +115,8 @@ def render(
     """
     plan = plan_render(
         scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
-        transition=transition, response_error_db=response_error_db, engine=engine, device=device,
-        duration=duration, chunk=chunk,
+        transition=transition, response_error_db=response_error_db, quietest_db=quietest_db, engine=engine,
+        device=device, duration=duration, chunk=chunk,
     )  # fmt: skip
     return _record(plan)
 

@@ -154,6 +154,7 @@ class _Render(Model):
     amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
     transition: float | Literal["gate"] = DEFAULT_TRANSITION
     response_error_db: float | Literal["centre"] = DEFAULT_RESPONSE_ERROR_DB
+    quietest_db: float | None = None
     engine: Literal["opencl", "reference"] = "opencl"
     device: str | None = None
     duration: float | None = None

@@ -124,7 +124,10 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
     paths = clsim.find_paths(scene.scene, max_order=2)
     wanted = clsim.render(scene.scene, paths, 192e3)
     with clsim.open_store(folder / "out" / "study.zarr" / "m000002") as member:
-        np.testing.assert_array_equal(member.sound.values, wanted.pressure)
+        # Within rounding: a worker has fewer threads, on which linear algebra makes other last digits of filters.
+        np.testing.assert_allclose(
+            member.sound.values, wanted.pressure, rtol=0, atol=1e-6 * np.abs(wanted.pressure).max()
+        )
         assert loudness[2] == pytest.approx(np.sqrt(np.mean(wanted.pressure[0].astype(float) ** 2)), rel=1e-5)
         table = paths.table(member.instant.values)
         np.testing.assert_array_equal(member.path_delay.values, table.delay)
