@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,10 +12,13 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import ClsimWarning, InputError
+from clsim.paths.known import check_known
 from clsim.paths.path_set import PathSet
 from clsim.paths.responses import is_complex
+from clsim.render.at_rest import NONE_AT_REST, AtRest, find_at_rest
 from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.occupied import occupied_band, shares
 from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.scene import Receiver, Scene
@@ -104,6 +107,7 @@ class Plan:
     chunk: int
     engine: str
     device: str | None
+    at_rest: AtRest = NONE_AT_REST
 
     @property
     def duration(self) -> float:
@@ -171,8 +175,11 @@ class Plan:
             f"{self.samples} samples at {self.sampling_rate:g} Hz, {self.duration:g} s, in chunks of {self.chunk}",
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",
+            *self.at_rest.describe(self.tracks),
         ]
         for i, e in enumerate(self.emissions):
+            if self.at_rest.holds(self.tracks, i):
+                continue
             removed = "none" if np.isneginf(e.removed_db) else f"{e.removed_db:.0f} dB"
             lines.append(
                 f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
@@ -201,6 +208,7 @@ def plan_render(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    convolve_at_rest: bool = True,
 ) -> Plan:
     """Return the plan of a rendering without carrying it out; arguments as in `render`."""
     if not isinstance(scene, Scene):
@@ -221,6 +229,7 @@ def plan_render(
         duration=duration,
         chunk=chunk,
         ringing=ringing,
+        convolve_at_rest=convolve_at_rest,
     )
 
 
@@ -237,6 +246,7 @@ def plan_tracks(
     duration: float | None = None,
     chunk: int | None = None,
     ringing: float = 0.0,
+    convolve_at_rest: bool = True,
 ) -> Plan:
     """Return the plan of rendering signals along tracks; arguments as in `render_tracks`; receivers ring on, s."""
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
@@ -257,15 +267,23 @@ def plan_tracks(
         if isinstance(response_error_db, str):
             raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
         as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
+    if not isinstance(convolve_at_rest, bool | np.bool_):
+        raise InputError("convolve_at_rest", f"must be true or false, but is {convolve_at_rest!r:.80}")
+    still = NONE_AT_REST
+    if convolve_at_rest and engine == "opencl":
+        still = find_at_rest(tracks, interpolator, at_centre=response_error_db == AT_CENTRE)
     emissions = []
     for i, (signal, start) in enumerate(zip(signals, starts, strict=True)):
         signal = signal.at_rate(rate)
         high, removed_db, bank = _delay_filters(i, signal, interpolator, tracks, rate)
-        basis = _basis(i, signal, high, tracks, samples / rate, rate, response_error_db, engine)
+        _check_known(i, signal, tracks)
+        basis = flat_basis(signal.centre_frequency)
+        if not still.holds(tracks, i):
+            basis = _basis(i, signal, high, tracks, samples / rate, rate, response_error_db, engine)
         banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
         emissions.append(Emission(signal, start, banks, basis, high, removed_db))
-    draft = Plan(tracks, tuple(emissions), interpolator, rate, samples, SEGMENT, engine, device)
-    return Plan(tracks, tuple(emissions), interpolator, rate, samples, _chunk(draft, chunk), engine, device)
+    draft = Plan(tracks, tuple(emissions), interpolator, rate, samples, SEGMENT, engine, device, still)
+    return replace(draft, chunk=_chunk(draft, chunk))
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:
@@ -317,7 +335,7 @@ def _delay_filters(
     field, max_rate = f"signals[{index}]", tracks.max_rate(index)
     widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
     floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
-    band, removed_db = _occupied_band(signal, widest, floor_db - 6.0)
+    band, removed_db = occupied_band(signal, widest, floor_db - 6.0)
     bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
@@ -330,6 +348,12 @@ def _delay_filters(
             'sample faster or use the "bandlimited" interpolator'
         )
     return band, removed_db, bank
+
+
+def _check_known(index: int, signal: Signal, tracks: Tracks) -> None:
+    """Refuse, or warn, where walls or beams are not known where a source's signal is."""
+    if isinstance(tracks, SceneTracks):
+        check_known(tracks.scene, [index], *shares(signal, _MAIN_SHARE), f"the signal of source {index}")
 
 
 def _basis(
@@ -347,8 +371,6 @@ def _basis(
         return flat_basis(signal.centre_frequency)
     frequencies, energy = signal.energy_spectrum()
     below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
-    main = frequencies[np.searchsorted(below, [_MAIN_SHARE, 1.0 - _MAIN_SHARE])]
-    _check_known(tracks.scene, index, float(main[0]), float(main[1]))
     floor_db = EXACT_DB if isinstance(error_db, str) or engine == "reference" else error_db
     low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
     low = min(max(low, frequencies[1]), 0.999 * high)
@@ -359,24 +381,6 @@ def _basis(
     if is_complex(tracks.scene):
         return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
     return flat_basis(signal.centre_frequency)
-
-
-def _check_known(scene: Scene, source: int, low: float, high: float) -> None:
-    """Refuse, or warn, where walls or beams are not known from `low` to `high` Hz, where a source's signal is."""
-    beams = [(f"sources[{source}]", scene.sources[source].directivity)]
-    beams += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
-    for field, beam in beams:
-        if not (beam.band[0] <= low and high <= beam.band[1]):
-            raise InputError(
-                f"{field}.directivity",
-                f"must cover the signal of source {source}, {low:.0f} to {high:.0f} Hz, but is known from "
-                f'{beam.band[0]:.6g} to {beam.band[1]:.6g} Hz; give more of it, or say outside="hold"',
-            )
-    for material in dict.fromkeys(scene.room.wall_materials):
-        try:
-            material.check_known([low, high])
-        except InputError as error:
-            raise InputError("room", f"{error.field} {error.problem}") from error
 
 
 def _described(emission: Emission) -> str:
@@ -391,20 +395,6 @@ def _described(emission: Emission) -> str:
         f"{len(basis)} functions of frequency carry air, walls and beams within {basis.error_db:.1f} dB "
         f"({rows} branch signals, {rows / most:.1f} times the work of one function)"
     )
-
-
-def _occupied_band(signal: Signal, widest: float, share_db: float) -> tuple[float, float]:
-    """Return the highest frequency that matters, and the share of energy above it in dB."""
-    frequencies, energy = signal.energy_spectrum()
-    total = float(energy.sum())
-    if total <= 0.0:
-        return 0.5 * widest, -math.inf
-    above = np.append(np.cumsum(energy[::-1])[::-1][1:], 0.0) / total  # energy above each bin
-    edge = frequencies[np.flatnonzero(above <= 10 ** (share_db / 10))[0]]
-    if edge <= widest:
-        return max(float(edge), 0.05 * widest), -math.inf
-    share = float(above[np.searchsorted(frequencies, widest, side="right") - 1])
-    return widest, 10 * math.log10(share) if share > 0.0 else -math.inf
 
 
 def _chunk(plan: Plan, chunk: int | None) -> int:

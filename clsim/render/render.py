@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.render.at_rest import Convolution
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
 from clsim.render.receiving import Receiving
@@ -39,6 +40,7 @@ def render(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    convolve_at_rest: bool = True,
 ) -> Recording:
     """Return what every receiver of a scene hears.
 
@@ -71,6 +73,9 @@ def render(
         receiver's trajectory ends.
     chunk : int, optional
         Samples that are held at a time, rounded up to whole segments of 18432.
+    convolve_at_rest : bool
+        Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
+        instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
 
     Returns
     -------
@@ -109,7 +114,7 @@ def render(
     plan = plan_render(
         scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
         transition=transition, response_error_db=response_error_db, engine=engine, device=device,
-        duration=duration, chunk=chunk,
+        duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
     )  # fmt: skip
     return _record(plan)
 
@@ -172,8 +177,11 @@ def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
 
 def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[np.float32]]]:
     engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
+    convolution = Convolution(plan)
     for start in range(0, plan.samples, plan.chunk):
-        yield start, receiving(start, engine.render(start, min(start + plan.chunk, plan.samples)))
+        pressure = engine.render(start, min(start + plan.chunk, plan.samples))
+        convolution.add(pressure, start)
+        yield start, receiving(start, pressure)
     if isinstance(engine, OpenclEngine):
         engine.warn()
 
