@@ -8,6 +8,7 @@ The pipeline is four values and three arrows between them::
 """
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.paths.find_paths import find_paths
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
@@ -39,6 +40,7 @@ __all__ = [
     "DeviceError",
     "DirectivityTable",
     "Electronics",
+    "ImpulseResponses",
     "InputError",
     "Lagrange",
     "Material",
@@ -58,6 +60,7 @@ __all__ = [
     "Transducer",
     "TruncatedLagrange",
     "find_paths",
+    "impulse_responses",
     "named_directivity",
     "named_transducer",
     "plan_render",

@@ -126,7 +126,7 @@ def _band(emission: Emission, *, complex_responses: bool) -> ResponseBand:
     high = min(max(high, 0.025 * rate), 0.5 * _WIDEST * rate)
     low, above = min(low, high), 0.5 * rate - high
     # Real responses go on down to 0 Hz without a bend, complex ones need not.
-    least = _LOWEST * rate if complex_responses else 0.5 * above
+    least = _LOWEST * rate if complex_responses else above
     return ResponseBand(low, high, low if low >= least else 0.0, above)
 
 

@@ -17,7 +17,7 @@ LAYERS = [
     ("opencl",),
     ("paths",),
     ("render",),
-    ("recording",),
+    ("recording", "impulse_responses"),
     ("output",),
     ("scene_file",),
     ("commands",),
