@@ -8,7 +8,7 @@ The pipeline is four values and three arrows between them::
 """
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
-from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.room_responses import ImpulseResponses, impulse_responses
 from clsim.paths.find_paths import find_paths
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording

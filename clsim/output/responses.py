@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clsim.arrays import Floats
-    from clsim.impulse_responses import ImpulseResponses
+    from clsim.room_responses import ImpulseResponses
     from clsim.scene.scene import Receiver, Scene, Source
 
 

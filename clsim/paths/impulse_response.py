@@ -24,8 +24,8 @@ _SKELETON = 1e-9  # relative to the strongest response, to which all are made of
 _ALLOWED = 1e-8  # the same, found between the frequencies at which they were chosen
 _FREQUENCIES = 64  # at which they are chosen at first
 _SPARE = 1024  # samples, at least, for what walls make of an arrival
-_QUIET = 3e-7  # of the peak, below which nothing is left in the middle of what is spare
-_LONGEST_SPARE = 2**18
+_QUIET = 1e-9  # of the peak, below which nothing is left in the middle of what is spare
+_LONGEST_SPARE = 2**16
 _CUT = 1e-15  # share of energy that is cut off at either end
 
 

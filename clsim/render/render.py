@@ -131,6 +131,7 @@ def render_tracks(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    convolve_at_rest: bool = True,
 ) -> Recording:
     """Return what is heard of signals along tracks, whoever computed these.
 
@@ -144,13 +145,12 @@ def render_tracks(
         Of the recording, Hz.
     starts : sequence of float, optional
         Time at which each signal begins, s; 0 when left out.
-    interpolator, response_error_db, engine, device, duration, chunk
+    interpolator, response_error_db, engine, device, duration, chunk, convolve_at_rest
         As in `render`.
     """
     plan = plan_tracks(
         signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, response_error_db=response_error_db,
-        engine=engine, device=device,
-        duration=duration, chunk=chunk,
+        engine=engine, device=device, duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
     )  # fmt: skip
     return _record(plan)
 

@@ -17,7 +17,7 @@ LAYERS = [
     ("opencl",),
     ("paths",),
     ("render",),
-    ("recording", "impulse_responses"),
+    ("recording", "room_responses"),
     ("output",),
     ("scene_file",),
     ("commands",),
