@@ -8,7 +8,6 @@ The pipeline is four values and three arrows between them::
 """
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
-from clsim.room_responses import ImpulseResponses, impulse_responses
 from clsim.paths.find_paths import find_paths
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
@@ -16,6 +15,7 @@ from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.plan import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.tracks import Tracks, track
+from clsim.room_responses import ImpulseResponses, impulse_responses
 from clsim.scene.air import Air
 from clsim.scene.directivity import Cardioid, Omni, Piston, named_directivity
 from clsim.scene.directivity_table import DirectivityTable

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from clsim.commands.console import progress
 from clsim.commands.planning import found_paths, shares
 from clsim.errors import InputError
-from clsim.room_responses import as_response_band, impulse_responses
 from clsim.output.responses import write_response_sounds, write_responses
+from clsim.room_responses import as_response_band, impulse_responses
 from clsim.scene_file import load_scene
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.scene.scene import Scene
 
-_SKELETON = 1e-9  # relative to the strongest response, to which all are made of a few
-_ALLOWED = 1e-8  # the same, found between the frequencies at which they were chosen
+_SKELETON = 3e-9  # relative to the strongest response, to which all are made of a few
+_ALLOWED = 1e-7  # the same, found between the frequencies at which they were chosen
 _FREQUENCIES = 64  # at which they are chosen at first
 _SPARE = 1024  # samples, at least, for what walls make of an arrival
 _QUIET = 1e-9  # of the peak, below which nothing is left in the middle of what is spare
@@ -135,9 +135,10 @@ def _skeleton(
     most, looked_at = span // 2, _FREQUENCIES
     while True:
         fine = np.linspace(low, high, 2 * looked_at + 1)
-        found = responses(fine, everyone)
+        between = fine[:: 2 * (looked_at // _FREQUENCIES)]
+        found = responses(fine[1::2], everyone)
         parts = [found.real, found.imag] if np.iscomplexobj(found) else [found]
-        rows: Any = np.concatenate([part[:, 1::2] for part in parts], axis=1).T
+        rows: Any = np.concatenate(parts, axis=1).T
         strongest = float(np.abs(rows).max())
         if strongest == 0.0:
             return everyone[:1], np.zeros((count, 1))
@@ -146,7 +147,8 @@ def _skeleton(
         weights = np.zeros((count, rank))
         weights[few, np.arange(rank)] = 1.0
         weights[order[rank:]] = made.T
-        wrong = float(np.abs(weights @ found[few, ::2] - found[:, ::2]).max())
+        unseen = responses(between, everyone)
+        wrong = float(np.abs(weights @ unseen[few] - unseen).max())
         if wrong <= _ALLOWED * strongest or looked_at >= most:
             return few, weights
         looked_at *= 4
