@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 _WIDEST = 0.95  # of Nyquist
 _SHARE = 1e-12  # of a signal's energy that may lie beyond the band to either side
-_LOWEST = 1e-3  # of the sampling rate, below which a band goes on down to 0 Hz: an edge there would ring for long
+_LOWEST = 0.02  # of the sampling rate, below which a band goes on down to 0 Hz: an edge there would ring for long
+_LOWEST_COMPLEX = 1e-3  # the same for complex responses, which may bend at 0 Hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +126,7 @@ def _band(emission: Emission, *, complex_responses: bool) -> ResponseBand:
     low, high = shares(emission.signal, _SHARE)
     high = min(max(high, 0.025 * rate), 0.5 * _WIDEST * rate)
     low, above = min(low, high), 0.5 * rate - high
-    # Real responses go on down to 0 Hz without a bend, complex ones need not.
-    least = _LOWEST * rate if complex_responses else above
+    least = (_LOWEST_COMPLEX if complex_responses else _LOWEST) * rate
     return ResponseBand(low, high, low if low >= least else 0.0, above)
 
 
@@ -134,9 +134,16 @@ def _convolved(emitted: Floats, response: ImpulseResponse, count: int) -> Floats
     """Return samples (count,) of a response to what was emitted from as many samples before as it is long."""
     from scipy.signal import oaconvolve
 
-    heard = emitted[: count + len(response.taps) - 1]
-    out = np.asarray(oaconvolve(heard, response.taps, mode="valid"))
+    taps = response.taps
+    heard = emitted[: count + len(taps) - 1]
+    out, sounding = np.zeros(count), np.flatnonzero(heard)
+    if not len(sounding):
+        return out
+    begin, end = int(sounding[0]), int(sounding[-1]) + 1
+    whole = oaconvolve(heard[begin:end], taps)
+    first, last = max(begin - len(taps) + 1, 0), min(end, count)
+    out[first:last] = whole[first + len(taps) - 1 - begin : last + len(taps) - 1 - begin]
     # Where nothing sounds there is silence, without the rounding of the transforms.
-    sounding = np.concatenate([[0], np.cumsum(heard != 0.0)])
-    out[sounding[len(response.taps) :] == sounding[:count]] = 0.0
+    sounded = np.concatenate([[0], np.cumsum(heard != 0.0)])
+    out[sounded[len(taps) :] == sounded[:count]] = 0.0
     return out

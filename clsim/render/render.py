@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.opencl.device import find_device
 from clsim.render.at_rest import Convolution
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
@@ -176,14 +177,25 @@ def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
 
 
 def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
-    convolution = Convolution(plan)
+    engine, convolution = _engine(plan), Convolution(plan)
     for start in range(0, plan.samples, plan.chunk):
-        pressure = engine.render(start, min(start + plan.chunk, plan.samples))
+        stop = min(start + plan.chunk, plan.samples)
+        silence = (plan.receiver_count, stop - start)
+        pressure = np.zeros(silence, np.float32) if engine is None else engine.render(start, stop)
         convolution.add(pressure, start)
         yield start, receiving(start, pressure)
     if isinstance(engine, OpenclEngine):
         engine.warn()
+
+
+def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine | None:
+    """Return what renders the paths of a plan that are not convolved; None if there are none."""
+    if plan.engine == "reference":
+        return ReferenceEngine(plan)
+    if len(plan.at_rest.groups) == len(plan.tracks.groups):
+        find_device(plan.device)  # a device that is not there is an error all the same
+        return None
+    return OpenclEngine(plan)
 
 
 def _record(plan: Plan) -> Recording:
