@@ -17,6 +17,7 @@ from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.plan import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.tracks import Tracks, track
+from clsim.room_responses import ImpulseResponses, impulse_responses
 from clsim.scene.air import Air
 from clsim.scene.directivity import Cardioid, Omni, Piston, named_directivity
 from clsim.scene.directivity_table import DirectivityTable
@@ -43,6 +44,7 @@ __all__ = [
     "DeviceError",
     "DirectivityTable",
     "Electronics",
+    "ImpulseResponses",
     "InputError",
     "Lagrange",
     "Material",
@@ -64,6 +66,7 @@ __all__ = [
     "direct_truth",
     "find_paths",
     "grid_positions",
+    "impulse_responses",
     "named_directivity",
     "named_transducer",
     "open_store",

@@ -72,6 +72,18 @@ def _parser() -> argparse.ArgumentParser:
     paths.add_argument("--limit", type=int, default=40, metavar="ROWS", help="paths listed at most (default: 40)")
     paths.add_argument("-o", "--output", type=Path, metavar="FILE", help="write all of them to a .npz or .parquet file")
 
+    rir = _command(commands, "rir", "write the impulse responses of a scene file at one instant")
+    rir.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="PATH",
+        help="a folder for a WAV file per source and receiver, or a .npz or .sofa file",
+    )  # fmt: skip
+    rir.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
+    rir.add_argument("--format", choices=("wav", "npz", "sofa"), help="default: by the ending of the output, else wav")
+    rir.add_argument(
+        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"),
+        help="where they are exact, Hz (default: 0 to 0.95 of half the sampling rate)",
+    )  # fmt: skip
+
     view = _command(commands, "view", "write an interactive page: room, motion, and the paths over time")
     view.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the scene file)")
     view.add_argument("--frames", type=int, default=120, metavar="N", help="instants to choose from (default: 120)")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import warnings
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from clsim.commands.planning import path_table, planned
 from clsim.commands.unfinished import Unfinished, run_identity
 from clsim.errors import ClsimWarning, InputError
 from clsim.output.atomic import safe_path
+from clsim.output.names import file_names
 from clsim.output.plots import echogram, history, spectrogram
 from clsim.output.stores import StoredSound, sound_store
 from clsim.output.table import write_table, write_truth
@@ -131,15 +131,3 @@ def _shown_band(plan: Plan) -> tuple[float, float]:
         high = max(high, float(frequencies[np.minimum(np.searchsorted(share, 1.0 - 1e-3), len(frequencies) - 1)]))
     margin = max(0.15 * (high - low), 3.0 * plan.max_rate * high, 200.0)
     return max(0.0, float(low) - margin), min(0.5 * plan.sampling_rate, float(high) + margin)
-
-
-def file_names(receivers: tuple[str, ...]) -> list[str]:
-    """Return names that any file system takes, each once."""
-    names: list[str] = []
-    for receiver in receivers:
-        name = base = re.sub(r"[^A-Za-z0-9_-]+", "_", receiver).strip("_") or "receiver"
-        count = 2
-        while name.lower() in (n.lower() for n in names):
-            name, count = f"{base}-{count}", count + 1
-        names.append(name)
-    return names

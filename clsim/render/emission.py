@@ -12,16 +12,17 @@ import numpy as np
 
 from clsim.arrays import as_number
 from clsim.errors import ClsimWarning, InputError
+from clsim.paths.known import check_known
 from clsim.paths.responses import is_complex
 from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
+from clsim.render.occupied import occupied_band, shares
 from clsim.render.tracks import SceneTracks, Tracks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.scene.scene import Scene
     from clsim.scene.signal import Signal
 
 DEFAULT_RESPONSE_ERROR_DB = -80.0  # of air, walls and beams over a signal's band
@@ -111,6 +112,7 @@ def design_emission(
     sampling_rate: float,
     response_error_db: float | str,
     exact: bool,
+    at_rest: bool = False,
 ) -> Emission:
     """Return a source's signal at the sampling rate, Hz, with filters for its band and for how its paths move.
 
@@ -134,6 +136,8 @@ def design_emission(
         As in `render`.
     exact : bool
         For the reference engine: -100 dB at least.
+    at_rest : bool
+        All its paths are convolved, so that nothing needs functions of frequency.
 
     Raises
     ------
@@ -147,7 +151,7 @@ def design_emission(
     signal = signal.at_rate(sampling_rate)
     spectrum = signal.energy_spectrum()
     high, removed_db, bank = _delay_filters(index, spectrum, interpolator, tracks, sampling_rate)
-    basis = _basis(index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact)
+    basis = _basis(index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact, at_rest)
     banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
     return Emission(signal, start, banks, basis, high, removed_db)
 
@@ -159,7 +163,7 @@ def _delay_filters(
     field, max_rate = f"signals[{index}]", tracks.max_rate(index)
     widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
     floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
-    band, removed_db = _occupied_band(spectrum, widest, floor_db - 6.0)
+    band, removed_db = occupied_band(spectrum, widest, floor_db - 6.0)
     bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
@@ -184,6 +188,7 @@ def _basis(
     rate: float,
     error_db: float | str,
     exact: bool,
+    at_rest: bool,
 ) -> Basis:
     """Return the functions of frequency that a source's paths need."""
     if not isinstance(tracks, SceneTracks):
@@ -192,8 +197,9 @@ def _basis(
     below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
     if not energy.any():  # silence needs nothing
         return flat_basis(signal.centre_frequency)
-    main = frequencies[np.searchsorted(below, [_MAIN_SHARE, 1.0 - _MAIN_SHARE])]
-    _check_known(tracks.scene, index, float(main[0]), float(main[1]))
+    check_known(tracks.scene, [index], *shares(spectrum, _MAIN_SHARE), f"the signal of source {index}")
+    if at_rest:
+        return flat_basis(signal.centre_frequency)
     floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
     low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
     low = min(max(low, frequencies[1]), 0.999 * high)
@@ -204,38 +210,6 @@ def _basis(
     if is_complex(tracks.scene):
         return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
     return flat_basis(signal.centre_frequency)
-
-
-def _check_known(scene: Scene, source: int, low: float, high: float) -> None:
-    """Refuse, or warn, where walls or beams are not known from `low` to `high` Hz, where a source's signal is."""
-    beams = [(f"sources[{source}]", scene.sources[source].directivity)]
-    beams += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
-    for field, beam in beams:
-        if not (beam.band[0] <= low and high <= beam.band[1]):
-            raise InputError(
-                f"{field}.directivity",
-                f"must cover the signal of source {source}, {low:.0f} to {high:.0f} Hz, but is known from "
-                f'{beam.band[0]:.6g} to {beam.band[1]:.6g} Hz; give more of it, or say outside="hold"',
-            )
-    for material in dict.fromkeys(scene.room.wall_materials):
-        try:
-            material.check_known([low, high])
-        except InputError as error:
-            raise InputError("room", f"{error.field} {error.problem}") from error
-
-
-def _occupied_band(spectrum: tuple[Floats, Floats], widest: float, share_db: float) -> tuple[float, float]:
-    """Return the highest frequency that matters, and the share of energy above it in dB."""
-    frequencies, energy = spectrum
-    total = float(energy.sum())
-    if total <= 0.0:
-        return 0.5 * widest, -math.inf
-    above = np.append(np.cumsum(energy[::-1])[::-1][1:], 0.0) / total  # energy above each bin
-    edge = frequencies[np.flatnonzero(above <= 10 ** (share_db / 10))[0]]
-    if edge <= widest:
-        return max(float(edge), 0.05 * widest), -math.inf
-    share = float(above[np.searchsorted(frequencies, widest, side="right") - 1])
-    return widest, 10 * math.log10(share) if share > 0.0 else -math.inf
 
 
 def _warn(message: str) -> None:

@@ -149,7 +149,7 @@ class OpenclEngine:
         """Return the paths of a source that are heard within a chunk."""
         plan, found = self._plan, []
         for i, group in enumerate(plan.tracks.groups):
-            if group.source == source:
+            if group.source == source and i not in plan.at_rest.groups:
                 low, high = plan.tracks.delay_range(i, *self._seconds(start, start + length))
                 found.append(Active(i, np.arange(len(group)), low, high).during(plan, start, start + length))
         return [group for group in found if len(group.rows)]

@@ -12,7 +12,8 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.path_set import PathSet
-from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
+from clsim.render.at_rest import NONE_AT_REST, AtRest, find_at_rest
+from clsim.render.emission import AT_CENTRE, DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.quiet import without_quiet
 from clsim.render.tracks import SceneTracks, Tracks, track
@@ -43,6 +44,7 @@ class Plan:
     engine: str
     device: str | None
     left_out: str = ""
+    at_rest: AtRest = NONE_AT_REST
 
     @property
     def duration(self) -> float:
@@ -111,8 +113,11 @@ class Plan:
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",
             *([self.left_out] if self.left_out else []),
+            *self.at_rest.describe(self.tracks),
         ]
         for i, e in enumerate(self.emissions):
+            if self.at_rest.holds(self.tracks, i):
+                continue
             removed = "none" if np.isneginf(e.removed_db) else f"{e.removed_db:.0f} dB"
             lines.append(
                 f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
@@ -142,6 +147,7 @@ def plan_render(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    convolve_at_rest: bool = True,
 ) -> Plan:
     """Return the plan of a rendering without carrying it out; arguments as in `render`."""
     if not isinstance(scene, Scene):
@@ -169,6 +175,7 @@ def plan_render(
         chunk=chunk,
         ringing=ringing,
         left_out=left_out,
+        convolve_at_rest=convolve_at_rest,
     )
 
 
@@ -186,6 +193,7 @@ def plan_tracks(
     chunk: int | None = None,
     ringing: float = 0.0,
     left_out: str = "",
+    convolve_at_rest: bool = True,
 ) -> Plan:
     """Return the plan of rendering signals along tracks; arguments as in `render_tracks`.
 
@@ -205,14 +213,19 @@ def plan_tracks(
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
     samples = _samples(signals, starts, tracks, rate, duration, ringing)
+    if not isinstance(convolve_at_rest, bool | np.bool_):
+        raise InputError("convolve_at_rest", f"must be true or false, but is {convolve_at_rest!r:.80}")
+    still = NONE_AT_REST
+    if convolve_at_rest and engine == "opencl":
+        still = find_at_rest(tracks, interpolator, at_centre=response_error_db == AT_CENTRE)
     emissions = tuple(
         design_emission(
             i, signal, start, tracks, interpolator=interpolator, until=samples / rate, sampling_rate=rate,
-            response_error_db=response_error_db, exact=engine == "reference",
+            response_error_db=response_error_db, exact=engine == "reference", at_rest=still.holds(tracks, i),
         )
         for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
     )  # fmt: skip
-    draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device, left_out)
+    draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device, left_out, still)
     return replace(draft, chunk=_chunk(draft, chunk))
 
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from clsim.arrays import as_count
 from clsim.errors import InputError
+from clsim.opencl.device import find_device
+from clsim.render.at_rest import Convolution
 from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import Plan, plan_render, plan_tracks
@@ -43,6 +45,7 @@ def render(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    convolve_at_rest: bool = True,
 ) -> Recording:
     """Return what every receiver of a scene hears.
 
@@ -78,6 +81,9 @@ def render(
         receiver's trajectory ends.
     chunk : int, optional
         Samples that are held at a time, rounded up to whole segments of 18432.
+    convolve_at_rest : bool
+        Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
+        instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
 
     Returns
     -------
@@ -116,7 +122,7 @@ def render(
     plan = plan_render(
         scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
         transition=transition, response_error_db=response_error_db, quietest_db=quietest_db, engine=engine,
-        device=device, duration=duration, chunk=chunk,
+        device=device, duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
     )  # fmt: skip
     return _record(plan)
 
@@ -133,6 +139,7 @@ def render_tracks(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    convolve_at_rest: bool = True,
 ) -> Recording:
     """Return what is heard of signals along tracks, whoever computed these.
 
@@ -146,13 +153,12 @@ def render_tracks(
         Of the recording, Hz.
     starts : sequence of float, optional
         Time at which each signal begins, s; 0 when left out.
-    interpolator, response_error_db, engine, device, duration, chunk
+    interpolator, response_error_db, engine, device, duration, chunk, convolve_at_rest
         As in `render`.
     """
     plan = plan_tracks(
         signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, response_error_db=response_error_db,
-        engine=engine, device=device,
-        duration=duration, chunk=chunk,
+        engine=engine, device=device, duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
     )  # fmt: skip
     return _record(plan)
 
@@ -192,11 +198,25 @@ def render_chunks(
 
 
 def _pieces(plan: Plan, receiving: Receiving, first: int = 0) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
+    engine, convolution = _engine(plan), Convolution(plan)
     for start in range(first, plan.samples, plan.chunk):
-        yield start, receiving(start, engine.render(start, min(start + plan.chunk, plan.samples)))
+        stop = min(start + plan.chunk, plan.samples)
+        silence = (plan.receiver_count, stop - start)
+        pressure = np.zeros(silence, np.float32) if engine is None else engine.render(start, stop)
+        convolution.add(pressure, start)
+        yield start, receiving(start, pressure)
     if isinstance(engine, OpenclEngine):
         engine.warn()
+
+
+def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine | None:
+    """Return what renders the paths of a plan that are not convolved; None if there are none."""
+    if plan.engine == "reference":
+        return ReferenceEngine(plan)
+    if len(plan.at_rest.groups) == len(plan.tracks.groups):
+        find_device(plan.device)  # a device that is not there is an error all the same
+        return None
+    return OpenclEngine(plan)
 
 
 def _record(plan: Plan) -> Recording:

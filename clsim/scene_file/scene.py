@@ -159,6 +159,7 @@ class _Render(Model):
     device: str | None = None
     duration: float | None = None
     chunk: int | None = None
+    convolve_at_rest: bool = True
 
 
 class SceneModel(Model):

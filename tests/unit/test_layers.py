@@ -17,7 +17,7 @@ LAYERS = [
     ("opencl",),
     ("paths",),
     ("render",),
-    ("recording",),
+    ("recording", "room_responses"),
     ("output",),
     ("scene_file",),
     ("study",),
