@@ -51,7 +51,7 @@ def test_run_writes_all_it_promises(scene: Path, tmp_path: Path, capsys, device)
     printed = capsys.readouterr()
     names = {
         "ber_left.wav", "right.wav", "paths.npz", "ber_left_spectrogram.png", "right_spectrogram.png",
-        "ber_left_echogram.png", "right_echogram.png", "scene.toml",
+        "ber_left_echogram.png", "right_echogram.png", "truth.npz", "scene.toml",
     }  # fmt: skip
     assert {p.name for p in out.iterdir()} == names
     assert {Path(line).name for line in printed.out.split()} == names
