@@ -41,7 +41,7 @@ def errors(recording: clsim.Recording, paths: clsim.PathSet, parameters: dict[st
         # What arrives at t was emitted at t - delay(t), which grows with t.
         heard[r] = np.interp(emitted, times - truth.delay[0, r], times)
         radial[r] = np.interp(heard[r], times, truth.radial_speed[0, r])
-    return {"error": c * (found - heard), "radial": radial}
+    return {"miss": c * (found - heard), "radial": radial}
 
 
 def peak(values: np.ndarray) -> float:
@@ -81,7 +81,7 @@ def table(found: object) -> list[str]:
     """Return percentiles of the absolute error by number of reflections, a line each."""
     lines = ["order  " + "".join(f"{f'{p} %':>9}" for p in PERCENTILES) + "   of |error|, mm"]
     for order in np.unique(found.order):
-        error = 1e3 * np.abs(found.error.values[found.order == order])
+        error = 1e3 * np.abs(found.miss.values[found.order == order])
         lines.append(f"{order:>5}  " + "".join(f"{np.percentile(error, p):>9.2f}" for p in PERCENTILES))
     return lines
 
@@ -99,7 +99,7 @@ def draw_map(found: object, file: Path) -> None:
     FigureCanvasAgg(figure)
     shown = None
     for axes, (order, speed) in zip(figure.subplots(1, 3, sharey=True), ((1, 0.0), (4, 0.0), (4, 2.0)), strict=True):
-        error = 1e3 * np.median(np.abs(found.error.values[member(found, order, speed)]), axis=1).reshape(10, 10)
+        error = 1e3 * np.median(np.abs(found.miss.values[member(found, order, speed)]), axis=1).reshape(10, 10)
         shown = axes.imshow(
             error, origin="lower", extent=(0.0, 8.0, 0.0, 6.0), norm=LogNorm(0.1, 3000.0), cmap="cividis"
         )
@@ -118,7 +118,7 @@ def draw_curves(found: object, file: Path) -> None:
     spread, moving = figure.subplots(1, 2)
     colours = ("#1f3b73", "#2a788e", "#35a36b", "#d9a404", "#c1272d")
     for order, colour in enumerate(colours):
-        error = np.sort(1e3 * np.abs(found.error.values[member(found, order, 0.0)]).ravel())
+        error = np.sort(1e3 * np.abs(found.miss.values[member(found, order, 0.0)]).ravel())
         share = (np.arange(len(error)) + 1.0) / len(error)
         spread.semilogx(np.maximum(error, 1e-2), 100.0 * share, color=colour, label=f"{order}")
     spread.set(
@@ -130,7 +130,7 @@ def draw_curves(found: object, file: Path) -> None:
     for speed, colour in zip((0.0, 0.5, 1.0, 1.5, 2.0), colours, strict=True):
         at = member(found, 0, speed)
         moving.plot(
-            found.radial.values[at].ravel(), 1e3 * found.error.values[at].ravel(), ".", markersize=3.0, color=colour,
+            found.radial.values[at].ravel(), 1e3 * found.miss.values[at].ravel(), ".", markersize=3.0, color=colour,
             label=f"{speed:g} m/s",
         )  # fmt: skip
     ends = np.array([-2.0, 2.0])
