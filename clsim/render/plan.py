@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_count, as_number
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
 from clsim.render.at_rest import NONE_AT_REST, AtRest, find_at_rest
 from clsim.render.emission import AT_CENTRE, DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
@@ -55,11 +54,6 @@ class Plan:
     def path_count(self) -> int:
         """Number of paths over all pairs of source and receiver."""
         return sum(len(group) for group in self.tracks.groups)
-
-    @property
-    def interpolator_error_db(self) -> float:
-        """Largest error of the delay filters over every source's band, dB."""
-        return max(e.bank.error_db for e in self.emissions)
 
     @property
     def max_rate(self) -> float:
@@ -280,10 +274,6 @@ def _chunk(plan: Plan, chunk: int | None) -> int:
     wanted = math.ceil(4.0 * span / SEGMENT)
     affordable = _PRESSURE_BUDGET // (4 * SEGMENT * plan.receiver_count)
     return SEGMENT * max(1, min(whole, max(8, min(wanted, 48)), affordable))
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, ClsimWarning, stacklevel=5)
 
 
 def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:

@@ -11,18 +11,19 @@ import numpy as np
 
 from clsim.paths.arrivals import MACH_EXPONENT, arrivals
 from clsim.paths.responses import NEPERS, beam_gain, known
+from clsim.render.occupied import shares
 from clsim.render.tracks import SceneTracks, TrackGroup
 from clsim.scene.directivity import Omni
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.directivity import AnyDirectivity
-    from clsim.scene.scene import Scene
 
 _STEP = 0.25  # s, over which distances are bounded
 _DIRECTIONS = 2000  # in which a beam's largest gain is looked for
 _BETWEEN = 1.05  # by which it may be larger between them
 _FREQUENCIES = 9
+_SHARE = 1e-4  # of the signal's energy at either end, which is not looked at
 
 
 def without_quiet(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTracks, str]:
@@ -75,7 +76,7 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
     """Return bounds (P,) of the gains of a group's paths, and the strongest gain that was met."""
     scene, paths = tracks.scene, tracks.path_groups[group]
     source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.sound_speed
-    frequencies = np.linspace(*_band(scene, paths.source), _FREQUENCIES)
+    frequencies = np.linspace(*shares(source.emitted.energy_spectrum(), _SHARE), _FREQUENCIES)
     factors = np.ones((len(scene.room.wall_materials) + 1, len(frequencies)))
     for w, material in enumerate(scene.room.wall_materials):
         if not material.depends_on_angle:
@@ -96,14 +97,6 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
         now = np.abs(arrivals(scene, paths, middle, tracks.motion, tracks.amplitude).gain[:, 0])
         strongest = max(strongest, float(np.where((member.start <= middle) & (member.end > middle), now, 0.0).max()))
     return bound, strongest
-
-
-def _band(scene: Scene, source: int) -> tuple[float, float]:
-    """Return the frequencies between which all but 1e-4 of a source's energy lies, Hz."""
-    frequencies, energy = scene.sources[source].emitted.energy_spectrum()
-    below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
-    low, high = frequencies[np.minimum(np.searchsorted(below, [1e-4, 1.0 - 1e-4]), len(frequencies) - 1)]
-    return max(float(low), 1.0), max(float(high), 2.0)
 
 
 def _peak(directivity: AnyDirectivity, frequencies: Floats, speed_of_sound: float) -> Floats:

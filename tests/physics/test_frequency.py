@@ -153,7 +153,7 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
 @pytest.mark.usefixtures("device")
 def test_engines_agree_over_a_band() -> None:
     scene = room_scene(25e3, 60e3)
-    paths = clsim.find_paths(scene, 4)
+    paths = clsim.find_paths(scene, 6)
     fast, slow = (
         clsim.render(scene, paths, RATE, engine=e, duration=0.04).pressure[0] for e in ("opencl", "reference")
     )
