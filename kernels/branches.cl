@@ -4,7 +4,8 @@
 
 #define CHANNEL (8 * LANES)
 
-__kernel void branches(__global const float* emitted,  // starts TAPS - 1 - centre samples before the first row's
+__kernel void branches(__global const float* emitted,
+                       int first_emitted,              // TAPS - 1 - centre samples before the first row's
                        __constant float* taps,         // [rows][TAPS]
                        int stride, int first_row, __global float* rows,
                        __global const int* next)        // as in silence.h
@@ -18,7 +19,7 @@ __kernel void branches(__global const float* emitted,  // starts TAPS - 1 - cent
     for (int j = 0; j < 8; j++) sum[j] = 0.0f;
     for (int k = 0; k < TAPS; k++) {
         const float tap = taps[row * TAPS + TAPS - 1 - k];
-        __global const float* at = emitted + first + k;
+        __global const float* at = emitted + first_emitted + first + k;
 #pragma unroll
         for (int j = 0; j < 8; j++) sum[j] += tap * LOAD(at + j * LANES);
     }

@@ -24,16 +24,44 @@ typedef struct {
 } batch;
 
 #if SPARSE
-// Note which paths of a batch are heard in a group of a block; returns 0 if it is certain that none is.
-static int heard_by(__global const int* spans, int group, int worker, SHARED batch* out)
+// Note in which batches of a tile any path is heard, for each of some groups; returns whether there are any.
+static int find_heard(__global const int* spans, int slots, int tile, int tile_end, int first_block, int block_groups,
+                      int first_group, int last_group, int worker, SHARED int* batches)
 {
-    int any = WORKERS > 1;  // each worker looks at some only
-    for (int p = worker; p < BATCH; p += WORKERS) {
-        const int heard = group >= (spans[p] & 0xffff) && group < spans[p] >> 16;
-        out->heard[p] = heard;
-        any |= heard;
+    int any = 0;
+    SYNCHRONISE;
+    for (int g = first_group + worker; g < last_group; g += WORKERS) batches[g - first_group] = 0;
+    SYNCHRONISE;
+    for (int block = first_group / block_groups; block * block_groups < last_group; block++) {
+        __global const int* row = spans + (long)(first_block + block) * slots;
+        for (int slot = tile; slot < tile_end; slot += BATCH) {
+            int heard = 0;
+            for (int p = 0; p < BATCH; p++) heard |= row[slot + p];
+            if (!heard) continue;
+            any = 1;
+            int from = last_group, until = first_group;
+            for (int p = 0; p < BATCH; p++) {
+                const int begin = block * block_groups + (row[slot + p] & 0xffff);
+                const int end = block * block_groups + (row[slot + p] >> 16);
+                from = row[slot + p] && begin < from ? begin : from;
+                until = row[slot + p] && end > until ? end : until;
+            }
+            from = from > first_group ? from : first_group;
+            until = until < last_group ? until : last_group;
+            for (int g = from + worker; g < until; g += WORKERS) batches[g - first_group] |= 1 << (slot - tile) / BATCH;
+        }
     }
+    SYNCHRONISE;
     return any;
+}
+
+// Note which paths of a batch are heard in a group of a block.
+static void note_heard(__global const int* spans, int group, int worker, SHARED batch* out)
+{
+    for (int p = worker * LANES; p < BATCH; p += WORKERS * LANES) {
+        const ivec span = *(__global const loose_ivec*)(spans + p);
+        *(SHARED loose_ivec*)(out->heard + p) = group >= (span & 0xffff) && group < span >> 16;
+    }
 }
 #endif
 

@@ -29,11 +29,19 @@ void render(__global const float* branches,     // [rows][stride], BRANCHES to a
     const float per_sample = 2.0f / (float)(block_groups * GROUP);
     vec sum[SPAN][VECTORS];
     SHARED batch paths;
+#if SPARSE
+    SHARED int batches[SPAN];  // of a tile, a bit each, in which anything is heard
+#endif
     for (int g = 0; g < SPAN; g++) {
         for (int j = 0; j < VECTORS; j++) sum[g][j] = 0.0f;
     }
     for (int tile = first_slot[receiver]; tile < first_slot[receiver + 1]; tile += TILE) {
         const int tile_end = min(tile + TILE, first_slot[receiver + 1]);
+#if SPARSE
+        if (!find_heard(spans, slots, tile, tile_end, first_block, block_groups, first_group, last_group, worker, batches)) {
+            continue;
+        }
+#endif
         for (int k = first_function; k < last_function; k++) {
             __global const float* rows = branches + (first_row + (k - first_function) * BRANCHES) * (long)stride + lead;
             for (int g = first_group; g < last_group; g++) {
@@ -43,9 +51,13 @@ void render(__global const float* branches,     // [rows][stride], BRANCHES to a
                     (float)(2 * (g - block * block_groups) * GROUP + GROUP - 1) * (0.5f * per_sample) - 1.0f;
                 vec group_sum[VECTORS];
                 for (int j = 0; j < VECTORS; j++) group_sum[j] = 0.0f;
+#if SPARSE
+                if (batches[g - first_group] == 0) continue;
+#endif
                 for (int slot = tile; slot < tile_end; slot += BATCH) {
 #if SPARSE
-                    if (!heard_by(spans + (long)row * slots + slot, g - block * block_groups, worker, &paths)) continue;
+                    if (!(batches[g - first_group] >> (slot - tile) / BATCH & 1)) continue;
+                    note_heard(spans + (long)row * slots + slot, g - block * block_groups, worker, &paths);
 #endif
                     expand(delay + row * slots + slot, nodes + (long)row * coefficients(functions) * slots + slot,
                            slots, k, t, per_sample, worker, &paths);

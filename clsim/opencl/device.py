@@ -112,6 +112,23 @@ def upload(context: Any, array: NDArray[Any]) -> Any:
     return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array))
 
 
+class Scratch:
+    """Buffers of a context that are used again, by name: fresh memory at every step of a run costs time."""
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+        self._kept: dict[Any, Any] = {}
+
+    def take(self, name: Any, size: int) -> Any:
+        """Return the buffer of a name, of at least `size` bytes; what it held may be lost."""
+        import pyopencl as cl
+
+        if name not in self._kept or self._kept[name].size < size:
+            self._kept.pop(name, None)
+            self._kept[name] = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
+        return self._kept[name]
+
+
 _of_thread = threading.local()
 
 

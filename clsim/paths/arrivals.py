@@ -59,9 +59,9 @@ class Arrivals:
     emitted: Floats
     stretch: Floats
 
-    def part(self, rows: NDArray[np.int64]) -> Arrivals:
-        """Return what some of the paths bring."""
-        return Arrivals(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+    def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Arrivals:
+        """Return what some of the paths bring at some of the times."""
+        return Arrivals(**{f.name: getattr(self, f.name)[rows, times] for f in fields(self)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -352,9 +352,8 @@ def _sampled(
         chosen = rng.choice(level.size, most, replace=False, p=level.ravel() / level.sum())
         p, t = np.unravel_index(chosen, level.shape)
         for at in np.unique(t):
-            part, one = group.part(p[t == at]), times[at : at + 1]
-            there = arrivals(tracks.scene, part, one, tracks.motion, tracks.amplitude)
-            picked.append(responses.along(part, there, one)[:, 0] / loudest)
+            one, rows = slice(at, at + 1), p[t == at]
+            picked.append(responses.along(group.part(rows), found.part(rows, one), times[one])[:, 0] / loudest)
     return np.concatenate(picked) if picked else np.ones((1, len(band.frequencies)))
 
 

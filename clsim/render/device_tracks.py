@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.geometry import rotate
-from clsim.opencl.device import upload
+from clsim.opencl.device import Scratch, upload
 from clsim.paths.arrivals import MACH_EXPONENT, PathGroup
 from clsim.paths.motion_knots import knot_rate, motion_knots
 from clsim.paths.responses import Responses
@@ -66,6 +66,7 @@ class DeviceTracks:
 
     def __init__(self, plan: Plan, tracks: SceneTracks, queue: Any, compiler: Compiler) -> None:
         self._plan, self._tracks, self._queue, self._compiler = plan, tracks, queue, compiler
+        self._scratch = Scratch(queue.context)
         scene = tracks.scene
         self._knot_rates = []
         for source, emission in zip(scene.sources, plan.emissions, strict=True):
@@ -125,7 +126,7 @@ class DeviceTracks:
         cells = None
         if sounding is not None:
             signal = (sounding.following, sounding.preceding)
-            cells = (*(self._upload(column) for column in signal), np.int32(len(sounding.following)))
+            cells = (*(self._upload(column) for column in signal), np.int32(len(sounding.cells)))
         return _Chunk(source, slots, start, images, bounds, anchors, motion, cells, first)
 
     def _anchors(
@@ -153,18 +154,18 @@ class DeviceTracks:
         emission = plan.emissions[chunk.source]
         rate, c = plan.sampling_rate, scene.air.sound_speed
         walks = -(-blocks * block // SEGMENT)
-        context, flags = self._queue.context, cl.mem_flags.READ_WRITE
-        delay = cl.Buffer(context, flags, 4 * blocks * slots.count)
-        cubics = cl.Buffer(context, flags, 16 * (1 + len(emission.basis)) * blocks * slots.count)
+        functions = len(emission.basis)
+        delay = self._scratch.take(("delay", block), 4 * blocks * slots.count)
+        cubics = self._scratch.take(("cubics", block), 16 * (1 + functions) * blocks * slots.count)
         found = np.empty((walks, slots.count, 4), dtype=np.float32)
         unheld = np.empty((walks, slots.count), dtype=np.float32)
-        found_there, unheld_there = cl.Buffer(context, flags, found.nbytes), cl.Buffer(context, flags, unheld.nbytes)
+        found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
         receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
         around = self._surroundings[chunk.source]
         spread = emission.basis.half / rate  # by which the functions' filters are longer than what is emitted
         spans, cells = None, (delay, delay, np.int32(0))
         if chunk.sounding is not None:
-            spans, cells = cl.Buffer(context, flags, 4 * blocks * slots.count), chunk.sounding
+            spans, cells = self._scratch.take(("spans", block), 4 * blocks * slots.count), chunk.sounding
             cl.enqueue_fill_buffer(self._queue, spans, np.zeros(1, np.int32), 0, 4 * blocks * slots.count)
         constants = self._constants(chunk.source, block) | {"SPARSE": int(spans is not None)}
         kernel = self._compiler.kernel("tracks", constants)

@@ -73,19 +73,34 @@ class Emission:
 
     def streams(self, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of the signal through each function of the basis, (K, n)."""
-        half = self.basis.half
-        signal = self.signal.read(first - half, last + half)
-        if half == 0:
-            return signal * self.basis.filters
-        if not np.any(signal):
-            return np.zeros((len(self.basis), last - first))
+        places, values = self.sounding(first, last)
+        out = np.zeros((len(self.basis), last - first))
+        out[:, places] = values
+        return out
+
+    def sounding(self, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
+        """Return where samples `first` to `last` of those streams sound, from `first` on, (n,), and these (K, n).
+
+        What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
+        """
+        reach = 2 * self.basis.half  # of a sample, into those of the streams before it
+        signal = self.signal.read(first - self.basis.half, last + self.basis.half)
+        heard = np.flatnonzero(signal)
+        if not len(heard):
+            return heard, np.zeros((len(self.basis), 0))
+        pause = np.flatnonzero(np.diff(heard) > reach + 1)
+        begins = np.maximum(heard[np.concatenate([[0], pause + 1])] - reach, 0)
+        lengths = np.minimum(heard[np.concatenate([pause, [-1]])] + 1, last - first) - begins
+        begins, lengths = begins[lengths > 0], lengths[lengths > 0]
+        places = _ranges(begins, lengths)
+        if reach == 0:
+            return places, signal[places] * self.basis.filters
         from scipy.signal import oaconvolve
 
-        out = np.asarray(oaconvolve(signal[None], self.basis.filters, mode="valid", axes=1))
-        # What no sound reaches is silent, without the rounding of the transforms.
-        sounding = np.concatenate([[0], np.cumsum(signal != 0.0)])
-        out[:, sounding[2 * half + 1 :] == sounding[: last - first]] = 0.0
-        return out
+        together = signal[_ranges(begins, lengths + reach)]  # without the pauses
+        made = oaconvolve(together[None], self.basis.filters, mode="valid", axes=1)
+        within = _ranges(np.cumsum(lengths + reach) - lengths - reach, lengths)
+        return places, np.asarray(made[:, within])
 
     def describe(self) -> str:
         """Return how air, walls and beams are carried, and what it costs."""
@@ -210,6 +225,12 @@ def _basis(
     if is_complex(tracks.scene):
         return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
     return flat_basis(signal.centre_frequency)
+
+
+def _ranges(begins: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return whole numbers from each beginning on, range after range."""
+    ends = np.cumsum(lengths)
+    return np.repeat(begins - ends + lengths, lengths) + np.arange(int(ends[-1]) if len(ends) else 0)
 
 
 def _warn(message: str) -> None:

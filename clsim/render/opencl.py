@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError
-from clsim.opencl.device import find_device, opened, upload
+from clsim.opencl.device import Scratch, find_device, opened, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
@@ -35,26 +35,29 @@ _MARGIN = 64  # samples of branch signal beyond the bounds of the delays
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a group of samples is spread over a device: over the lanes of vectors, or over work-items."""
+    """How the sum of paths is spread over a device: a group of samples over lanes of vectors, or over work-items."""
 
     lanes: int
-    span: int
+    span: int  # groups to a work-item, or group of them
+    sparse_span: int  # the same where signals pause
+    sparse_batch: int  # paths that are looked at together there; divides BATCH, and _TILE into at most 31
 
-    def constants(self, group: int) -> dict[str, int]:
+    def constants(self, group: int, *, sparse: bool) -> dict[str, int]:
         """Return the compile-time constants of the render kernel for a group length."""
         workers = 1 if self.lanes > 1 else group
         return {
             "LANES": self.lanes,
             "VECTORS": group // (workers * self.lanes),
             "WORKERS": workers,
-            "BATCH": BATCH,
+            "BATCH": self.sparse_batch if sparse else BATCH,
+            "SPARSE": int(sparse),
             "TILE": _TILE,
-            "SPAN": self.span * (32 // group),
+            "SPAN": (self.sparse_span if sparse else self.span) * (32 // group),
         }
 
 
-CPU_LAYOUT = Layout(lanes=8, span=16)
-GPU_LAYOUT = Layout(lanes=1, span=4)
+CPU_LAYOUT = Layout(lanes=8, span=16, sparse_span=48, sparse_batch=8)
+GPU_LAYOUT = Layout(lanes=1, span=4, sparse_span=16, sparse_batch=32)
 
 
 class OpenclEngine:
@@ -81,6 +84,8 @@ class OpenclEngine:
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
         self._context, self._compiler = opened(device)
         self._queue = cl.CommandQueue(self._context)
+        self._scratch = Scratch(self._context)
+        self._written: tuple[tuple[int, int], Sounding] | None = None  # branches kept in memory, silent elsewhere
         self.skips_silence = True
         shape = (len(plan.emissions), plan.receiver_count)
         self._strongest, self._unheld = np.zeros(shape), np.zeros(shape)  # arrivals, and what no function holds of any
@@ -125,8 +130,9 @@ class OpenclEngine:
 
         plan = self._plan
         length = -(-(stop - start) // BLOCKS[0]) * BLOCKS[0]
-        pressure = np.zeros((plan.receiver_count, length), dtype=np.float32)
-        on_device = self._upload(pressure)
+        pressure = np.empty((plan.receiver_count, length), dtype=np.float32)
+        on_device = self._scratch.take("pressure", pressure.nbytes)
+        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)
         for source in range(len(plan.emissions)):
             active = self._active(source, start, length)
             branches = self._branches(source, start, length, active) if active else None
@@ -166,33 +172,49 @@ class OpenclEngine:
         least = int(np.floor(min(group.low.min() for group in active) * rate + late)) - _MARGIN
         most = int(np.ceil(max(group.high.max() for group in active) * rate + late)) + _MARGIN
         channel = 8 * self._layout.lanes
-        width = -(-(length + most - least) // channel) * channel
-        stride = -(-width // 16) * 16
-        stride += 16 if (stride // 16) % 2 == 0 else 0  # whole pages apart, rows would fight for the same cache lines
+        needed = length + most - least
+        step = max(64, 1 << needed.bit_length() - 5)  # little, but so much that chunk after chunk has the same width
+        width = -(-needed // step) * step
+        stride = width + 16  # whole pages apart, rows would fight for the same cache lines
         first = start - most
         before, after = (max(side(bank) for bank in emission.banks) for side in (_taps_before, _taps_after))
-        streams = emission.streams(first - before, first + width + after)
-        if not np.any(streams):
+        places, values = emission.sounding(first - before, first + width + after)
+        if not len(places):
             return None
-        out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * int(emission.rows[-1]) * stride)
-        found = sounding(streams, before, after)
+        found = sounding(places, width, before, after)
         sparse = self.skips_silence and found.pays
-        if sparse:
-            cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, out.size)
-        following = self._upload(found.following)
-        for bank, row, stream in zip(emission.banks, emission.rows, streams, strict=False):
+        out, following = self._rows(int(emission.rows[-1]), stride, found if sparse else None)
+        there = self._scratch.take("emitted", 4 * len(emission.banks) * (before + width + after))
+        emitted = np.zeros((len(emission.banks), before + width + after), dtype=np.float32)
+        emitted[:, places] = values
+        cl.enqueue_copy(self._queue, there, emitted)
+        for k, bank in enumerate(emission.banks):
             rows, taps = bank.taps.shape
             constants = {"LANES": self._layout.lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(sparse)}
             kernel = self._compiler.kernel("branches", constants)
-            emitted = np.zeros(stride + taps + channel, dtype=np.float32)
-            here = stream[before - _taps_before(bank) : before + width + _taps_after(bank)]
-            emitted[: len(here)] = here
             kernel(
-                self._queue, (width // channel, rows), None, self._upload(emitted),
-                self._upload(bank.taps.astype(np.float32)), np.int32(stride), np.int32(row), out,
+                self._queue, (width // channel, rows), None, there,
+                np.int32(k * emitted.shape[1] + before - _taps_before(bank)),
+                self._upload(bank.taps.astype(np.float32)), np.int32(stride), np.int32(emission.rows[k]), out,
                 following,
             )  # fmt: skip
         return _Branches(out, stride, first, least, most, found if sparse else None)
+
+    def _rows(self, count: int, stride: int, found: Sounding | None) -> tuple[Any, Any]:
+        """Return memory for branch signals, and where they are to be written: where they sound, or did before."""
+        import pyopencl as cl
+
+        out, shape = self._scratch.take("rows", 4 * count * stride), (count, stride)
+        if found is None:
+            self._written = None
+            return out, out  # of no use: all is written
+        if self._written is None or self._written[0] != shape:
+            cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, 4 * count * stride)
+            write = found
+        else:
+            write = found | self._written[1]
+        self._written = shape, found
+        return out, self._upload(write.following)
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)
@@ -274,7 +296,7 @@ class _Run:
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, emission = self._engine, self._plan.emissions[self._source]
         self._render_edges(nodes, segment, end, block, first_block)
-        constants = engine._layout.constants(emission.bank.group) | {"SPARSE": int(nodes.spans is not None)}
+        constants = engine._layout.constants(emission.bank.group, sparse=nodes.spans is not None)
         spans = nodes.delay if nodes.spans is None else nodes.spans
         begin = segment * SEGMENT
         groups = (end - begin) // emission.bank.group

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import InputError
@@ -212,13 +213,15 @@ def plan_tracks(
     still = NONE_AT_REST
     if convolve_at_rest and engine == "opencl":
         still = find_at_rest(tracks, interpolator, at_centre=response_error_db == AT_CENTRE)
-    emissions = tuple(
-        design_emission(
-            i, signal, start, tracks, interpolator=interpolator, until=samples / rate, sampling_rate=rate,
-            response_error_db=response_error_db, exact=engine == "reference", at_rest=still.holds(tracks, i),
-        )
-        for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
-    )  # fmt: skip
+    # Matrices are small: threads of the linear algebra would wait for each other, the longer the busier the machine.
+    with threadpool_limits(1, "blas"):
+        emissions = tuple(
+            design_emission(
+                i, signal, start, tracks, interpolator=interpolator, until=samples / rate, sampling_rate=rate,
+                response_error_db=response_error_db, exact=engine == "reference", at_rest=still.holds(tracks, i),
+            )
+            for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
+        )  # fmt: skip
     draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device, left_out, still)
     return replace(draft, chunk=_chunk(draft, chunk))
 

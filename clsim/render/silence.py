@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
-
 CELL = 32  # samples
 _SPARSE = 0.5  # share of cells that sound, below which it pays to look
 
@@ -22,37 +20,49 @@ class Sounding:
 
     Attributes
     ----------
-    following, preceding : ndarray (cells,) int32
-        The nearest cell that sounds from each one on, or the number of cells; and up to it, or -1.
+    cells : ndarray (cells,) bool
+        Whether they sound.
     """
 
-    following: NDArray[np.int32]
-    preceding: NDArray[np.int32]
+    cells: NDArray[np.bool_]
+
+    def __or__(self, other: Sounding) -> Sounding:
+        """Return where either sounds."""
+        return Sounding(self.cells | other.cells)
 
     @property
     def pays(self) -> bool:
         """Whether so much is silent that it pays to look."""
-        cells = np.arange(len(self.following))
-        return float(np.mean(self.following == cells)) < _SPARSE
+        return float(np.mean(self.cells)) < _SPARSE
+
+    @property
+    def following(self) -> NDArray[np.int32]:
+        """The nearest cell that sounds from each one on, or the number of cells, (cells,)."""
+        count = len(self.cells)
+        index = np.where(self.cells, np.arange(count, dtype=np.int32), np.int32(count))
+        return np.asarray(np.minimum.accumulate(index[::-1])[::-1])
+
+    @property
+    def preceding(self) -> NDArray[np.int32]:
+        """The nearest cell that sounds up to each one, or -1, (cells,)."""
+        index = np.where(self.cells, np.arange(len(self.cells), dtype=np.int32), np.int32(-1))
+        return np.asarray(np.maximum.accumulate(index))
 
 
-def sounding(streams: Floats, before: int, after: int) -> Sounding:
-    """Return which cells sound.
+def sounding(heard: NDArray[np.int64], count: int, before: int, after: int) -> Sounding:
+    """Return which cells of branches sound.
 
     Parameters
     ----------
-    streams : ndarray (K, before + n + after)
-        What the branch filters filter; the first sample of the branches is at `before`.
+    heard : ndarray (n,)
+        Samples that sound of what the branch filters filter; the first sample of the branches is at `before`.
+    count : int
+        Samples of the branches.
     before, after : int
         Samples that the filters look at to either side.
     """
-    heard = np.flatnonzero(np.any(streams != 0.0, axis=0))
-    cells = -(-(streams.shape[1] - before - after) // CELL)
+    cells = -(-count // CELL)
     # A sample at i is heard by branches from i - after - before to i.
     begun = np.bincount(np.clip((heard - before - after) // CELL, 0, cells), minlength=cells + 1)
     ended = np.bincount(np.clip(heard // CELL + 1, 0, cells), minlength=cells + 1)
-    sounds = np.cumsum(begun - ended)[:-1] > 0
-    index = np.arange(cells)
-    following = np.minimum.accumulate(np.where(sounds, index, cells)[::-1])[::-1]
-    preceding = np.maximum.accumulate(np.where(sounds, index, -1))
-    return Sounding(following.astype(np.int32), preceding.astype(np.int32))
+    return Sounding(np.cumsum(begun - ended)[:-1] > 0)

@@ -8,8 +8,8 @@ import clsim
 from clsim.opencl import device as device_module
 from clsim.render import opencl as opencl_module
 from clsim.render.opencl import GPU_LAYOUT, OpenclEngine
-from clsim.render.plan import Plan, plan_render
-from clsim.render.silence import CELL, sounding
+from clsim.render.plan import SEGMENT, Plan, plan_render
+from clsim.render.silence import CELL, Sounding, sounding
 
 pytestmark = pytest.mark.usefixtures("device")
 RATE = 192e3
@@ -75,14 +75,46 @@ def test_not_a_bit_changes(name: str, layout, monkeypatch: pytest.MonkeyPatch) -
     assert all(looked)
 
 
+def in_chunks(plan: Plan, skips_silence: bool) -> np.ndarray:
+    engine, step = OpenclEngine(plan), 2 * SEGMENT
+    engine.skips_silence = skips_silence
+    return np.concatenate([engine.render(a, min(a + step, plan.samples)) for a in range(0, plan.samples, step)], axis=1)
+
+
+def test_memory_that_is_used_again_is_silent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Two periods are 300 samples less than a chunk: what sounded in the last one lies right behind what sounds in this.
+    plan = box_plan(pulses((2 * SEGMENT - 300) / 2 / RATE, 5), order=2)
+    wanted = in_chunks(plan, False)
+    np.testing.assert_array_equal(in_chunks(plan, True), wanted)
+    monkeypatch.setattr(Sounding, "__or__", lambda now, before: now)  # what sounded before is left there
+    assert not np.array_equal(in_chunks(plan, True), wanted)
+
+
+@pytest.mark.parametrize("response_error_db", [-80.0, "centre"])
+def test_functions_of_frequency_are_applied_where_it_sounds(response_error_db) -> None:
+    emission = box_plan(pulses(0.1, 5), response_error_db=response_error_db).emissions[0]
+    first, last = -300, int(0.35 * RATE)
+    half, filters = emission.basis.half, emission.basis.filters
+    read = emission.signal.read(first - half, last + half)
+    wanted = np.stack([np.convolve(read, f, mode="valid") for f in filters])
+    found = emission.streams(first, last)
+    np.testing.assert_allclose(found, wanted, atol=1e-13 * np.abs(wanted).max())
+    reached = np.convolve(read != 0.0, np.ones(2 * half + 1), mode="valid") > 0.5
+    assert 0.003 < np.mean(reached) < 0.05
+    assert not found[:, ~reached].any()
+    places, values = emission.sounding(first, last)
+    np.testing.assert_array_equal(places, np.flatnonzero(reached))
+    np.testing.assert_array_equal(found[:, places], values)
+
+
 def test_dense_signals_are_not_looked_through() -> None:
-    assert not sounding(np.ones((2, 5000)), 10, 11).pays
+    assert not sounding(np.arange(5000), 4979, 10, 11).pays
 
 
 def test_cells_are_those_that_filters_hear(rng: np.random.Generator) -> None:
     before, after, length = 7, 13, 2000
     stream = np.where(rng.random(length + before + after) < 0.004, 1.0, 0.0)
-    found = sounding(stream[None], before, after)
+    found = sounding(np.flatnonzero(stream), length, before, after)
     heard = [np.any(stream[j : j + before + after + 1]) for j in range(length)]
     cells = -(-length // CELL)
     first = np.pad(heard, (0, cells * CELL - length)).reshape(cells, CELL).any(axis=1)
@@ -101,7 +133,11 @@ MUTANTS = {
     "cells before the origin": ("tracks", "s->origin + (double)block * BLOCK;\n    return", "(double)block * BLOCK;\n    return"),
     "last node forgotten": ("tracks", "solved = block + 3;", "solved = block + 4;"),
     "group of another block": ("render", "g - block * block_groups, worker, &paths)", "g, worker, &paths)"),
-    "last group left out": ("render", "group < spans[p] >> 16", "group + 1 < spans[p] >> 16"),
+    "last group left out": ("render", "group < span >> 16", "group + 1 < span >> 16"),
+    "batch not looked at": ("render", "g < until; g += WORKERS", "g < until - 1; g += WORKERS"),
+    "batch beside the right one": ("render", "|= 1 << (slot - tile) / BATCH", "|= 1 << (slot - tile) / BATCH / 2"),
+    "paths that begin early": ("render", "begin < from ? begin", "begin > from ? begin"),
+    "tile taken for silent": ("render", "any = 1;", "any = slot == tile;"),
 }  # fmt: skip
 
 
