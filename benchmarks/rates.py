@@ -20,6 +20,8 @@ import pyopencl as cl
 
 import clsim
 from clsim.opencl import device as device_module
+from clsim.render.plan import plan_render
+from clsim.render.render import render_chunks
 
 HERE = Path(__file__).parent
 RATE = 192e3
@@ -249,9 +251,6 @@ def crossfade_rate(order: int, responses: int) -> float:
 
 def broadband_rates() -> list[tuple[int, float, float, float]]:
     """Return, for asked errors from none to -100 dB, functions, branch signals, rate times functions, and seconds."""
-    from clsim.render.plan import plan_render
-    from clsim.render.render import render_chunks
-
     f = np.linspace(10e3, 90e3, 81)
     walls = [
         0.97 - 0.2 * (f / 80e3),
@@ -265,7 +264,7 @@ def broadband_rates() -> list[tuple[int, float, float, float]]:
     scene = clsim.Scene(clsim.Shoebox(SIZE, materials), clsim.Air(), [source], receivers)
     paths = clsim.find_paths(scene, 10)
     found = []
-    for error_db in ("centre", -40.0, -55.0, -70.0, -80.0, -100.0):
+    for error_db in ("centre", -40.0, -48.0, -55.0, -62.0, -70.0, -80.0, -100.0):
         plan = plan_render(scene, paths, RATE, duration=2.0, response_error_db=error_db)
         list(render_chunks(plan))  # builds the kernels
         seconds = []
@@ -279,27 +278,44 @@ def broadband_rates() -> list[tuple[int, float, float, float]]:
     return found
 
 
-def pulse_ratio(duration: float) -> tuple[float, float]:
-    """Return how many times as fast pulses of 1 ms ten times a second are as a tone: whole call, and kernels alone."""
+def pulse_rows() -> list[tuple[str, ...]]:
+    """Return how much faster 1 ms pulses ten times a second are than the same with nothing left out, a row each."""
+    from clsim.render import silence
+
     pulse = clsim.Signal.chirp(39e3, 41e3, 1e-3, RATE, window="hann")
-    pulses = clsim.Signal.pulses(pulse, 0.1, round(10 * duration))
-    rates = []
-    for signal in (None, pulses):
-        whole, kernels = [], []
-        for _ in range(3):
-            rate, stages = render_rates(10, duration, signal=signal)[1:]
-            whole.append(rate)
-            kernels.append(sum(stages.seconds.values()))
-        rates.append((statistics.median(whole), 1.0 / statistics.median(kernels)))
-    return rates[1][0] / rates[0][0], rates[1][1] / rates[0][1]
+    rows = []
+    for duration, error_db in ((10.0, -80.0), (60.0, -80.0), (60.0, "centre")):
+        scene = make_scene(duration, signal=clsim.Signal.pulses(pulse, 0.1, round(10 * duration)))
+        paths = clsim.find_paths(scene, 10)
+
+        def timed(scene=scene, paths=paths, error_db=error_db, duration=duration) -> tuple[float, np.ndarray]:
+            begun = time.perf_counter()
+            made = clsim.render(scene, paths, RATE, duration=duration, response_error_db=error_db).pressure
+            return time.perf_counter() - begun, made
+
+        timed()  # builds the kernels
+        sparse = [timed() for _ in range(5)]
+        usual, silence._SPARSE = silence._SPARSE, 0.0  # nothing is worth leaving out
+        try:
+            clsim.render(scene, paths, RATE, duration=0.1, response_error_db=error_db)  # builds the kernels
+            dense, whole = timed()
+        finally:
+            silence._SPARSE = usual
+        assert np.array_equal(sparse[0][1], whole)
+        spent = statistics.median(seconds for seconds, _ in sparse)
+        functions = len(
+            plan_render(scene, paths, RATE, duration=duration, response_error_db=error_db).emissions[0].basis
+        )
+        rows.append((f"{duration:g} s", f"{functions}", f"{dense:.2f} s", f"{spent:.2f} s", f"{dense / spent:.1f}"))
+    return rows
 
 
 def growth() -> dict[str, list[tuple[float, float]]]:
-    """Return how the whole call's rate grows with order, duration, error and cores."""
-    names = ("order", "duration (s)", "receivers", "sources", "error_db", "cores")
+    """Return how the whole call's rate grows with paths, duration, receivers, sources, branches and cores."""
+    names = ("paths", "duration (s)", "receivers", "sources", "branches", "cores")
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     for order in (2, 4, 6, 8, 10, 14):
-        found["order"].append((order, render_rates(order, 1.0)[1]))
+        found["paths"].append((len(clsim.find_paths(make_scene(1.0), order)), render_rates(order, 1.0)[1]))
     for duration in (0.25, 1.0, 4.0, 10.0):
         found["duration (s)"].append((duration, render_rates(10, duration)[1]))
     for receivers in (1, 10, 100, 1000):
@@ -307,7 +323,9 @@ def growth() -> dict[str, list[tuple[float, float]]]:
     for sources in (1, 2, 4, 8):
         found["sources"].append((sources, render_rates(8, 1.0, sources=sources)[1]))
     for error_db in (-60.0, -75.0, -90.0, -110.0):
-        found["error_db"].append((error_db, render_rates(10, 1.0, error_db)[1]))
+        scene = make_scene(1.0)
+        plan = plan_render(scene, clsim.find_paths(scene, 1), RATE, interpolator=clsim.Bandlimited(error_db))
+        found["branches"].append((len(plan.emissions[0].bank.taps), render_rates(10, 1.0, error_db)[1]))
     for cores in range(1, (os.cpu_count() or 1) + 1):
         environment = os.environ | {"POCL_MAX_PTHREAD_COUNT": str(cores)}
         command = [sys.executable, __file__, "--one-rate"]
@@ -323,7 +341,7 @@ def draw(found: dict[str, list[tuple[float, float]]], path: Path) -> None:
     figure = Figure(figsize=(14, 6), layout="constrained")
     for axes, (name, points) in zip(figure.subplots(2, 4).flat, found.items(), strict=False):
         axes.plot(*zip(*points, strict=True), "o-")
-        axes.set(xlabel=name, ylim=(0, None), xscale="log" if name == "receivers" else "linear")
+        axes.set(xlabel=name, ylim=(0, None), xscale="log" if name in ("receivers", "paths") else "linear")
         axes.grid(alpha=0.3)
     for row in (0, 4):
         figure.axes[row].set_ylabel("path-samples/s, whole call")
@@ -362,8 +380,8 @@ def main() -> None:
          f"whole call {whole / faded:.0f} times as fast; their error is {faded_db:.0f} dB (1000 a second: {coarse_db:.0f} dB)"),
     ]  # fmt: skip
     text = "| | rate | ratio |\n|---|---|---|\n" + "".join(f"| {a} | {b} | {c} |\n" for a, b, c in rows)
-    ratio, of_kernels = pulse_ratio(20.0)
-    text += f"\nPulses of 1 ms every 0.1 s: {ratio:.1f} times the rate of a tone, whole call of 20 s ({of_kernels:.1f} in kernels)\n"
+    text += "\n| pulses of 1 ms every 0.1 s | functions | nothing left out | silence left out | ratio |\n|---|---|---|---|---|\n"
+    text += "".join(f"| {' | '.join(row)} |\n" for row in pulse_rows())
     print(text)
     found, broadband = growth(), broadband_rates()
     draw(found | {"functions (rate x functions)": [(k, rate) for k, _, rate, _ in broadband]}, HERE / "growth.png")
