@@ -107,6 +107,13 @@ class WavWriter:
             self._temporary.unlink(missing_ok=True)
 
 
+def as_frames(samples: NDArray[Any]) -> NDArray[np.float32]:
+    """Return samples (rows, n) as a file holds them, (n, channels): complex ones as two channels, real and imaginary."""
+    if np.iscomplexobj(samples):
+        samples = np.stack([samples.real, samples.imag], axis=1).reshape(-1, samples.shape[1])
+    return np.asarray(samples.T, dtype=np.float32)
+
+
 class SoundFile:
     """Samples of a mono sound file, read where they are cut."""
 

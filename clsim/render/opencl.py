@@ -14,7 +14,7 @@ from clsim.opencl.device import Compiler, find_device, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
-from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan
+from clsim.render.plan import NODE_BUDGET, Plan
 from clsim.render.silence import Sounding, sounding
 from clsim.render.slots import Active, Slots, fill_slots
 from clsim.render.tracks import SceneTracks
@@ -73,6 +73,8 @@ class OpenclEngine:
         If there is no device, or it fails; the message says what to do.
     """
 
+    parts = 1  # rows of what is heard of a receiver
+
     def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
         import pyopencl as cl
 
@@ -121,28 +123,34 @@ class OpenclEngine:
         for seen, value in ((self._strongest, strongest), (self._unheld, unheld)):
             seen[source, receivers] = np.maximum(seen[source, receivers], value)
 
+    @property
+    def run(self) -> type[Run]:
+        """What renders a batch of receivers."""
+        return Run
+
     def _render(self, start: int, stop: int) -> NDArray[np.float32]:
         import pyopencl as cl
 
         plan = self._plan
-        length = -(-(stop - start) // BLOCKS[0]) * BLOCKS[0]
-        pressure = np.zeros((plan.receiver_count, length), dtype=np.float32)
+        length = -(-(stop - start) // plan.blocks[0]) * plan.blocks[0]
+        pressure = np.zeros((self.parts * plan.receiver_count, length), dtype=np.float32)
         on_device = self._upload(pressure)
         for source in range(len(plan.emissions)):
             active = self._active(source, start, length)
             branches = self._branches(source, start, length, active) if active else None
             if branches is None:
                 continue
-            segments = -(-length // SEGMENT)
+            segments = -(-length // plan.segment)
             always = all(plan.tracks.groups[group.index].always_heard for group in active)
             step = segments if always else _STRETCH
             for first in range(0, segments, step):
                 last = min(first + step, segments)
-                here = [group.during(plan, start + first * SEGMENT, start + last * SEGMENT) for group in active]
-                functions = len(plan.emissions[source].basis)
-                for some in _batches([group for group in here if len(group.rows)], functions):
+                here = [group.during(plan, start + first * plan.segment, start + last * plan.segment) for group in active]
+                node = bytes_per_node(plan, source)
+                per_segment = node * (plan.segment // plan.blocks[-1])
+                for some in _batches([group for group in here if len(group.rows)], per_segment):
                     slots = fill_slots(plan, some, BATCH)
-                    _Run(self, source, slots, branches, on_device, length, start, first, last).render()
+                    self.run(self, source, slots, branches, on_device, length, start, first, last).render()
         cl.enqueue_copy(self._queue, pressure, on_device)
         return pressure[:, : stop - start]
 
@@ -158,7 +166,7 @@ class OpenclEngine:
     def _seconds(self, first: int, last: int) -> tuple[float, float]:
         return first / self._plan.sampling_rate, last / self._plan.sampling_rate
 
-    def _branches(self, source: int, start: int, length: int, active: list[Active]) -> _Branches | None:
+    def _branches(self, source: int, start: int, length: int, active: list[Active]) -> Branches | None:
         """Filter the part of a signal that can be heard in a chunk; None if it is silent."""
         import pyopencl as cl
 
@@ -175,8 +183,13 @@ class OpenclEngine:
         streams = emission.streams(first - before, first + width + after)
         if not np.any(streams):
             return None
-        out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * int(emission.rows[-1]) * stride)
-        for bank, row, stream in zip(emission.banks, emission.rows, streams, strict=False):
+        out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * self.parts * int(emission.rows[-1]) * stride)
+        placed = (
+            (bank, self.parts * int(first_row) + part * len(bank.taps), row)
+            for bank, first_row, stream in zip(emission.banks, emission.rows, streams, strict=False)
+            for part, row in enumerate((stream.real, stream.imag)[: self.parts])
+        )
+        for bank, row, stream in placed:
             rows, taps = bank.taps.shape
             kernel = self._compiler.kernel("branches", {"LANES": self._layout.lanes, "TAPS": taps})
             emitted = np.zeros(stride + taps + channel, dtype=np.float32)
@@ -187,14 +200,14 @@ class OpenclEngine:
                 self._upload(bank.taps.astype(np.float32)), np.int32(stride), np.int32(row), out,
             )  # fmt: skip
         found = sounding(streams, before, after)
-        return _Branches(out, stride, first, least, most, found if self.skips_silence and found.pays else None)
+        return Branches(out, stride, first, least, most, found if self.skips_silence and found.pays else None)
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)
 
 
 @dataclass(frozen=True, slots=True)
-class _Branches:
+class Branches:
     """Branch signals on the device, and which delays they cover."""
 
     rows: Any
@@ -205,7 +218,7 @@ class _Branches:
     sounding: Sounding | None  # where it is worth leaving out what is silent
 
 
-class _Run:
+class Run:
     """Renders one batch of receivers over some segments of a chunk, choosing the block length for each."""
 
     def __init__(
@@ -213,7 +226,7 @@ class _Run:
         engine: OpenclEngine,
         source: int,
         slots: Slots,
-        branches: _Branches,
+        branches: Branches,
         pressure: Any,
         length: int,
         start: int,
@@ -226,7 +239,7 @@ class _Run:
         self._first_slot, self._row = engine._upload(slots.first_slot), engine._upload(slots.receiver)
         self._bounds = boundaries(self._plan, slots)
         self._first, self._last = first, last
-        begin, end = first * SEGMENT, min(last * SEGMENT, length)
+        begin, end = first * self._plan.segment, min(last * self._plan.segment, length)
         self._state: Any = engine._tracks.prepare(
             source, slots, self._bounds, start + begin, end - begin, branches.sounding, branches.first
         )
@@ -240,21 +253,23 @@ class _Run:
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
-        block = BLOCKS[level]
-        step = max(1, NODE_BUDGET // (_bytes_per_node(self._functions) * self._slots.count * (SEGMENT // block)))
+        plan, segment = self._plan, self._plan.segment
+        block = plan.blocks[level]
+        node = bytes_per_node(plan, self._source)
+        step = max(1, NODE_BUDGET // (node * self._slots.count * (segment // block)))
         for at in range(first, last, step):
             upto = min(at + step, last)
-            begin, end = at * SEGMENT, min(upto * SEGMENT, self._length)
+            begin, end = at * segment, min(upto * segment, self._length)
             nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
             self._check(nodes.shortest, nodes.longest)
             self._engine.note(self._source, self._slots.receiver, nodes.strongest, nodes.unheld)
             coarse = nodes.error > self._tolerance
-            coarse &= level + 1 < len(BLOCKS)
+            coarse &= level + 1 < len(plan.blocks)
             for a, b in _runs(coarse):
                 if coarse[a]:
                     self._cover(at + a, at + b, level + 1)
                 else:
-                    self._render(nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block)
+                    self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
 
     def _check(self, shortest: float, longest: float) -> None:
         """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
@@ -271,7 +286,7 @@ class _Run:
         self._render_edges(nodes, segment, end, block, first_block)
         constants = engine._layout.constants(emission.bank.group) | {"SPARSE": int(nodes.spans is not None)}
         spans = nodes.delay if nodes.spans is None else nodes.spans
-        begin = segment * SEGMENT
+        begin = segment * self._plan.segment
         groups = (end - begin) // emission.bank.group
         size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
         counts = [len(bank.taps) for bank in emission.banks]
@@ -287,7 +302,7 @@ class _Run:
 
     def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
-        engine, slots, begin = self._engine, self._slots, segment * SEGMENT
+        engine, slots, begin = self._engine, self._slots, segment * self._plan.segment
         edges = find_edges(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
         if edges is None:
             return
@@ -325,14 +340,14 @@ def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip([0, *edges], [*edges, len(values)], strict=True))
 
 
-def _bytes_per_node(functions: int) -> int:
-    """Return the size of a block of a path: whole delay, and the cubics of its rest and of every gain."""
-    return 20 + 16 * functions
+def bytes_per_node(plan: Plan, source: int) -> int:
+    """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain."""
+    return 4 + 4 * plan.delay_terms + 16 * len(plan.emissions[source].basis)
 
 
-def _batches(active: list[Active], functions: int) -> list[list[Active]]:
-    """Cut groups into batches whose polynomials fit the budget for one segment at the shortest blocks."""
-    most = max(BATCH, NODE_BUDGET // (_bytes_per_node(functions) * (SEGMENT // BLOCKS[-1])))
+def _batches(active: list[Active], per_segment: int) -> list[list[Active]]:
+    """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path."""
+    most = max(BATCH, NODE_BUDGET // per_segment)
     batches: list[list[Active]] = []
     count = most
     for group in active:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,12 @@ from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.path_set import PathSet
 from clsim.paths.responses import is_complex
+from clsim.render.baseband import (
+    BLOCKS_IN_SEGMENT, Baseband, as_baseband, blocks_of, check_ends, check_transition, half_band,
+)  # fmt: skip
 from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
+from clsim.render.emission import Emission
+from clsim.render.envelope import EnvelopeEmission, envelope_emission
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.render.transition import DEFAULT_TRANSITION
@@ -39,60 +44,6 @@ _WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Emission:
-    """One source's signal and the filters for it.
-
-    Attributes
-    ----------
-    signal : Signal
-        At the sampling rate of the recording.
-    start : float
-        Time at which it begins, s.
-    banks : tuple of Bank
-        Branch filters, for each function of the basis; fewer for those that add little.
-    basis : Basis
-        Functions of frequency that carry the responses of its paths.
-    band : float
-        Highest frequency that the bank holds, Hz.
-    removed_db : float
-        Share of the signal's energy above the band, dB; -inf for none.
-    """
-
-    signal: Signal
-    start: float
-    banks: tuple[Bank, ...]
-    basis: Basis
-    band: float
-    removed_db: float
-
-    @property
-    def bank(self) -> Bank:
-        """The branch filters of the strongest function."""
-        return self.banks[0]
-
-    @property
-    def rows(self) -> Floats:
-        """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
-        return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
-
-    def streams(self, first: int, last: int) -> Floats:
-        """Return samples `first` to `last` of the signal through each function of the basis, (K, n)."""
-        half = self.basis.half
-        signal = self.signal.read(first - half, last + half)
-        if half == 0:
-            return signal * self.basis.filters
-        if not np.any(signal):
-            return np.zeros((len(self.basis), last - first))
-        from scipy.signal import oaconvolve
-
-        out = np.asarray(oaconvolve(signal[None], self.basis.filters, mode="valid", axes=1))
-        # What no sound reaches is silent, without the rounding of the transforms.
-        sounding = np.concatenate([[0], np.cumsum(signal != 0.0)])
-        out[:, sounding[2 * half + 1 :] == sounding[: last - first]] = 0.0
-        return out
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """Everything that an engine needs, with nothing left to decide."""
 
@@ -104,6 +55,19 @@ class Plan:
     chunk: int
     engine: str
     device: str | None
+    segment: int = SEGMENT
+    blocks: tuple[int, ...] = BLOCKS
+    baseband: Baseband | None = None  # of complex envelopes; None for sound as it is
+
+    @property
+    def delay_terms(self) -> int:
+        """Coefficients of the polynomial of a block's delay, 4 or 8; of the gains' it is always 4."""
+        return 4 if self.baseband is None else 8
+
+    @property
+    def sample_type(self) -> type[np.generic]:
+        """Type of the samples: float32, or complex64 in baseband."""
+        return np.float32 if self.baseband is None else np.complex64
 
     @property
     def duration(self) -> float:
@@ -132,13 +96,15 @@ class Plan:
         rows = max(int(e.rows[-1]) for e in self.emissions)
         functions = max(len(e.basis) for e in self.emissions)
         per_segment = (
-            (20 + 16 * functions)
-            * (SEGMENT // BLOCKS[-1])
+            (4 + 4 * self.delay_terms + 16 * functions)
+            * (self.segment // self.blocks[-1])
             * max((len(group) for group in self.tracks.groups), default=0)
         )
         nodes = max(NODE_BUDGET, per_segment)
         paths = self.path_count * 150
-        return int(4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths)
+        parts = 1 if self.baseband is None else 2
+        held = 4 * parts * ((rows + 1) * (self.chunk + span) + 2 * self.chunk * self.receiver_count)
+        return int(held + nodes + paths)
 
     @property
     def receiver_count(self) -> int:
@@ -172,13 +138,10 @@ class Plan:
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",
         ]
+        if self.baseband is not None:
+            lines[1] += f"; complex envelopes of {self.baseband.bandwidth:g} Hz about {self.baseband.carrier:g} Hz"
         for i, e in enumerate(self.emissions):
-            removed = "none" if np.isneginf(e.removed_db) else f"{e.removed_db:.0f} dB"
-            lines.append(
-                f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
-                f"{e.bank.error_db:.1f} dB; share of the signal above: {removed}"
-            )
-            lines.append(f"source {i}: {_described(e)}")
+            lines += [f"source {i}: {line}" for line in e.describe()]
         for i, r in enumerate(self.receivers):
             if r.electronics is not None or r.transducer is not None:
                 name = "" if r.transducer is None else f"; transducer {r.transducer.name or 'without a name'}"
@@ -197,6 +160,7 @@ def plan_render(
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    baseband: Baseband | tuple[float, ...] | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -208,6 +172,8 @@ def plan_render(
     if isinstance(paths, PathSet) and paths.scene is not scene:
         raise InputError("paths", "must be those of the scene that is rendered, but belong to another one")
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+    if baseband is not None:
+        check_ends(scene)
     ringing = _check_receivers(scene, rate)
     return plan_tracks(
         [source.emitted for source in scene.sources],
@@ -216,6 +182,7 @@ def plan_render(
         starts=[source.start for source in scene.sources],
         interpolator=interpolator,
         response_error_db=response_error_db,
+        baseband=baseband,
         engine=engine,
         device=device,
         duration=duration,
@@ -232,6 +199,7 @@ def plan_tracks(
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    baseband: Baseband | tuple[float, ...] | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -252,6 +220,8 @@ def plan_tracks(
     if len(signals) != tracks.source_count:
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
+    wanted = None if baseband is None else as_baseband(baseband, rate)
+    made_at, rate = rate, rate if wanted is None else wanted.sampling_rate
     samples = _samples(signals, starts, tracks, rate, duration, ringing)
     if response_error_db != AT_CENTRE:
         if isinstance(response_error_db, str):
@@ -259,13 +229,21 @@ def plan_tracks(
         as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
     emissions = []
     for i, (signal, start) in enumerate(zip(signals, starts, strict=True)):
-        signal = signal.at_rate(rate)
+        signal = signal.at_rate(made_at)
+        if wanted is not None:
+            envelope = _envelope(i, signal, start, wanted, interpolator, tracks, samples / rate, response_error_db, engine)
+            emissions.append(envelope)
+            continue
         high, removed_db, bank = _delay_filters(i, signal, interpolator, tracks, rate)
         basis = _basis(i, signal, high, tracks, samples / rate, rate, response_error_db, engine)
         banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
         emissions.append(Emission(signal, start, banks, basis, high, removed_db))
-    draft = Plan(tracks, tuple(emissions), interpolator, rate, samples, SEGMENT, engine, device)
-    return Plan(tracks, tuple(emissions), interpolator, rate, samples, _chunk(draft, chunk), engine, device)
+    plan = Plan(tracks, tuple(emissions), interpolator, rate, samples, SEGMENT, engine, device)
+    if wanted is not None:
+        check_transition(tracks, rate)
+        blocks = blocks_of(rate, plan.max_rate)
+        plan = replace(plan, segment=BLOCKS_IN_SEGMENT * blocks[0], blocks=blocks, baseband=wanted)
+    return replace(plan, chunk=_chunk(plan, chunk))
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:
@@ -332,6 +310,24 @@ def _delay_filters(
     return band, removed_db, bank
 
 
+def _envelope(
+    index: int,
+    signal: Signal,
+    start: float,
+    baseband: Baseband,
+    interpolator: Interpolator,
+    tracks: Tracks,
+    until: float,
+    error_db: float | str,
+    engine: str,
+) -> EnvelopeEmission:
+    """Return one source's complex envelope with its filters."""
+    half, removed_db = half_band(index, signal, baseband, tracks.max_rate(index))
+    low, high = baseband.carrier - half, baseband.carrier + half
+    basis = _basis(index, signal, high, tracks, until, signal.sampling_rate, error_db, engine, low)
+    return envelope_emission(signal, start, baseband, half, removed_db, interpolator, basis, tracks.max_rate(index))
+
+
 def _basis(
     index: int,
     signal: Signal,
@@ -341,8 +337,9 @@ def _basis(
     rate: float,
     error_db: float | str,
     engine: str,
+    least: float = 0.0,
 ) -> Basis:
-    """Return the functions of frequency that a source's paths need."""
+    """Return the functions of frequency that a source's paths need, from `least` to `high` Hz at most."""
     if not isinstance(tracks, SceneTracks):
         return flat_basis(signal.centre_frequency)
     frequencies, energy = signal.energy_spectrum()
@@ -351,7 +348,7 @@ def _basis(
     _check_known(tracks.scene, index, float(main[0]), float(main[1]))
     floor_db = EXACT_DB if isinstance(error_db, str) or engine == "reference" else error_db
     low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
-    low = min(max(low, frequencies[1]), 0.999 * high)
+    low = min(max(low, least, frequencies[1]), 0.999 * high)
     if not isinstance(error_db, str):
         floor_db = min(floor_db, error_db)
         band = partial(band_of, low, high, frequencies, energy)
@@ -379,20 +376,6 @@ def _check_known(scene: Scene, source: int, low: float, high: float) -> None:
             raise InputError("room", f"{error.field} {error.problem}") from error
 
 
-def _described(emission: Emission) -> str:
-    """Return how air, walls and beams are carried, and what it costs."""
-    basis = emission.basis
-    if not math.isfinite(basis.asked_db):
-        return f"air, walls and beams are those at {basis.nodes[0]:.6g} Hz"
-    if len(basis) == 1 and basis.at_one_frequency:
-        return f"air, walls and beams hardly change over the signal's band ({basis.error_db:.1f} dB)"
-    rows, most = int(emission.rows[-1]), len(emission.bank.taps)
-    return (
-        f"{len(basis)} functions of frequency carry air, walls and beams within {basis.error_db:.1f} dB "
-        f"({rows} branch signals, {rows / most:.1f} times the work of one function)"
-    )
-
-
 def _occupied_band(signal: Signal, widest: float, share_db: float) -> tuple[float, float]:
     """Return the highest frequency that matters, and the share of energy above it in dB."""
     frequencies, energy = signal.energy_spectrum()
@@ -409,13 +392,15 @@ def _occupied_band(signal: Signal, widest: float, share_db: float) -> tuple[floa
 
 def _chunk(plan: Plan, chunk: int | None) -> int:
     """Return the chunk's length in whole segments: as asked, or long against the delays and small in memory."""
-    whole = math.ceil(plan.samples / SEGMENT)
+    segment = plan.segment
+    whole = math.ceil(plan.samples / segment)
     if chunk is not None:
-        return SEGMENT * min(whole, math.ceil(as_count("chunk", chunk, at_least=1) / SEGMENT))
+        return segment * min(whole, math.ceil(as_count("chunk", chunk, at_least=1) / segment))
     span = max(plan.longest_delay(s) for s in range(len(plan.emissions))) * plan.sampling_rate
-    wanted = math.ceil(4.0 * span / SEGMENT)
-    affordable = _PRESSURE_BUDGET // (4 * SEGMENT * plan.receiver_count)
-    return SEGMENT * max(1, min(whole, max(8, min(wanted, 48)), affordable))
+    wanted = math.ceil(4.0 * span / segment)
+    affordable = _PRESSURE_BUDGET // (4 * segment * plan.receiver_count)
+    least = 8 if plan.baseband is None else 48
+    return segment * max(1, min(whole, max(least, min(wanted, 48)), affordable))
 
 
 def _warn(message: str) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.render.baseband_opencl import BasebandEngine
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
 from clsim.render.receiving import Receiving
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from clsim.paths.path_set import PathSet
     from clsim.recording import Recording
+    from clsim.render.baseband import Baseband
     from clsim.render.interpolator import Interpolator
     from clsim.scene.scene import Scene
     from clsim.scene.signal import Signal
@@ -35,6 +37,7 @@ def render(
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    baseband: Baseband | tuple[float, ...] | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -49,7 +52,7 @@ def render(
     paths : PathSet
         Its paths, from `find_paths`.
     sampling_rate : float
-        Of the recording, Hz; signals are brought to it.
+        Of the recording, Hz; signals are brought to it. In baseband that of the signals.
     interpolator : Lagrange, TruncatedLagrange or Bandlimited, optional
         The fractional-delay filter, ``Bandlimited(error_db=-90)`` when left out.
     motion : {"retarded", "quasi-static"}
@@ -62,6 +65,10 @@ def render(
     response_error_db : float or "centre"
         Bound on the error of each path's response over the signal's band (air, walls, beams), -120 to -20 dB relative
         to the strongest arrival. With "centre" they are what they are at the centre of the signal's band.
+    baseband : (carrier, bandwidth), optional
+        Render complex envelopes about a carrier, Hz, instead of the sound: what mixing it with
+        ``exp(-2 pi j carrier t)``, a low-pass and decimation would give, several times faster. The bandwidth, both
+        sides together, must hold signals and Doppler shifts; a third number chooses the sampling rate: see `Baseband`.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -75,7 +82,7 @@ def render(
     Returns
     -------
     Recording
-        Sound pressure in Pa, float32; volts of receivers with a transducer.
+        Sound pressure in Pa, float32; volts of receivers with a transducer; complex64 envelopes in baseband.
 
     Raises
     ------
@@ -108,7 +115,7 @@ def render(
     """
     plan = plan_render(
         scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
-        transition=transition, response_error_db=response_error_db, engine=engine, device=device,
+        transition=transition, response_error_db=response_error_db, baseband=baseband, engine=engine, device=device,
         duration=duration, chunk=chunk,
     )  # fmt: skip
     return _record(plan)
@@ -122,6 +129,7 @@ def render_tracks(
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    baseband: Baseband | tuple[float, ...] | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -139,18 +147,18 @@ def render_tracks(
         Of the recording, Hz.
     starts : sequence of float, optional
         Time at which each signal begins, s; 0 when left out.
-    interpolator, response_error_db, engine, device, duration, chunk
+    interpolator, response_error_db, baseband, engine, device, duration, chunk
         As in `render`.
     """
     plan = plan_tracks(
         signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, response_error_db=response_error_db,
-        engine=engine, device=device,
+        baseband=baseband, engine=engine, device=device,
         duration=duration, chunk=chunk,
     )  # fmt: skip
     return _record(plan)
 
 
-def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
+def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[Any]]]:
     """Yield the recording piece by piece, in bounded memory.
 
     Parameters
@@ -163,15 +171,17 @@ def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[np.float32]]]:
     start : int
         First sample of the piece.
     samples : ndarray (receivers, n) float32
-        Sound pressure in Pa, or V of receivers with a transducer: see ``plan.units``.
+        Sound pressure in Pa, or V of receivers with a transducer: see ``plan.units``. In baseband complex64.
     """
     receiving = Receiving(plan)
     yield from _pieces(plan, receiving)
     receiving.warn()
 
 
-def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    engine = OpenclEngine(plan) if plan.engine == "opencl" else ReferenceEngine(plan)
+def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[Any]]]:
+    engine: OpenclEngine | ReferenceEngine = ReferenceEngine(plan)
+    if plan.engine == "opencl":
+        engine = OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
     for start in range(0, plan.samples, plan.chunk):
         yield start, receiving(start, engine.render(start, min(start + plan.chunk, plan.samples)))
     if isinstance(engine, OpenclEngine):
@@ -181,7 +191,7 @@ def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[np.
 def _record(plan: Plan) -> Recording:
     from clsim.recording import Recording
 
-    samples = np.empty((plan.receiver_count, plan.samples), dtype=np.float32)
+    samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)
     receiving = Receiving(plan)
     for start, piece in _pieces(plan, receiving):
         samples[:, start : start + piece.shape[1]] = piece
@@ -190,4 +200,5 @@ def _record(plan: Plan) -> Recording:
     paths = plan.tracks.paths if isinstance(plan.tracks, SceneTracks) else None
     notes = (*plan.describe(), *receiving.describe())
     names = plan.tracks.receiver_names
-    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiving.clipped)
+    carrier = None if plan.baseband is None else plan.baseband.carrier
+    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiving.clipped, carrier)
