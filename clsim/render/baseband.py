@@ -22,8 +22,8 @@ BLOCKS_IN_SEGMENT = 32
 GROUP = 8  # samples, the unit of blocks and of what is silent
 _WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
 _CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
-_LONGEST, _SHORTEST = 12e-3, 0.5e-3  # s, of blocks
-_DRIFT = 1.0  # samples by which a delay may change in a block
+_LONGEST, _SHORTEST = 48e-3, 0.5e-3  # s, of blocks
+_DRIFT = 1.25  # samples by which a delay may change in a block
 _REFUSED_DB, _LOUD_DB = -40.0, -60.0  # shares of a signal's energy outside the band
 _RAMP = 6  # samples that a transition should take
 
@@ -150,7 +150,7 @@ def half_band(index: int, signal: Signal, baseband: Baseband, max_rate: float) -
 
 
 def blocks_of(sampling_rate: float, max_rate: float) -> tuple[int, ...]:
-    """Return the lengths of blocks, in samples, from the longest: as long as motion and 12 ms allow."""
+    """Return the lengths of blocks, in samples, from the longest: as long as motion and 48 ms allow."""
     longest = max(GROUP, min(_LONGEST * sampling_rate, _DRIFT / max(max_rate, 1e-12)))
     shortest = max(GROUP, min(_SHORTEST * sampling_rate, longest))
     count = 1 + math.floor(math.log2(longest / GROUP))

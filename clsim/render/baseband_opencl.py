@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _VECTORS = 2  # of samples in a work-item, where blocks are long enough
+_MANY = 6  # segments, from which on it pays to look at three of them first
 
 
 class BasebandEngine(OpenclEngine):
@@ -46,6 +47,24 @@ class _Launch:
 
 class _BasebandRun(Run):
     """Renders one batch of receivers over some segments of a chunk."""
+
+    def render(self) -> None:
+        """Add what is heard to the envelopes on the device, beginning with blocks that may do."""
+        self._cover(self._first, self._last, self._first_level())
+
+    def _first_level(self) -> int:
+        """Return the longest blocks that are short enough for one segment of three, where there are many."""
+        plan, count = self._plan, self._last - self._first
+        if count < _MANY:
+            return 0
+        looked_at = sorted({self._first, self._first + count // 2, self._last - 1})
+        for level, block in enumerate(plan.blocks[:-1]):
+            for at in looked_at:
+                begin, end = at * plan.segment, min((at + 1) * plan.segment, self._length)
+                nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
+                if nodes.error.max() <= self._tolerance:
+                    return level
+        return len(plan.blocks) - 1
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, begin = self._engine, segment * self._plan.segment

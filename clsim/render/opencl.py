@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError
-from clsim.opencl.device import Compiler, find_device, upload
+from clsim.opencl.device import Compiler, find_device, shared_context, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
@@ -81,7 +81,7 @@ class OpenclEngine:
         self._plan = plan
         self._info, device = find_device(plan.device)
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
-        self._context = cl.Context([device])
+        self._context = shared_context(device)
         self._queue = cl.CommandQueue(self._context)
         self._compiler = Compiler(self._context)
         self.skips_silence = True
@@ -100,6 +100,7 @@ class OpenclEngine:
         try:
             return self._render(start, stop)
         except (cl.MemoryError, cl.RuntimeError) as error:
+            shared_context.cache_clear()  # it may be of no more use
             raise DeviceError(
                 f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
                 "receivers at a time, or on another device (see `clsim devices`)"
