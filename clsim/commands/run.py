@@ -13,9 +13,10 @@ from clsim.commands.console import progress
 from clsim.commands.planning import path_table, planned
 from clsim.errors import ClsimWarning, InputError
 from clsim.output.atomic import atomic_path
+from clsim.output.envelope_plot import envelope_spectrogram
 from clsim.output.plots import echogram, history, spectrogram
 from clsim.output.table import write_table
-from clsim.output.wav import SoundFile, WavWriter
+from clsim.output.wav import EnvelopeFile, SoundFile, WavWriter, as_frames
 from clsim.render.render import render_chunks
 from clsim.scene_file import completed_scene, load_scene
 
@@ -68,11 +69,12 @@ def _write_sounds(plan: Plan, sounds: list[Path]) -> None:
     """Render into one file per receiver, piece by piece; none of them appears before all are whole."""
     work = plan.path_count * plan.samples
     with ExitStack() as stack:
-        writers = [stack.enter_context(WavWriter(path, plan.sampling_rate, samples=plan.samples)) for path in sounds]
+        channels = 1 if plan.baseband is None else 2
+        writers = [stack.enter_context(WavWriter(path, plan.sampling_rate, channels, plan.samples)) for path in sounds]
         with progress("rendering", work) as advance:
             for _, pressure in render_chunks(plan):
                 for writer, samples in zip(writers, pressure, strict=True):
-                    writer.write(samples)
+                    writer.write(as_frames(samples[None]))
                 advance(plan.path_count * pressure.shape[1])
 
 
@@ -103,9 +105,12 @@ def _draw(plan: Plan, table: PathTable, sounds: list[Path], folder: Path, names:
                 history(table, r, made[-1])
                 made[-3:] = made[-1:] + made[-3:-1]
             title = plan.tracks.receiver_names[r]
-            spectrogram(
-                SoundFile(sound), plan.sampling_rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r]
-            )
+            if plan.baseband is None:
+                read, rate, band = SoundFile(sound), plan.sampling_rate, _shown_band(plan)
+                spectrogram(read, rate, made[-2], title=title, band=band, unit=plan.units[r])
+            else:
+                carrier, rate = plan.baseband.carrier, plan.sampling_rate
+                envelope_spectrogram(EnvelopeFile(sound)[0 : plan.samples], rate, carrier, made[-2], title=title)
             echogram(table, r, 0, made[-1])
             advance(1)
     return made

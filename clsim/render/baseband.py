@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
     from clsim.scene.signal import Signal
 
-BLOCKS_IN_SEGMENT = 32
+_BLOCKS_IN_SEGMENT = 32
 GROUP = 8  # samples, the unit of blocks and of what is silent
 _WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
 _CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
@@ -135,7 +135,7 @@ def half_band(index: int, signal: Signal, baseband: Baseband, max_rate: float) -
     outside_db = 10.0 * math.log10(share) if share > 0.0 else -math.inf
     told = (
         f"{outside_db:.0f} dB of the energy of signals[{index}] lies outside {carrier - half:.0f} to "
-        f"{carrier + half:.0f} Hz, which is the bandwidth of {bandwidth:g} Hz less Doppler shifts of up to {shift:.0f} Hz"
+        f"{carrier + half:.0f} Hz, the bandwidth of {bandwidth:g} Hz less Doppler shifts of up to {shift:.0f} Hz"
     )
     if outside_db > _REFUSED_DB:
         low, high = signal.band()
@@ -181,12 +181,15 @@ def check_ends(scene: Scene) -> None:
             )
 
 
-def check_transition(tracks: Tracks, sampling_rate: float) -> None:
-    """Warn where paths begin or end faster than envelopes at a sampling rate can."""
-    if tracks.transition * sampling_rate < _RAMP and not all(group.always_heard for group in tracks.groups):
+def segmented(tracks: Tracks, sampling_rate: float, max_rate: float) -> tuple[int, tuple[int, ...]]:
+    """Return the lengths of segments and blocks, samples; warn where paths begin or end faster than envelopes can."""
+    samples = tracks.transition * sampling_rate
+    if samples < _RAMP and not all(group.always_heard for group in tracks.groups):
         warnings.warn(
-            f"transition: paths begin and end within {tracks.transition * sampling_rate:.1f} samples of the envelopes at "
-            f"{sampling_rate:g} Hz, which aliases; {_RAMP / sampling_rate:.2g} s or more does not",
+            f"transition: paths begin and end within {samples:.1f} samples of the envelopes at {sampling_rate:g} Hz, "
+            f"which aliases; {_RAMP / sampling_rate:.2g} s or more does not",
             ClsimWarning,
             stacklevel=5,
         )
+    blocks = blocks_of(sampling_rate, max_rate)
+    return _BLOCKS_IN_SEGMENT * blocks[0], blocks

@@ -66,9 +66,10 @@ def block_error(
     Notes
     -----
     The remainder of cubic Hermite interpolation is ``h^4 f'''' / 384``, with ``h^3 f''''`` the third difference of the
-    rate; that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used). With eight terms the septic's distance at mid-block from the quintic through
-    the middle nodes and all four rates is taken, times the ratio of that to the cubic's from the quintic, where that is
-    below 1: as if the terms went on falling like this. Motion without higher derivatives gains nothing.
+    rate; that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used). With eight terms the
+    septic's distance at mid-block from the quintic through the middle nodes and all four rates is taken, times its
+    ratio to the cubic's, where that is below 1: as if the terms went on falling like this. Motion without higher
+    derivatives gains nothing.
     """
     late = np.abs(np.diff(rate, 3, axis=1)) * block_time / 384.0
     if terms == 8:

@@ -156,9 +156,7 @@ def envelope_emission(
     )  # fmt: skip
 
 
-def _mixers(
-    rate: float, every: int, carrier: float, half: float, basis: Basis, error_db: float
-) -> tuple[Floats, int]:
+def _mixers(rate: float, every: int, carrier: float, half: float, basis: Basis, error_db: float) -> tuple[Floats, int]:
     """Return taps as in `EnvelopeEmission`, and how far they reach.
 
     A low-pass by the window method (Kaiser) that passes `half` Hz and stops what would be folded onto them, or is the

@@ -72,16 +72,16 @@ class HostTracks:
             delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
             whole[:, here], made = block_polynomials(delay, change, gain, block, rate, late, plan.delay_terms)
             sized = gain * emission.basis.sizes[:, None, None]
-            wrong = block_error(
-                delay, change, sized, 2.0 * math.pi * emission.band, block / rate, plan.delay_terms
-            )
+            wrong = block_error(delay, change, sized, 2.0 * math.pi * emission.band, block / rate, plan.delay_terms)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
             terms = plan.delay_terms
             made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
             cubics[:, :, here] = made
             np.maximum(
                 error,
-                _by_segment(np.where(heard, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, plan.segment // block),
+                _by_segment(
+                    np.where(heard, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, plan.segment // block
+                ),
                 out=error,
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))

@@ -146,7 +146,9 @@ class OpenclEngine:
             step = segments if always else _STRETCH
             for first in range(0, segments, step):
                 last = min(first + step, segments)
-                here = [group.during(plan, start + first * plan.segment, start + last * plan.segment) for group in active]
+                here = [
+                    group.during(plan, start + first * plan.segment, start + last * plan.segment) for group in active
+                ]
                 node = bytes_per_node(plan, source)
                 per_segment = node * (plan.segment // plan.blocks[-1])
                 for some in _batches([group for group in here if len(group.rows)], per_segment):

@@ -14,9 +14,7 @@ from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.path_set import PathSet
 from clsim.paths.responses import is_complex
-from clsim.render.baseband import (
-    BLOCKS_IN_SEGMENT, Baseband, as_baseband, blocks_of, check_ends, check_transition, half_band,
-)  # fmt: skip
+from clsim.render.baseband import Baseband, as_baseband, check_ends, half_band, segmented
 from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
 from clsim.render.emission import Emission
 from clsim.render.envelope import EnvelopeEmission, envelope_emission
@@ -221,17 +219,21 @@ def plan_tracks(
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
     wanted = None if baseband is None else as_baseband(baseband, rate)
-    made_at, rate = rate, rate if wanted is None else wanted.sampling_rate
+    made_at = rate
+    if wanted is not None and wanted.sampling_rate is not None:
+        rate = wanted.sampling_rate
     samples = _samples(signals, starts, tracks, rate, duration, ringing)
     if response_error_db != AT_CENTRE:
         if isinstance(response_error_db, str):
             raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
         as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
-    emissions = []
+    emissions: list[Emission] = []
     for i, (signal, start) in enumerate(zip(signals, starts, strict=True)):
         signal = signal.at_rate(made_at)
         if wanted is not None:
-            envelope = _envelope(i, signal, start, wanted, interpolator, tracks, samples / rate, response_error_db, engine)
+            envelope = _envelope(
+                i, signal, start, wanted, interpolator, tracks, samples / rate, response_error_db, engine
+            )
             emissions.append(envelope)
             continue
         high, removed_db, bank = _delay_filters(i, signal, interpolator, tracks, rate)
@@ -240,9 +242,8 @@ def plan_tracks(
         emissions.append(Emission(signal, start, banks, basis, high, removed_db))
     plan = Plan(tracks, tuple(emissions), interpolator, rate, samples, SEGMENT, engine, device)
     if wanted is not None:
-        check_transition(tracks, rate)
-        blocks = blocks_of(rate, plan.max_rate)
-        plan = replace(plan, segment=BLOCKS_IN_SEGMENT * blocks[0], blocks=blocks, baseband=wanted)
+        segment, blocks = segmented(tracks, rate, plan.max_rate)
+        plan = replace(plan, segment=segment, blocks=blocks, baseband=wanted)
     return replace(plan, chunk=_chunk(plan, chunk))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -52,7 +52,7 @@ def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats | Com
     gain = np.where(weight > 0.0, gain, 0.0) * weight
     late = delay * plan.sampling_rate + emission.start * plan.sampling_rate - emission.bank.shift
     whole = np.rint(late)
-    weighted = gain * emission.turned(late)
+    weighted: Any = gain * emission.turned(late)
     return _sum_paths(plan, emission, np.arange(first, last) - whole.astype(np.int64), late - whole, weighted)
 
 
@@ -61,11 +61,11 @@ def _sum_paths(
 ) -> Floats | Complexes:
     """Apply taps and gains (K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
     length, centre = emission.bank.taps.shape[1], emission.bank.centre
-    total = np.zeros(emitted.shape[1], dtype=gain.dtype)
+    total: Any = np.zeros(emitted.shape[1], dtype=gain.dtype)
     first = int(emitted.min()) + centre - length + 1
     streams = emission.streams(first, int(emitted.max()) + centre + 1)
     if not np.any(streams):
-        return total
+        return np.asarray(total)
     # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
     windows = sliding_window_view(streams, length, axis=1)
     for p in range(len(emitted)):
@@ -74,4 +74,4 @@ def _sum_paths(
             total += np.einsum(
                 "nk,fnk,fn->n", plan.interpolator.taps(emission.bank, mu[p]), seen, gain[:, p], optimize=True
             )
-    return total
+    return np.asarray(total)
