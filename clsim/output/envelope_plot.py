@@ -27,6 +27,7 @@ def envelope_spectrogram(
     *,
     title: str,
     segment: int | None = None,
+    shown: float | None = None,
 ) -> None:
     """Draw the level of a complex envelope over time and frequency off the carrier.
 
@@ -42,6 +43,8 @@ def envelope_spectrogram(
         Above the picture.
     segment : int, optional
         Samples of a window; 0.1 s when left out.
+    shown : float, optional
+        Frequencies off the carrier that are shown, Hz; all when left out.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -61,15 +64,15 @@ def envelope_spectrogram(
     half, end = 0.5 * sampling_rate, len(envelope) / sampling_rate
     figure = Figure(figsize=(10.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
-    shown = axes.imshow(
+    image = axes.imshow(
         level, origin="lower", aspect="auto", cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
         extent=(float(transform.t(len(padded))[0]), float(transform.t(len(padded))[-1]), -half, half),
     )  # fmt: skip
     axes.set(
         xlabel="time (s)", ylabel=f"frequency - {carrier / 1e3:g} kHz (Hz)", title=title, xlim=(0.0, end),
-        ylim=(-half, half),
+        ylim=(-(shown or half), shown or half),
     )  # fmt: skip
-    figure.colorbar(shown, pad=0.015, aspect=30).set_label("level (dB re 20 µPa)", fontsize=12)
+    figure.colorbar(image, pad=0.015, aspect=30).set_label("level (dB re 20 µPa)", fontsize=12)
     FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=130, format="png")

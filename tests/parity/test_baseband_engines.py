@@ -72,6 +72,13 @@ def test_engines_agree(made: Plan, wanted: np.ndarray) -> None:
     assert apart_db(BasebandEngine(made).render(0, made.samples), wanted) < TOLERANCE_DB
 
 
+def test_a_beacon_is_held_as_asked_without_a_warning() -> None:
+    tone = clsim.Signal.tone(40e3, 0.3, RATE, fade=0.1)
+    beacon = plan(1, tone, response_error_db=-80.0)
+    got = clsim.render(beacon.tracks.scene, beacon.tracks.paths, RATE, baseband=BAND, duration=SAMPLES / 6e3)
+    assert apart_db(got.samples, ReferenceEngine(beacon).render(0, SAMPLES)) < -80.0
+
+
 def test_layout_for_gpus_gives_the_same(made: Plan, wanted: np.ndarray) -> None:
     assert apart_db(BasebandEngine(made, GPU_LAYOUT).render(0, made.samples), wanted) < TOLERANCE_DB
 

@@ -52,7 +52,7 @@ def test_bad_bands_are_refused(baseband: object, message: str) -> None:
 
 
 def test_doppler_must_fit() -> None:
-    with pytest.raises(clsim.InputError, match="baseband.bandwidth: must be above 24.. Hz, twice the Doppler shift"):
+    with pytest.raises(clsim.InputError, match=r"baseband.bandwidth: must be above 24.. Hz, twice the Doppler shift"):
         planned(scene(speed=10.0), (40e3, 2e3))
     assert planned(scene(speed=10.0), (40e3, 4e3)).sampling_rate == 6e3
 
