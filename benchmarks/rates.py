@@ -29,12 +29,21 @@ RECEIVER = (1.0, 1.0, 2.9)
 REFLECTION = 0.9
 
 
-def make_scene(duration: float) -> clsim.Scene:
-    """Return the scene of all figures: a 40 kHz source at 6 m/s, one receiver."""
-    tone = clsim.Signal.tone(40e3, duration, RATE, fade=0.01)
-    source = clsim.Source("s", tone, clsim.Trajectory.circle(*CIRCLE, duration))
+def make_scene(
+    duration: float, receivers: int = 1, sources: int = 1, signal: clsim.Signal | None = None
+) -> clsim.Scene:
+    """Return the scene of all figures: 40 kHz sources at 6 m/s, receivers at rest on a grid."""
+    tone = signal or clsim.Signal.tone(40e3, duration, RATE, fade=0.01)
+    way = clsim.Trajectory.circle(*CIRCLE, duration)
     room = clsim.Shoebox(SIZE, clsim.Material.from_reflection(REFLECTION))
-    return clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("r", clsim.Trajectory.fixed(RECEIVER))])
+    side = math.ceil(math.sqrt(receivers))
+    places = (
+        clsim.grid_positions((RECEIVER[0], 7.0, side), (RECEIVER[1], 5.0, side), RECEIVER[2])
+        if side > 1
+        else [RECEIVER]
+    )
+    ears = clsim.receiver_array("r", places[:receivers])
+    return clsim.Scene(room, clsim.Air(), [clsim.Source(f"s{i}", tone, way) for i in range(sources)], ears)
 
 
 class Stages:
@@ -70,9 +79,9 @@ class Stages:
         device_module.Compiler.kernel = self._original
 
 
-def render_rates(order: int, duration: float, error_db: float = -90.0) -> tuple[float, float, Stages]:
+def render_rates(order: int, duration: float, error_db: float = -90.0, **more: object) -> tuple[float, float, Stages]:
     """Return path-samples per second of the render stage and of the whole call."""
-    scene = make_scene(duration)
+    scene = make_scene(duration, **more)
     paths = clsim.find_paths(scene, order)
     options = {"interpolator": clsim.Bandlimited(error_db), "duration": duration}
     clsim.render(scene, paths, RATE, **options | {"duration": 0.1})  # builds the kernels
@@ -270,13 +279,33 @@ def broadband_rates() -> list[tuple[int, float, float, float]]:
     return found
 
 
+def pulse_ratio(duration: float) -> tuple[float, float]:
+    """Return how many times as fast pulses of 1 ms ten times a second are as a tone: whole call, and kernels alone."""
+    pulse = clsim.Signal.chirp(39e3, 41e3, 1e-3, RATE, window="hann")
+    pulses = clsim.Signal.pulses(pulse, 0.1, round(10 * duration))
+    rates = []
+    for signal in (None, pulses):
+        whole, kernels = [], []
+        for _ in range(3):
+            rate, stages = render_rates(10, duration, signal=signal)[1:]
+            whole.append(rate)
+            kernels.append(sum(stages.seconds.values()))
+        rates.append((statistics.median(whole), 1.0 / statistics.median(kernels)))
+    return rates[1][0] / rates[0][0], rates[1][1] / rates[0][1]
+
+
 def growth() -> dict[str, list[tuple[float, float]]]:
     """Return how the whole call's rate grows with order, duration, error and cores."""
-    found: dict[str, list[tuple[float, float]]] = {"order": [], "duration (s)": [], "error_db": [], "cores": []}
+    names = ("order", "duration (s)", "receivers", "sources", "error_db", "cores")
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     for order in (2, 4, 6, 8, 10, 14):
         found["order"].append((order, render_rates(order, 1.0)[1]))
     for duration in (0.25, 1.0, 4.0, 10.0):
         found["duration (s)"].append((duration, render_rates(10, duration)[1]))
+    for receivers in (1, 10, 100, 1000):
+        found["receivers"].append((receivers, render_rates(3, 1.0, receivers=receivers)[1]))
+    for sources in (1, 2, 4, 8):
+        found["sources"].append((sources, render_rates(8, 1.0, sources=sources)[1]))
     for error_db in (-60.0, -75.0, -90.0, -110.0):
         found["error_db"].append((error_db, render_rates(10, 1.0, error_db)[1]))
     for cores in range(1, (os.cpu_count() or 1) + 1):
@@ -291,13 +320,15 @@ def draw(found: dict[str, list[tuple[float, float]]], path: Path) -> None:
     """Draw the growth, a panel each."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 3), layout="constrained")
-    for axes, (name, points) in zip(figure.subplots(1, len(found)), found.items(), strict=True):
+    figure = Figure(figsize=(14, 6), layout="constrained")
+    for axes, (name, points) in zip(figure.subplots(2, 4).flat, found.items(), strict=False):
         axes.plot(*zip(*points, strict=True), "o-")
-        axes.set(xlabel=name, ylim=(0, None))
+        axes.set(xlabel=name, ylim=(0, None), xscale="log" if name == "receivers" else "linear")
         axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("path-samples/s, whole call")
-    figure.savefig(path, dpi=90)
+    for row in (0, 4):
+        figure.axes[row].set_ylabel("path-samples/s, whole call")
+    figure.axes[-1].set_visible(False)
+    figure.savefig(path, dpi=80)
 
 
 def main() -> None:
@@ -331,12 +362,15 @@ def main() -> None:
          f"whole call {whole / faded:.0f} times as fast; their error is {faded_db:.0f} dB (1000 a second: {coarse_db:.0f} dB)"),
     ]  # fmt: skip
     text = "| | rate | ratio |\n|---|---|---|\n" + "".join(f"| {a} | {b} | {c} |\n" for a, b, c in rows)
+    ratio, of_kernels = pulse_ratio(20.0)
+    text += f"\nPulses of 1 ms every 0.1 s: {ratio:.1f} times the rate of a tone, whole call of 20 s ({of_kernels:.1f} in kernels)\n"
     print(text)
-    found = growth()
-    draw(found, HERE / "growth.png")
+    found, broadband = growth(), broadband_rates()
+    draw(found | {"functions (rate x functions)": [(k, rate) for k, _, rate, _ in broadband]}, HERE / "growth.png")
+    many, one = found["receivers"][-1][1], found["receivers"][0][1]
+    text += f"\n1000 receivers, order 3, 1 s: {many / one:.2f} of the rate of one receiver\n"
     for name, points in found.items():
         text += f"\nWhole call by {name}: " + ", ".join(f"{x:g}: {y / 1e9:.2f}e9" for x, y in points) + "\n"
-    broadband = broadband_rates()
     text += "\n| functions of frequency | branch signals | rate x functions | of one function's | time, of one function's |\n|---|---|---|---|---|\n"
     for functions, rows_, rate, spent in broadband:
         share, slower = rate / broadband[0][2], spent / broadband[0][3]

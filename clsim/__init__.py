@@ -8,26 +8,31 @@ The pipeline is four values and three arrows between them::
 """
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.path_set import PathSet
+from clsim.paths.truth import direct_truth
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.plan import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.tracks import Tracks, track
+from clsim.room_responses import ImpulseResponses, impulse_responses
 from clsim.scene.air import Air
 from clsim.scene.directivity import Cardioid, Omni, Piston, named_directivity
 from clsim.scene.directivity_table import DirectivityTable
 from clsim.scene.electronics import Electronics
 from clsim.scene.material import Material
 from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.room import Shoebox
 from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene.signal import Signal
 from clsim.scene.spherical_table import SphericalTable
 from clsim.scene.trajectory import Trajectory
 from clsim.scene.transducer import Transducer, named_transducer
+from clsim.study.run import run_study
 
 __version__ = "0.1.0"
 
@@ -41,6 +46,7 @@ __all__ = [
     "DeviceError",
     "DirectivityTable",
     "Electronics",
+    "ImpulseResponses",
     "InputError",
     "Lagrange",
     "Material",
@@ -59,12 +65,19 @@ __all__ = [
     "Trajectory",
     "Transducer",
     "TruncatedLagrange",
+    "direct_truth",
     "find_paths",
+    "grid_positions",
+    "impulse_responses",
     "named_directivity",
     "named_transducer",
+    "open_store",
     "plan_render",
+    "positions_from_file",
+    "receiver_array",
     "render",
     "render_chunks",
     "render_tracks",
+    "run_study",
     "track",
 ]

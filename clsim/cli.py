@@ -11,10 +11,11 @@ from typing import Any
 
 from clsim.commands.console import one_line_warnings
 from clsim.errors import ClsimError
+from clsim.output.stores import KINDS
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; return the exit status: 0, 2 for an error, 130 when interrupted."""
+    """Run the command line; return the exit status: 0, 2 for an error, 130 when interrupted; 1 if members failed."""
     options = _parser().parse_args(arguments)
     try:
         with one_line_warnings():
@@ -25,14 +26,18 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (ClsimError, OSError) as error:
-        print(f"clsim: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
-    except MemoryError:
-        print("clsim: error: not enough memory; choose a smaller [render] chunk or max_order", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("clsim: interrupted; nothing half-written was left", file=sys.stderr)
-        return 130
+        return _failed(f"clsim: error: {error}", error, 2)
+    except MemoryError as error:
+        return _failed("clsim: error: not enough memory; choose a smaller [render] chunk or max_order", error, 2)
+    except KeyboardInterrupt as error:
+        nothing = "" if getattr(error, "__notes__", None) else "; nothing half-written was left"
+        return _failed(f"clsim: interrupted{nothing}", error, 130)
+
+
+def _failed(message: str, error: BaseException, status: int) -> int:
+    """Print what went wrong and what is noted beside it on one line; return the exit status."""
+    print(" ".join("; ".join([message, *getattr(error, "__notes__", [])]).split()), file=sys.stderr)
+    return status
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -44,6 +49,10 @@ def _parser() -> argparse.ArgumentParser:
     run = _command(commands, "run", "render a scene file into a folder of sound files, tables and pictures")
     run.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the results go")
     run.add_argument("--force", action="store_true", help="write over results that are already there")
+    run.add_argument("--resume", action="store_true", help="go on with a run that was killed, if there is one")
+    run.add_argument(
+        "--store", choices=KINDS, default="wav", help="format of the sound: WAV files, Zarr or HDF5 (default: wav)"
+    )
     run.add_argument(
         "--table",
         choices=("npz", "parquet", "none"),
@@ -62,6 +71,18 @@ def _parser() -> argparse.ArgumentParser:
     paths.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
     paths.add_argument("--limit", type=int, default=40, metavar="ROWS", help="paths listed at most (default: 40)")
     paths.add_argument("-o", "--output", type=Path, metavar="FILE", help="write all of them to a .npz or .parquet file")
+
+    rir = _command(commands, "rir", "write the impulse responses of a scene file at one instant")
+    rir.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="PATH",
+        help="a folder for a WAV file per source and receiver, or a .npz or .sofa file",
+    )  # fmt: skip
+    rir.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
+    rir.add_argument("--format", choices=("wav", "npz", "sofa"), help="default: by the ending of the output, else wav")
+    rir.add_argument(
+        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"),
+        help="where they are exact, Hz (default: 0 to 0.95 of half the sampling rate)",
+    )  # fmt: skip
 
     view = _command(commands, "view", "write an interactive page: room, motion, and the paths over time")
     view.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the scene file)")
@@ -101,6 +122,14 @@ def _parser() -> argparse.ArgumentParser:
         "--frequency", type=float, default=40e3, metavar="HZ", help="at which angles are shown (default: 40000)"
     )
     materials.set_defaults(command="materials")
+    study = _command(commands, "study", "render a scene many times with other values of some of its fields", "study")
+    study.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where the results go")
+    study.add_argument("--resume", action="store_true", help="go on with a study that was stopped or killed")
+    study.add_argument("--retry", action="store_true", help="the same, and run members that failed again")
+    study.add_argument("--limit", type=int, default=1000, metavar="N", help="members allowed (default: 1000)")
+    study.add_argument("--workers", type=int, metavar="N", help="processes (default: one per GPU, else per two cores)")
+    study.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work instead")
+
     devices = commands.add_parser("devices", help="list the OpenCL devices of this machine")
     devices.set_defaults(command="devices")
     schema = commands.add_parser("schema", help="print the JSON schema of scene files, for editors")
@@ -108,9 +137,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _command(commands: Any, name: str, text: str) -> Any:
+def _command(commands: Any, name: str, text: str, file: str = "scene") -> Any:
     parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-    parser.add_argument("scene", type=Path, help="scene file (TOML)")
+    parser.add_argument(file, type=Path, help=f"{file} file (TOML)")
     parser.set_defaults(command=name)
     return parser
 

@@ -1,14 +1,19 @@
 // The branch signals: the emitted signal through the fixed filters of the Farrow bank. Work-item: dimension 0 counts
-// spans of CHANNEL samples, dimension 1 rows. A sum of zeros is zero, so silence stays exact silence.
+// spans of CHANNEL samples, dimension 1 rows. A sum of zeros is zero, so silence stays exact silence: where nothing is
+// heard (SPARSE) the rows are left as they are, zero.
 
 #define CHANNEL (8 * LANES)
 
 __kernel void branches(__global const float* emitted,  // starts TAPS - 1 - centre samples before the first row's
                        __constant float* taps,         // [rows][TAPS]
-                       int stride, int first_row, __global float* rows)
+                       int stride, int first_row, __global float* rows,
+                       __global const int* next)        // as in silence.h
 {
     const int row = get_global_id(1);
     const int first = get_global_id(0) * CHANNEL;
+#if SPARSE
+    if (next[first / CELL] > (first + CHANNEL - 1) / CELL) return;
+#endif
     vec sum[8];
     for (int j = 0; j < 8; j++) sum[j] = 0.0f;
     for (int k = 0; k < TAPS; k++) {

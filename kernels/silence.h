@@ -1,5 +1,7 @@
 // Which samples of the branch signals sound, in cells of CELL samples.
 
+#define NEVER 0x7fffffff
+
 typedef struct {
     __global const int* next;      // [cells], the next cell that sounds, or `cells`; itself if it does
     __global const int* previous;  // [cells], the one before, or -1
@@ -18,6 +20,15 @@ static int sounds(const sound* s, int block, double shortest, double longest)
 {
     const double start = s->origin + (double)block * BLOCK;
     return s->next[cell_at(s, start - longest)] <= cell_at(s, start + BLOCK - shortest);
+}
+
+// First block, from a given one on, in which anything may be heard, for delays between two bounds, samples.
+static int next_heard(const sound* s, int block, double shortest, double longest)
+{
+    const double start = s->origin + (double)block * BLOCK;
+    const int cell = s->next[cell_at(s, start - longest)];
+    const double begin = (double)cell * CELL - start + shortest;
+    return cell == s->cells ? NEVER : begin > 0.0 ? block + (int)(begin * (1.0 / BLOCK)) : block;
 }
 
 // First group of a block in which something is heard, and the one after the last shifted by 16 bits; 0 for none.

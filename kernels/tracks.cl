@@ -3,6 +3,11 @@
 // depends on which others are solved: where signals pause (SPARSE), blocks in which nothing sounds are left out.
 // Node n is one block before the start of block n; the slope of a block's gain needs the node before and after its own.
 
+#if SPARSE
+static double later(double a, double b) { return a > b ? a : b; }
+static double sooner(double a, double b) { return a < b ? a : b; }
+#endif
+
 __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
                      __global const int* receiver_of,      // [slots]
@@ -55,12 +60,20 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     for (int block = first; block < last; block++) {
         const int heard = from < (block + 1) * BLOCK && until > block * BLOCK;
 #if SPARSE
+        if (!heard) continue;
         const double since = (block - first) * block_time, left = walk_time - since;
-        const double low0 = d0 - max_rate * (since + block_time), low1 = d1 - max_rate * left;
-        const double high0 = d0 + max_rate * (since + block_time), high1 = d1 + max_rate * left;
-        const double low = (low0 > low1 ? low0 : low1) * sampling_rate + late;
-        const double high = (high0 < high1 ? high0 : high1) * sampling_rate + late;
-        if (!heard || !sounds(&signal, block, low - 2.0, high + 2.0)) continue;
+        // Delays from here to the end of the walk, and of this block.
+        const double late0 = late + sampling_rate * d0, late1 = late + sampling_rate * d1;
+        const double drift = sampling_rate * max_rate, until_end = drift * left, of_block = drift * block_time;
+        const double low_here = later(late0 - drift * since, late1 - until_end);
+        const double high_here = sooner(late0 + drift * since, late1 + until_end);
+        const int ahead_of = next_heard(&signal, block, low_here - until_end - 2.0, high_here + until_end + 2.0);
+        if (ahead_of >= last) break;
+        if (ahead_of > block) {
+            block = ahead_of - 1;
+            continue;
+        }
+        if (!sounds(&signal, block, low_here - of_block - 2.0, high_here + of_block + 2.0)) continue;
 #endif
         for (int n = solved < block ? block : solved + 1; n <= block + 3; n++) {
             __global const double* row = rows + n * 14;

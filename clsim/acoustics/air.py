@@ -13,6 +13,7 @@ References
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,6 +89,7 @@ def vapour_fraction_giacomo(temperature_celsius: float, relative_humidity: float
     return relative_humidity * enhancement * saturation_pressure_giacomo(temperature_celsius) / pressure
 
 
+@lru_cache(maxsize=64)
 def speed_of_sound_cramer(
     temperature_celsius: float,
     relative_humidity: float,

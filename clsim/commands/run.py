@@ -1,81 +1,91 @@
-"""`clsim run`: sound files, a path table and pictures from a scene file."""
+"""`clsim run`: sound, a path table and pictures from a scene file."""
 
 from __future__ import annotations
 
-import re
+import sys
 import warnings
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.commands.console import progress
 from clsim.commands.planning import path_table, planned
+from clsim.commands.unfinished import Unfinished, run_identity
 from clsim.errors import ClsimWarning, InputError
-from clsim.output.atomic import atomic_path
+from clsim.output.atomic import safe_path
 from clsim.output.envelope_plot import envelope_spectrogram
+from clsim.output.names import file_names
 from clsim.output.plots import echogram, history, spectrogram
-from clsim.output.table import write_table
-from clsim.output.wav import EnvelopeFile, SoundFile, WavWriter, as_frames
-from clsim.render.render import render_chunks
+from clsim.output.stores import StoredSound, sound_store
+from clsim.output.table import write_table, write_truth
 from clsim.scene_file import completed_scene, load_scene
 
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
+    from clsim.output.levels import Readable
+    from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.render.plan import Plan
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
+_MOST_DRAWN = 16  # receivers
 
 
 def execute(options: argparse.Namespace) -> int:
     """Render a scene file into a folder; return the exit status."""
+    folder: Path = options.output
+    unfinished = Unfinished(folder)
+    unfinished.check(options)
     file = load_scene(options.scene)
     paths, plan = planned(file, _overrides(options))
-    folder: Path = options.output
-    names = file_names(plan.tracks.receiver_names)
-    if not options.force and (folder / "scene.toml").exists():
-        raise InputError(
-            "--output", f"must hold no results yet, but {folder / 'scene.toml'} exists (--force writes over)"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    sounds = [folder / f"{name}.wav" for name in names]
-    _write_sounds(plan, sounds)
-    made = [*sounds]
-    table = path_table(paths, plan, _table_times(plan, options.table_rate))
-    if options.table != "none":
-        made.append(folder / f"paths.{options.table}")
-        write_table(table, made[-1])
-    if not options.no_plots:
-        made += _draw(plan, table, sounds, folder, names)
-    made.append(folder / "scene.toml")
+    times = _table_times(plan, options.table_rate)
     resolved = {**_overrides(options), "duration": plan.duration, "chunk": plan.chunk}
-    with atomic_path(made[-1]) as temporary:
-        temporary.write_text(completed_scene(file, folder, **resolved), "utf-8")
+    text = completed_scene(file, folder, **resolved)
+    if options.resume and unfinished.already_whole(text):
+        print(folder / "scene.toml")
+        return 0
+    names = file_names(plan.tracks.receiver_names)
+    identity = run_identity(file, paths, plan, {"store": options.store})
+    with unfinished.opened() as place:
+        store = sound_store(options.store, place, _stored(paths, plan, text), names)
+        unfinished.render(plan, store, identity)
+        made = unfinished.move(store)
+        table = path_table(paths, plan, times)
+        if options.table != "none":
+            made.append(folder / f"paths.{options.table}")
+            write_table(table, made[-1])
+        made.append(folder / "truth.npz")
+        write_truth(paths, times, plan.tracks.motion, made[-1])  # type: ignore[attr-defined]
+        if not options.no_plots:
+            drawn = range(min(len(names), _MOST_DRAWN))
+            made += _draw(plan, table, [store.row(folder, r) for r in drawn], folder, names[: len(drawn)])
+            if len(drawn) < len(names):
+                print(f"pictures are of the first {_MOST_DRAWN} receivers of {len(names)}", file=sys.stderr)
+        made.append(folder / "scene.toml")
+        with safe_path(made[-1]) as temporary:
+            temporary.write_text(text, "utf-8")
     for path in made:
         print(path)
     return 0
+
+
+def _stored(paths: PathSet, plan: Plan, text: str) -> StoredSound:
+    """Return what a store says of the sound."""
+    import clsim
+
+    positions = np.concatenate([r.trajectory.position(np.zeros(1)) for r in paths.scene.receivers])
+    return StoredSound(
+        plan.tracks.receiver_names, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk, text,
+        clsim.__version__, plan.carrier,
+    )  # fmt: skip
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
     """Return what the command line says instead of the scene file's ``[render]``."""
     names = ("device", "engine", "duration")
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-
-
-def _write_sounds(plan: Plan, sounds: list[Path]) -> None:
-    """Render into one file per receiver, piece by piece; none of them appears before all are whole."""
-    work = plan.path_count * plan.samples
-    with ExitStack() as stack:
-        channels = 1 if plan.baseband is None else 2
-        writers = [stack.enter_context(WavWriter(path, plan.sampling_rate, channels, plan.samples)) for path in sounds]
-        with progress("rendering", work) as advance:
-            for _, pressure in render_chunks(plan):
-                for writer, samples in zip(writers, pressure, strict=True):
-                    writer.write(as_frames(samples[None]))
-                advance(plan.path_count * pressure.shape[1])
 
 
 def _table_times(plan: Plan, rate: float) -> Any:
@@ -94,9 +104,9 @@ def _table_times(plan: Plan, rate: float) -> Any:
     return np.linspace(0.0, (count - 1) / rate, min(count, most))
 
 
-def _draw(plan: Plan, table: PathTable, sounds: list[Path], folder: Path, names: list[str]) -> list[Path]:
+def _draw(plan: Plan, table: PathTable, sounds: list[Readable], folder: Path, names: list[str]) -> list[Path]:
     """Draw a spectrogram and an echogram for each receiver; return their paths."""
-    made = []
+    made: list[Path] = []
     with progress("drawing", len(names)) as advance:
         for r, (sound, name) in enumerate(zip(sounds, names, strict=True)):
             made += [folder / f"{name}_spectrogram.png", folder / f"{name}_echogram.png"]
@@ -105,12 +115,11 @@ def _draw(plan: Plan, table: PathTable, sounds: list[Path], folder: Path, names:
                 history(table, r, made[-1])
                 made[-3:] = made[-1:] + made[-3:-1]
             title = plan.tracks.receiver_names[r]
-            if plan.baseband is None:
-                read, rate, band = SoundFile(sound), plan.sampling_rate, _shown_band(plan)
-                spectrogram(read, rate, made[-2], title=title, band=band, unit=plan.units[r])
+            rate = plan.sampling_rate
+            if plan.carrier is None:
+                spectrogram(sound, rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r])
             else:
-                carrier, rate = plan.baseband.carrier, plan.sampling_rate
-                envelope_spectrogram(EnvelopeFile(sound)[0 : plan.samples], rate, carrier, made[-2], title=title)
+                envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, made[-2], title=title)
             echogram(table, r, 0, made[-1])
             advance(1)
     return made
@@ -127,15 +136,3 @@ def _shown_band(plan: Plan) -> tuple[float, float]:
         high = max(high, float(frequencies[np.minimum(np.searchsorted(share, 1.0 - 1e-3), len(frequencies) - 1)]))
     margin = max(0.15 * (high - low), 3.0 * plan.max_rate * high, 200.0)
     return max(0.0, float(low) - margin), min(0.5 * plan.sampling_rate, float(high) + margin)
-
-
-def file_names(receivers: tuple[str, ...]) -> list[str]:
-    """Return names that any file system takes, each once."""
-    names: list[str] = []
-    for receiver in receivers:
-        name = base = re.sub(r"[^A-Za-z0-9_-]+", "_", receiver).strip("_") or "receiver"
-        count = 2
-        while name.lower() in (n.lower() for n in names):
-            name, count = f"{base}-{count}", count + 1
-        names.append(name)
-    return names

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+import threading
 import uuid
 import warnings
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -112,32 +112,27 @@ def upload(context: Any, array: NDArray[Any]) -> Any:
     return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array))
 
 
-@lru_cache(maxsize=8)
-def shared_context(device: Any) -> Any:
-    """Return a context of a device, the same each time, so that programs are built once in a process."""
+_of_thread = threading.local()
+
+
+def opened(device: Any) -> tuple[Any, Compiler]:
+    """Return a context of a device and the compiler of its kernels.
+
+    They are the same ones at every call from a thread, so that many scenes in one process build a kernel once. Another
+    thread has its own, because the arguments of a kernel are set before it is run.
+    """
     import pyopencl as cl
 
-    return cl.Context([device])
-
-
-@lru_cache(maxsize=256)
-def _program(context: Any, text: str, options: tuple[str, ...], kernel: str) -> Any:
-    """Return a built program."""
-    import pyopencl as cl
-
-    try:
-        program = cl.Program(context, text).build(options=list(options))
-        getattr(program, kernel)
-    except (cl.Error, AttributeError):
-        # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the
-        # driver: with a constant that nothing uses, the program is another one and is built anew.
-        anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
-        return cl.Program(context, text).build(options=anew, cache_dir=False)  # type: ignore[arg-type]
-    return program
+    found: dict[Any, tuple[Any, Compiler]] = _of_thread.__dict__.setdefault("opened", {})
+    key = device, kernel_source  # kernels of another text are other kernels
+    if key not in found:
+        context = cl.Context([device])
+        found[key] = context, Compiler(context)
+    return found[key]
 
 
 class Compiler:
-    """Makes the kernels of one context, each once."""
+    """Builds the kernels of one context, each once."""
 
     def __init__(self, context: Any) -> None:
         self._context = context
@@ -164,7 +159,14 @@ class Compiler:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # compilers have something to say about every program
             try:
-                return getattr(_program(self._context, text, tuple(options), program), program)
+                try:
+                    return getattr(cl.Program(self._context, text).build(options=options), program)
+                except (cl.Error, AttributeError):
+                    # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the
+                    # driver: with a constant that nothing uses, the program is another one and is built anew.
+                    anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
+                    fresh = cl.Program(self._context, text)
+                    return getattr(fresh.build(options=anew, cache_dir=False), program)  # type: ignore[arg-type]
             except (cl.Error, AttributeError) as error:
                 device = self._context.devices[0].name.strip()
                 raise DeviceError(

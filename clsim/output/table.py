@@ -12,9 +12,13 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.output.atomic import atomic_path
 from clsim.paths.path_table import PathTable
+from clsim.paths.truth import direct_truth
 
 if TYPE_CHECKING:
     import os
+
+    from clsim.arrays import Floats
+    from clsim.paths.path_set import PathSet
 
 _NAMES = ("source_names", "receiver_names", "wall_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more
@@ -50,6 +54,33 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
         _write_parquet(table, path)
     else:
         raise InputError("path", f"must end in .npz or .parquet, but is {str(path)!r}")
+
+
+def write_truth(paths: PathSet, times: Floats, motion: str, path: str | os.PathLike[str]) -> None:
+    """Write what receivers should find out of the direct sound as ``.npz``: arrays as in `DirectTruth`, and names.
+
+    Parameters
+    ----------
+    paths : PathSet
+        Of the scene.
+    times : ndarray (T,)
+        Times of reception, s.
+    motion : {"retarded", "quasi-static"}
+        As in `render`.
+    path : path-like
+        Of the file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; nothing is left of it then.
+    """
+    truth = direct_truth(paths, times, motion)
+    columns: dict[str, Any] = {f.name: getattr(truth, f.name) for f in dataclasses.fields(truth)}
+    columns["source_names"] = np.array([s.name for s in paths.scene.sources])
+    columns["receiver_names"] = np.array([r.name for r in paths.scene.receivers])
+    with atomic_path(path) as temporary:
+        np.savez_compressed(temporary, **columns)
 
 
 def read_table(path: str | os.PathLike[str]) -> PathTable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LARGEST_WAV = 2**32 - 2**16  # bytes; beyond that RF64
+_IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
 
 
 class WavWriter:
@@ -60,16 +62,14 @@ class WavWriter:
     ) -> None:
         import soundfile
 
-        rate = as_number("sampling_rate", sampling_rate, at_least=1.0, below=2.0**31, unit="Hz")
-        if not rate.is_integer():
-            raise InputError("sampling_rate", f"must be a whole number of Hz for a WAV file, but is {rate!r} Hz")
+        rate = _whole_rate(sampling_rate)
         self._path = Path(path)
         self._temporary = temporary_path(self._path)
         self._frame_bytes = 4 * channels
         self._large = samples is not None and self._frame_bytes * samples > _LARGEST_WAV
         try:
             self._file = soundfile.SoundFile(
-                self._temporary, "w", samplerate=int(rate), channels=channels, subtype="FLOAT",
+                self._temporary, "w", samplerate=rate, channels=channels, subtype="FLOAT",
                 format="RF64" if self._large else "WAV",
             )  # fmt: skip
         except soundfile.LibsndfileError as error:
@@ -105,6 +105,38 @@ class WavWriter:
                 self._temporary.replace(self._path)
         finally:
             self._temporary.unlink(missing_ok=True)
+
+
+def wav_header(sampling_rate: float, channels: int, samples: int) -> bytes:
+    """Return what stands before the samples of a WAV file of 32-bit floats whose length is known.
+
+    Above 4 GiB it is an RF64 file (EBU Tech 3306), which has the lengths in a chunk ``ds64``.
+
+    Raises
+    ------
+    InputError
+        If the sampling rate is no whole number.
+    """
+    rate, frame = _whole_rate(sampling_rate), 4 * channels
+    data = frame * samples
+    form = struct.pack("<4sIHHIIHHH", b"fmt ", 18, _IEEE_FLOAT, channels, rate, rate * frame, frame, 32, 0)
+    if 4 + len(form) + 20 + data <= _LARGEST_WAV:
+        fact = struct.pack("<4sII", b"fact", 4, samples)
+        riff = struct.pack("<4sI4s", b"RIFF", 4 + len(form) + len(fact) + 8 + data, b"WAVE")
+        return riff + form + fact + struct.pack("<4sI", b"data", data)
+    elsewhere = 2**32 - 1  # the lengths are in ds64
+    fact = struct.pack("<4sII", b"fact", 4, elsewhere)
+    whole = 4 + 36 + len(form) + len(fact) + 8 + data
+    lengths = struct.pack("<4sIQQQI", b"ds64", 28, whole, data, samples, 0)
+    riff = struct.pack("<4sI4s", b"RF64", elsewhere, b"WAVE")
+    return riff + lengths + form + fact + struct.pack("<4sI", b"data", elsewhere)
+
+
+def _whole_rate(sampling_rate: float) -> int:
+    rate = as_number("sampling_rate", sampling_rate, at_least=1.0, below=2.0**31, unit="Hz")
+    if not rate.is_integer():
+        raise InputError("sampling_rate", f"must be a whole number of Hz for a WAV file, but is {rate!r} Hz")
+    return int(rate)
 
 
 def as_frames(samples: NDArray[Any]) -> NDArray[np.float32]:

@@ -5,7 +5,7 @@ The OpenCL tracks are the small twin of this file.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -58,6 +58,10 @@ class Arrivals:
     distance: Floats
     emitted: Floats
     stretch: Floats
+
+    def part(self, rows: NDArray[np.int64]) -> Arrivals:
+        """Return what some of the paths bring."""
+        return Arrivals(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.device import Compiler, find_device, upload
+from clsim.opencl.device import find_device, opened, upload
 from clsim.paths.intervals import GRAZE, MOST_LOOKS, SMALLEST_MOVE, Intervals, Question, merged
 from clsim.scene.mesh_walls import INSIDE
 
@@ -40,8 +40,8 @@ class DeviceSearch:
         import pyopencl as cl
 
         self._question = question
-        self._queue = cl.CommandQueue(cl.Context([device or find_device(None)[1]]))
-        self._compiler = Compiler(self._queue.context)
+        context, self._compiler = opened(device or find_device(None)[1])
+        self._queue = cl.CommandQueue(context)
         walls, ends = question.walls, question.movers
         plane = np.concatenate([walls.normal, walls.offset[:, None]], axis=1)
         ball = np.concatenate([walls.centre, walls.radius[:, None]], axis=1)

@@ -14,6 +14,7 @@ from clsim.errors import ClsimWarning, InputError
 from clsim.scene.electronics import Electronics
 
 if TYPE_CHECKING:
+    from clsim.arrays import Floats
     from clsim.render.tracks import Tracks
     from clsim.scene.scene import Scene
     from clsim.scene.signal import Signal
@@ -96,7 +97,9 @@ def _decimation(rate: float, least: float) -> int:
     return whole[0] if whole else most
 
 
-def half_band(index: int, signal: Signal, baseband: Baseband, max_rate: float) -> tuple[float, float]:
+def half_band(
+    index: int, signal: Signal, spectrum: tuple[Floats, Floats], baseband: Baseband, max_rate: float
+) -> tuple[float, float]:
     """Return by how far an emitted frequency may lie off the carrier, Hz, and the signal's share beyond, dB.
 
     Parameters
@@ -105,6 +108,8 @@ def half_band(index: int, signal: Signal, baseband: Baseband, max_rate: float) -
         Of the signal, for messages.
     signal : Signal
         What is emitted.
+    spectrum : (ndarray (F,), ndarray (F,))
+        Its frequencies, Hz, and the energy at each.
     baseband : Baseband
         The band at the receivers.
     max_rate : float
@@ -129,7 +134,7 @@ def half_band(index: int, signal: Signal, baseband: Baseband, max_rate: float) -
             f"{max_rate:.3g} s/s, but is {bandwidth:g} Hz",
         )
     half = (0.5 * bandwidth - shift) / (1.0 + max_rate)
-    frequencies, energy = signal.energy_spectrum()
+    frequencies, energy = spectrum
     total = float(energy.sum())
     share = float(energy[np.abs(frequencies - carrier) > half].sum()) / total if total > 0.0 else 0.0
     outside_db = 10.0 * math.log10(share) if share > 0.0 else -math.inf

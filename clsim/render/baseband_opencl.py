@@ -114,7 +114,7 @@ class _BasebandRun(Run):
             "FUNCTIONS": self._functions,
             "GROUP": emission.bank.group,
         }
-        turn = round(emission.turn * 2**64) % 2**64
+        turn = round(emission.mixer.turn * 2**64) % 2**64
         return _Launch(
             constants,
             (

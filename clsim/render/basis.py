@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -185,7 +186,7 @@ def scene_basis(
         raise _refused(source, error_db, band, f"{count} frequencies do not resolve what walls and beams do")
     held_out, rows = _sampled(tracks, source, band, until, _HELD_OUT, rng), _Rows.of(sampled[:, 1::3], band)
     count = 1
-    while True:
+    for attempt in itertools.count(1):
         found = _Functions.of(rows, count, allowed)
         while found.wrong(rows.responses).max() > allowed and count < MOST_FUNCTIONS:
             count += 1
@@ -199,7 +200,7 @@ def scene_basis(
             raise _refused(source, error_db, band, why)
         # What is held worst joins the rows; if that is little, one more function is needed.
         rows = _Rows.of(np.concatenate([rows.responses, held_out[np.argsort(-wrong)[:64]]]), band)
-        count += int(wrong.max() > 1.2 * allowed)
+        count += int(wrong.max() > 1.2 * allowed or attempt % 3 == 0)
     try:
         return _designed(found, rows.responses, band, sampling_rate, error_db, float(wrong.max()))
     except NoFilterError as error:
@@ -231,7 +232,8 @@ def _designed(
 ) -> Basis:
     """Return functions as filters, scaled to gains of at most 1: what each adds to a path is at most its own size."""
     reached = 20.0 * math.log10(max(wrong, 1e-15))
-    if len(found.shapes) == 1 and np.ptp(found.shapes) <= 10 ** (error_db / 20) * np.abs(found.shapes).max():
+    flat = np.ptp(found.shapes.real) <= 10 ** (error_db / 20) * np.abs(found.shapes).max()
+    if found.parts == len(found.shapes) == 1 and flat:
         loudest = band.frequencies[int(np.argmax(band.weight))]
         one = np.ones((1, 1))
         return Basis(np.array([loudest]), one, one, np.ones(1), one, np.ones(1), error_db, reached)

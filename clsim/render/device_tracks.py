@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.acoustics.geometry import rotate
 from clsim.opencl.device import upload
-from clsim.paths.arrivals import MACH_EXPONENT
+from clsim.paths.arrivals import MACH_EXPONENT, PathGroup
 from clsim.paths.motion_knots import knot_rate, motion_knots
 from clsim.paths.responses import Responses
 from clsim.render.plan import Plan, node_times
@@ -24,13 +24,12 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.device import Compiler
-    from clsim.paths.arrivals import PathGroup
     from clsim.render.basis import Basis
     from clsim.render.edges import Boundaries
     from clsim.render.silence import Sounding
     from clsim.render.slots import Slots
     from clsim.render.tracks import SceneTracks
-    from clsim.scene.scene import Scene
+    from clsim.scene.scene import Receiver, Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +78,12 @@ class DeviceTracks:
         self._surroundings = [
             _Surroundings(scene, i, emission.basis, self._upload) for i, emission in enumerate(plan.emissions)
         ]
+        self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
+        self._at_rest = {
+            i: _receiver_at(r, np.zeros(1))
+            for i, r in enumerate(scene.receivers)
+            if math.isinf(r.trajectory.end) and r.electronics is None
+        }
         for i, around in enumerate(self._surroundings):
             around.most_bounces(g for g in tracks.path_groups if g.source == i)
 
@@ -97,20 +102,13 @@ class DeviceTracks:
         Where `sounding` is given, what is silent is left out; `first` is the sample at which branch signals begin.
         """
         plan, scene = self._plan, self._tracks.scene
-        matrix = np.empty((9, slots.count))
-        offset = np.empty((3, slots.count))
-        around = self._surroundings[source]
-        reflection = np.zeros((slots.count, around.parts, around.count), dtype=np.float32)
-        wall_of, normal = around.no_bounces(slots.count)
-        receiver_of = np.empty(slots.count, dtype=np.int32)
-        for i, index in enumerate(slots.groups):
-            here, paths = slots.of_group(i), self._tracks.path_groups[index]
-            part = paths.part(slots.path[here])
-            matrix[:, here] = part.matrix.reshape(-1, 9).T
-            offset[:, here] = part.offset.T
-            reflection[here] = np.where(slots.filling[here, None, None], 0.0, around.reflection(part))
-            wall_of[:, here], normal[:, :, here] = around.bounces(part)
-            receiver_of[here] = i
+        around, all_paths = self._surroundings[source], self._tracks.paths
+        rows = np.concatenate(
+            [self._tracks.path_rows[g][slots.path[slots.of_group(i)]] for i, g in enumerate(slots.groups)]
+        )
+        paths = PathGroup(source, -1, all_paths.image_matrix[rows], all_paths.image_offset[rows], all_paths.walls[rows])
+        reflection = np.where(slots.filling[:, None, None], 0.0, around.reflection(paths)).astype(np.float32)
+        receiver_of = np.repeat(np.arange(len(slots.groups), dtype=np.int32), np.diff(slots.first_slot))
         rate = plan.sampling_rate
         longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
         knots, knot_first = motion_knots(
@@ -118,15 +116,16 @@ class DeviceTracks:
             (start + length) / rate - shortest + 0.05,
             self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
         )  # fmt: skip
-        images = tuple(self._upload(a) for a in (matrix, offset, receiver_of, reflection, wall_of, normal))
+        columns = (paths.matrix.reshape(-1, 9).T, paths.offset.T, receiver_of, reflection, *around.bounces(paths))
+        images = tuple(self._upload(column) for column in columns)
         motion = (
             self._upload(knots), np.int32(len(knots)), np.float64(knot_first), np.float64(self._knot_rates[source]),
         )  # fmt: skip
         anchors = self._anchors(source, slots, images, motion, start, -(-length // plan.segment) + 1)
         cells = None
         if sounding is not None:
-            columns = (sounding.following, sounding.preceding)
-            cells = (*(self._upload(column) for column in columns), np.int32(len(sounding.following)))
+            signal = (sounding.following, sounding.preceding)
+            cells = (*(self._upload(column) for column in signal), np.int32(len(sounding.following)))
         return _Chunk(source, slots, start, images, bounds, anchors, motion, cells, first)
 
     def _anchors(
@@ -178,7 +177,7 @@ class DeviceTracks:
             np.float64(emission.start - spread), np.float64(emission.start + emission.signal.duration + spread),
             np.float32(2.0 * math.pi * emission.band), *around.tables, self._upload(around.beam_of[slots.receiver]),
             np.int32(blocks), delay, cubics, found_there, unheld_there, *cells, np.float64(start - chunk.first),
-            np.float64(self._tracks.max_rate(chunk.source)), delay if spans is None else spans,
+            np.float64(self._max_rates[chunk.source]), delay if spans is None else spans,
         )  # fmt: skip
         cl.enqueue_copy(self._queue, found, found_there)
         cl.enqueue_copy(self._queue, unheld, unheld_there)
@@ -220,17 +219,22 @@ class DeviceTracks:
         """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes, 14)."""
         out = np.empty((len(slots.groups), len(times), 14))
         for i, r in enumerate(slots.receiver):
-            receiver = self._tracks.scene.receivers[r]
-            ahead = receiver.clock_ahead(times)
-            out[i, :, :3] = receiver.trajectory.position(times + ahead)
-            out[i, :, 3:6] = receiver.trajectory.velocity(times + ahead)
-            turned = receiver.orientation(times + ahead)
-            out[i, :, 6:9], out[i, :, 9:12] = (rotate(turned, axis) for axis in np.eye(3)[:2])
-            out[i, :, 12], out[i, :, 13] = ahead, receiver.pace
+            out[i] = self._at_rest[r] if r in self._at_rest else _receiver_at(self._tracks.scene.receivers[r], times)
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
+
+
+def _receiver_at(receiver: Receiver, times: Floats) -> Floats:
+    """Return position, velocity, axes and clock of a receiver, (times, 14)."""
+    ahead = receiver.clock_ahead(times)
+    true = times + ahead
+    axes = [rotate(receiver.orientation(true), axis) for axis in np.eye(3)[:2]]
+    clock = [ahead[:, None], np.full((len(times), 1), receiver.pace)]
+    return np.concatenate(
+        [receiver.trajectory.position(true), receiver.trajectory.velocity(true), *axes, *clock], axis=1
+    )
 
 
 class _Surroundings:

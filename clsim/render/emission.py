@@ -1,20 +1,38 @@
-"""What a source emits and the filters that delay it and carry its paths' responses."""
+"""What is emitted, and the filters for it: delays, and what air, walls and beams do over a signal's band."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from clsim.arrays import as_number
+from clsim.errors import ClsimWarning, InputError
+from clsim.paths.known import check_known
+from clsim.paths.responses import is_complex
+from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
+from clsim.render.interpolator import Bandlimited, Bank, Interpolator
+from clsim.render.occupied import occupied_band, shares
+from clsim.render.tracks import SceneTracks, Tracks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.render.basis import Basis
-    from clsim.render.interpolator import Bank
+    from clsim.paths.impulse_response import ImpulseResponse
     from clsim.scene.signal import Signal
+
+DEFAULT_RESPONSE_ERROR_DB = -80.0  # of air, walls and beams over a signal's band
+AT_CENTRE = "centre"  # instead of that error: all of them as at the centre of the signal's band
+EXACT_DB = -100.0  # the same for the reference engine
+_MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, for which walls and beams need not be known
+_WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
+_LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
+_WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +68,7 @@ class Emission:
         return self.banks[0]
 
     @property
-    def rows(self) -> Floats:
+    def rows(self) -> NDArray[Any]:
         """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
         return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
 
@@ -74,16 +92,28 @@ class Emission:
         """Return the factor by which delays (P, n), samples, turn the phase of what is carried: 1 of sound as it is."""
         return 1.0
 
-    def describe(self) -> list[str]:
-        """Return how delays, air, walls and beams are carried, and what it costs, a line each."""
-        removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
-        return [
-            f"filters of {len(self.bank.taps)} branches hold up to {self.band:.0f} Hz within "
-            f"{self.bank.error_db:.1f} dB; share of the signal above: {removed}",
-            self.describe_responses(),
-        ]
+    @property
+    def held(self) -> tuple[float, float]:
+        """Frequencies between which sound is not removed on purpose, Hz."""
+        return 0.0, 0.5 * self.signal.sampling_rate
 
-    def describe_responses(self) -> str:
+    def emitted(self, first: int, last: int) -> NDArray[Any]:
+        """Return samples `first` to `last` of what impulse responses are convolved with."""
+        return self.signal.read(first, last)
+
+    def acting(self, response: ImpulseResponse) -> ImpulseResponse:
+        """Return an impulse response at the signal's sampling rate as it acts on what is emitted."""
+        return response
+
+    def describe_filters(self) -> str:
+        """Return how delays are carried."""
+        removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
+        return (
+            f"filters of {len(self.bank.taps)} branches hold up to {self.band:.0f} Hz within "
+            f"{self.bank.error_db:.1f} dB; share of the signal above: {removed}"
+        )
+
+    def describe(self) -> str:
         """Return how air, walls and beams are carried, and what it costs."""
         basis = self.basis
         if not math.isfinite(basis.asked_db):
@@ -95,3 +125,125 @@ class Emission:
             f"{len(basis)} functions of frequency carry air, walls and beams within {basis.error_db:.1f} dB "
             f"({rows} branch signals, {rows / most:.1f} times the work of one function)"
         )
+
+
+def design_emission(
+    index: int,
+    signal: Signal,
+    start: float,
+    tracks: Tracks,
+    *,
+    interpolator: Interpolator,
+    until: float,
+    sampling_rate: float,
+    response_error_db: float | str,
+    exact: bool,
+    at_rest: bool = False,
+) -> Emission:
+    """Return a source's signal at the sampling rate, Hz, with filters for its band and for how its paths move.
+
+    Parameters
+    ----------
+    index : int
+        Of the source.
+    signal : Signal
+        What it emits.
+    start : float
+        Time at which that begins, s.
+    tracks : Tracks
+        Its paths.
+    interpolator : Interpolator
+        Delays.
+    until : float
+        End of the run, s.
+    sampling_rate : float
+        Hz.
+    response_error_db : float or "centre"
+        As in `render`.
+    exact : bool
+        For the reference engine: -100 dB at least.
+    at_rest : bool
+        All its paths are convolved, so that nothing needs functions of frequency.
+
+    Raises
+    ------
+    InputError
+        If a wall or a beam is not known over the signal's band, or asks for too many functions.
+    """
+    check_response_error(response_error_db)
+    signal = signal.at_rate(sampling_rate)
+    spectrum = signal.energy_spectrum()
+    high, removed_db, bank = _delay_filters(index, spectrum, interpolator, tracks, sampling_rate)
+    basis = basis_of(index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact, at_rest)
+    banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
+    return Emission(signal, start, banks, basis, high, removed_db)
+
+
+def check_response_error(response_error_db: float | str) -> None:
+    """Raise an InputError if the asked error of responses is neither in dB nor that of the centre frequency."""
+    if response_error_db == AT_CENTRE:
+        return
+    if isinstance(response_error_db, str):
+        raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
+    as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
+
+
+def _delay_filters(
+    index: int, spectrum: tuple[Floats, Floats], interpolator: Interpolator, tracks: Tracks, rate: float
+) -> tuple[float, float, Bank]:
+    """Return the end of the band that matters, the share above it in dB, and the filters for band and speed."""
+    field, max_rate = f"signals[{index}]", tracks.max_rate(index)
+    widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
+    floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
+    band, removed_db = occupied_band(spectrum, widest, floor_db - 6.0)
+    bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate)
+    if removed_db > _LOUD_SHARE_DB:
+        _warn(
+            f"{field}: {removed_db:.0f} dB of its energy lies above {band:.0f} Hz, the band of the delay filters "
+            "at this sampling rate and speed, and is removed or distorted; fade or window the signal, or sample faster"
+        )
+    if bank.error_db > _WEAK_ERROR_DB:
+        _warn(
+            f"{field}: the delay filters are wrong by up to {bank.error_db:.0f} dB for content at {band:.0f} Hz; "
+            'sample faster or use the "bandlimited" interpolator'
+        )
+    return band, removed_db, bank
+
+
+def basis_of(
+    index: int,
+    signal: Signal,
+    spectrum: tuple[Floats, Floats],
+    high: float,
+    tracks: Tracks,
+    until: float,
+    rate: float,
+    error_db: float | str,
+    exact: bool,
+    at_rest: bool,
+    least: float = 0.0,
+) -> Basis:
+    """Return the functions of frequency that a source's paths need, from `least` to `high` Hz at most."""
+    if not isinstance(tracks, SceneTracks):
+        return flat_basis(signal.centre_frequency)
+    frequencies, energy = spectrum
+    below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+    if not energy.any():  # silence needs nothing
+        return flat_basis(signal.centre_frequency)
+    check_known(tracks.scene, [index], *shares(spectrum, _MAIN_SHARE), f"the signal of source {index}")
+    if at_rest:
+        return flat_basis(signal.centre_frequency)
+    floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
+    low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
+    low = min(max(low, least, frequencies[1]), 0.999 * high)
+    if not isinstance(error_db, str):
+        floor_db = min(floor_db, error_db)
+        band = partial(band_of, low, high, frequencies, energy)
+        return scene_basis(tracks, index, band, until, rate, floor_db)
+    if is_complex(tracks.scene):
+        return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
+    return flat_basis(signal.centre_frequency)
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, ClsimWarning, stacklevel=6)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError
-from clsim.opencl.device import Compiler, find_device, shared_context, upload
+from clsim.opencl.device import find_device, opened, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
 from clsim.render.plan import NODE_BUDGET, Plan
-from clsim.render.silence import Sounding, sounding
+from clsim.render.silence import CELL, Sounding, sounding
 from clsim.render.slots import Active, Slots, fill_slots
 from clsim.render.tracks import SceneTracks
 
@@ -81,9 +81,8 @@ class OpenclEngine:
         self._plan = plan
         self._info, device = find_device(plan.device)
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
-        self._context = shared_context(device)
+        self._context, self._compiler = opened(device)
         self._queue = cl.CommandQueue(self._context)
-        self._compiler = Compiler(self._context)
         self.skips_silence = True
         shape = (len(plan.emissions), plan.receiver_count)
         self._strongest, self._unheld = np.zeros(shape), np.zeros(shape)  # arrivals, and what no function holds of any
@@ -100,7 +99,6 @@ class OpenclEngine:
         try:
             return self._render(start, stop)
         except (cl.MemoryError, cl.RuntimeError) as error:
-            shared_context.cache_clear()  # it may be of no more use
             raise DeviceError(
                 f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
                 "receivers at a time, or on another device (see `clsim devices`)"
@@ -161,7 +159,7 @@ class OpenclEngine:
         """Return the paths of a source that are heard within a chunk."""
         plan, found = self._plan, []
         for i, group in enumerate(plan.tracks.groups):
-            if group.source == source:
+            if group.source == source and i not in plan.at_rest.groups:
                 low, high = plan.tracks.delay_range(i, *self._seconds(start, start + length))
                 found.append(Active(i, np.arange(len(group)), low, high).during(plan, start, start + length))
         return [group for group in found if len(group.rows)]
@@ -187,6 +185,11 @@ class OpenclEngine:
         if not np.any(streams):
             return None
         out = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, 4 * self.parts * int(emission.rows[-1]) * stride)
+        found = sounding(streams, before, after)
+        sparse = self.skips_silence and found.pays
+        if sparse:
+            cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, out.size)
+        following = self._upload(found.following)
         placed = (
             (bank, self.parts * int(first_row) + part * len(bank.taps), row)
             for bank, first_row, stream in zip(emission.banks, emission.rows, streams, strict=False)
@@ -194,16 +197,17 @@ class OpenclEngine:
         )
         for bank, row, stream in placed:
             rows, taps = bank.taps.shape
-            kernel = self._compiler.kernel("branches", {"LANES": self._layout.lanes, "TAPS": taps})
+            constants = {"LANES": self._layout.lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(sparse)}
+            kernel = self._compiler.kernel("branches", constants)
             emitted = np.zeros(stride + taps + channel, dtype=np.float32)
             here = stream[before - _taps_before(bank) : before + width + _taps_after(bank)]
             emitted[: len(here)] = here
             kernel(
                 self._queue, (width // channel, rows), None, self._upload(emitted),
                 self._upload(bank.taps.astype(np.float32)), np.int32(stride), np.int32(row), out,
+                following,
             )  # fmt: skip
-        found = sounding(streams, before, after)
-        return Branches(out, stride, first, least, most, found if self.skips_silence and found.pays else None)
+        return Branches(out, stride, first, least, most, found if sparse else None)
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)

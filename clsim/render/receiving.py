@@ -52,6 +52,15 @@ class Receiving:
             out[i] = end(start, np.asarray(pressure[i], dtype=np.float64))
         return out
 
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return all that the receivers remember of the pieces so far; noise and clocks remember nothing."""
+        return {f"{i}.{name}": value for i, end in self._ends.items() for name, value in end.state().items()}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Go on where another one of the same plan was; `state` is what that remembered."""
+        for i, end in self._ends.items():
+            end.restore({name: state[f"{i}.{name}"] for name in end.state()})
+
     def describe(self) -> list[str]:
         """Return what the converters clipped, a line each."""
         samples = self._plan.samples
@@ -101,6 +110,21 @@ class ReceiverEnd:
         samples = samples * 10 ** (self.electronics.gain_db / 20)
         return self._converted(samples) if self.electronics.step else samples
 
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return what is remembered of the samples so far."""
+        state: dict[str, NDArray[Any]] = {f"cut{i}": cut.state for i, cut in enumerate(self._cuts)}
+        if self._transducer is not None:
+            state["ringing"] = self._transducer.ringing
+        return state | {"clipped": np.array(self.clipped)}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Remember what another one remembered."""
+        for i, cut in enumerate(self._cuts):
+            cut.state = state[f"cut{i}"]
+        if self._transducer is not None:
+            self._transducer.ringing = state["ringing"]
+        self.clipped = int(state["clipped"])
+
     def _converted(self, samples: Floats) -> Floats:
         """Round to the converter's steps, and count what is clipped."""
         codes = np.rint(samples / self.electronics.step)
@@ -131,13 +155,13 @@ class _Cut:
         from scipy.signal import butter
 
         self._sections: Any = butter(order, frequency, kind, fs=sampling_rate, output="sos")
-        self._state = np.zeros((len(self._sections), 2))
+        self.state = np.zeros((len(self._sections), 2))
 
     def __call__(self, samples: Floats) -> Floats:
         """Return filtered samples (n,)."""
         from scipy.signal import sosfilt
 
-        out, self._state = sosfilt(self._sections, samples, zi=self._state)
+        out, self.state = sosfilt(self._sections, samples, zi=self.state)
         return np.asarray(out, dtype=np.float64)
 
 

@@ -6,9 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.arrays import as_count
+from clsim.errors import InputError
+from clsim.opencl.device import find_device
+from clsim.render.at_rest import Convolution
 from clsim.render.baseband_opencl import BasebandEngine
+from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.opencl import OpenclEngine
-from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB, Plan, plan_render, plan_tracks
+from clsim.render.plan import Plan, plan_render, plan_tracks
 from clsim.render.receiving import Receiving
 from clsim.render.reference import ReferenceEngine
 from clsim.render.tracks import SceneTracks, Tracks
@@ -38,10 +43,12 @@ def render(
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
     baseband: Baseband | tuple[float, ...] | None = None,
+    quietest_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    convolve_at_rest: bool = True,
 ) -> Recording:
     """Return what every receiver of a scene hears.
 
@@ -69,6 +76,9 @@ def render(
         Render complex envelopes about a carrier, Hz, instead of the sound: what mixing it with
         ``exp(-2 pi j carrier t)``, a low-pass and decimation would give, several times faster. The bandwidth, both
         sides together, must hold signals and Doppler shifts; a third number chooses the sampling rate: see `Baseband`.
+    quietest_db : float, optional
+        Leave out paths that stay below this level, dB relative to the strongest arrival at the same receiver; the
+        recording's notes tell how many, and a bound of what they add up to.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -77,7 +87,10 @@ def render(
         Length of the recording, s. Left out: until all that was emitted has been heard, or until the first moving
         receiver's trajectory ends.
     chunk : int, optional
-        Samples that are held at a time, rounded up to whole segments of 18432.
+        Samples that are held at a time, rounded up to whole segments (of 18432 samples; in baseband of 32 blocks).
+    convolve_at_rest : bool
+        Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
+        instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
 
     Returns
     -------
@@ -115,8 +128,8 @@ def render(
     """
     plan = plan_render(
         scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
-        transition=transition, response_error_db=response_error_db, baseband=baseband, engine=engine, device=device,
-        duration=duration, chunk=chunk,
+        transition=transition, response_error_db=response_error_db, baseband=baseband, quietest_db=quietest_db,
+        engine=engine, device=device, duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
     )  # fmt: skip
     return _record(plan)
 
@@ -134,6 +147,7 @@ def render_tracks(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
+    convolve_at_rest: bool = True,
 ) -> Recording:
     """Return what is heard of signals along tracks, whoever computed these.
 
@@ -147,24 +161,31 @@ def render_tracks(
         Of the recording, Hz.
     starts : sequence of float, optional
         Time at which each signal begins, s; 0 when left out.
-    interpolator, response_error_db, baseband, engine, device, duration, chunk
+    interpolator, response_error_db, baseband, engine, device, duration, chunk, convolve_at_rest
         As in `render`.
     """
     plan = plan_tracks(
         signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, response_error_db=response_error_db,
-        baseband=baseband, engine=engine, device=device,
-        duration=duration, chunk=chunk,
+        baseband=baseband, engine=engine, device=device, duration=duration, chunk=chunk,
+        convolve_at_rest=convolve_at_rest,
     )  # fmt: skip
     return _record(plan)
 
 
-def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[Any]]]:
+def render_chunks(
+    plan: Plan, *, first: int = 0, receiving: Receiving | None = None
+) -> Iterator[tuple[int, NDArray[Any]]]:
     """Yield the recording piece by piece, in bounded memory.
 
     Parameters
     ----------
     plan : Plan
         From `plan_render`.
+    first : int
+        Sample to begin with, a whole number of chunks: those before it were rendered earlier.
+    receiving : Receiving, optional
+        The receivers' ends, with all that they remember of the pieces before. Behind each piece its ``state()`` is
+        what another process needs to go on bit for bit, by ``restore``.
 
     Yields
     ------
@@ -172,20 +193,39 @@ def render_chunks(plan: Plan) -> Iterator[tuple[int, NDArray[Any]]]:
         First sample of the piece.
     samples : ndarray (receivers, n) float32
         Sound pressure in Pa, or V of receivers with a transducer: see ``plan.units``. In baseband complex64.
+
+    Raises
+    ------
+    InputError
+        If `first` is no whole number of chunks, or lies beyond the end.
     """
-    receiving = Receiving(plan)
-    yield from _pieces(plan, receiving)
+    if as_count("first", first, at_most=plan.samples) % plan.chunk and first != plan.samples:
+        raise InputError("first", f"must be a whole number of chunks of {plan.chunk} samples, but is {first}")
+    receiving = Receiving(plan) if receiving is None else receiving
+    yield from _pieces(plan, receiving, first)
     receiving.warn()
 
 
-def _pieces(plan: Plan, receiving: Receiving) -> Iterator[tuple[int, NDArray[Any]]]:
-    engine: OpenclEngine | ReferenceEngine = ReferenceEngine(plan)
-    if plan.engine == "opencl":
-        engine = OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
-    for start in range(0, plan.samples, plan.chunk):
-        yield start, receiving(start, engine.render(start, min(start + plan.chunk, plan.samples)))
+def _pieces(plan: Plan, receiving: Receiving, first: int = 0) -> Iterator[tuple[int, NDArray[Any]]]:
+    engine, convolution = _engine(plan), Convolution(plan)
+    for start in range(first, plan.samples, plan.chunk):
+        stop = min(start + plan.chunk, plan.samples)
+        silence = (plan.receiver_count, stop - start)
+        pressure = np.zeros(silence, plan.sample_type) if engine is None else engine.render(start, stop)
+        convolution.add(pressure, start)
+        yield start, receiving(start, pressure)
     if isinstance(engine, OpenclEngine):
         engine.warn()
+
+
+def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine | None:
+    """Return what renders the paths of a plan that are not convolved; None if there are none."""
+    if plan.engine == "reference":
+        return ReferenceEngine(plan)
+    if len(plan.at_rest.groups) == len(plan.tracks.groups):
+        find_device(plan.device)  # a device that is not there is an error all the same
+        return None
+    return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
 
 
 def _record(plan: Plan) -> Recording:
@@ -200,5 +240,4 @@ def _record(plan: Plan) -> Recording:
     paths = plan.tracks.paths if isinstance(plan.tracks, SceneTracks) else None
     notes = (*plan.describe(), *receiving.describe())
     names = plan.tracks.receiver_names
-    carrier = None if plan.baseband is None else plan.baseband.carrier
-    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiving.clipped, carrier)
+    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiving.clipped, plan.carrier)

@@ -135,6 +135,7 @@ class SceneTracks(Tracks):
     amplitude: str
     groups: tuple[TrackGroup, ...]
     path_groups: tuple[PathGroup, ...]
+    path_rows: tuple[NDArray[np.int64], ...]  # of each group's paths in `paths`
     source_speed: tuple[float, ...]
     receiver_speed: tuple[float, ...]
     transition: float
@@ -271,12 +272,13 @@ def track(
     as_choice("motion", motion, MOTIONS)
     as_choice("amplitude", amplitude, AMPLITUDES)
     scene = paths.scene
-    groups, path_groups = [], []
+    groups, path_groups, path_rows = [], [], []
     for rows, group in paths.groups():
         receiver = scene.receivers[group.receiver]
         interval = (read_only(_told(receiver, times[rows])) for times in (paths.start, paths.end))
         groups.append(TrackGroup(group.source, group.receiver, *interval))
         path_groups.append(group)
+        path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
     speeds = [1.02 * item.trajectory.peak_speed(*scene.span(item))[0] for _, item in scene.named_ends()]
     count = len(scene.sources)
@@ -286,6 +288,7 @@ def track(
         amplitude,
         tuple(groups),
         tuple(path_groups),
+        tuple(path_rows),
         tuple(speeds[:count]),
         tuple(speeds[count:]),
         as_transition(transition),

@@ -113,6 +113,16 @@ class Piecewise:
         return np.asarray(self.derivative(time), dtype=np.float64)
 
 
+def is_still(curve: Curve) -> bool:
+    """Return whether a curve is known to stay at one place, to the last bit."""
+    if isinstance(curve, Straight):
+        return not np.any(curve.speed)
+    if isinstance(curve, Piecewise):
+        coefficients = curve.polynomial.c
+        return not np.any(coefficients[:-1]) and not np.any(np.ptp(coefficients[-1], axis=0))
+    return isinstance(curve, Still)
+
+
 def frame_about(axis: Floats) -> tuple[Floats, Floats]:
     """Return the unit vectors from which and towards which a circle about `axis` turns at angle 0.
 

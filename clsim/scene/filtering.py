@@ -56,6 +56,11 @@ class StreamFilter:
         Impulse response.
     block : int
         Samples that are filtered at a time, whatever the length of the pieces: the rounding is the same.
+
+    Attributes
+    ----------
+    ringing : ndarray (n - 1,)
+        What it remembers: the part of its output so far that is still to come.
     """
 
     def __init__(self, taps: Floats, block: int) -> None:
@@ -63,7 +68,7 @@ class StreamFilter:
 
         self._block, self._size = block, next_fast_len(block + len(taps) - 1, real=True)
         self._spectrum = rfft(taps, self._size)
-        self._ringing = np.zeros(len(taps) - 1)
+        self.ringing = np.zeros(len(taps) - 1)
 
     def __call__(self, samples: Floats) -> Floats:
         """Return filtered samples (n,); n is a whole number of blocks but for the last piece."""
@@ -76,9 +81,9 @@ class StreamFilter:
         from scipy.fft import irfft, rfft
 
         whole = irfft(rfft(samples, self._size) * self._spectrum, self._size)
-        whole = whole[: self._block + len(self._ringing)]
-        whole[: len(self._ringing)] += self._ringing
-        self._ringing = whole[self._block :].copy()
+        whole = whole[: self._block + len(self.ringing)]
+        whole[: len(self.ringing)] += self.ringing
+        self.ringing = whole[self._block :].copy()
         return np.asarray(whole[: len(samples)], dtype=np.float64)
 
 

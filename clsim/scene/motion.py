@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import Floats, as_number, read_only
-from clsim.scene.curves import CONTINUATION, Curve
+from clsim.scene.curves import CONTINUATION, Curve, is_still
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -64,6 +64,16 @@ class Motion:
     def has_orientation(self) -> bool:
         """Whether the trajectory says how the transducer is turned."""
         return self.turning is not None
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it never moves; it may turn."""
+        return is_still(self.curve)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the orientation changes."""
+        return self.turning is not None and bool(np.any(self.turning.angle))
 
     def position(self, t: ArrayLike) -> Floats:
         """Return positions, m.

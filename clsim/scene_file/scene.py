@@ -9,21 +9,25 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, ValidationError
+from pydantic import Discriminator, Field, Tag, ValidationError
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.baseband import Baseband
+from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.plan import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.transition import DEFAULT_TRANSITION
 from clsim.scene.air import Air
+from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Receiver, Scene, Source
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
 from clsim.scene_file.rooms import RoomModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
+
+_PATHS = ("path", "phases_path")  # keys that name files
 
 
 class _Air(Model):
@@ -33,32 +37,71 @@ class _Air(Model):
     speed_of_sound: float | Literal["iso9613"] | None = None
 
 
-class _End(Model):
+class _Common(Model):
     name: str
-    trajectory: TrajectoryModel
     directivity: DirectivityModel = OmniModel()
     aim: Vector | None = None
     transducer: TransducerModel | None = None
 
     def parts(self, base: Path) -> dict[str, Any]:
-        """Return the arguments that sources and receivers share."""
+        """Return the arguments that sources, receivers and arrays of them share."""
         model = self.transducer
         return {
             "name": self.name,
-            "trajectory": within("trajectory", lambda: self.trajectory.build(base)),
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
 
 
+class _End(_Common):
+    trajectory: TrajectoryModel
+
+    def parts(self, base: Path) -> dict[str, Any]:
+        """Return the arguments that sources and receivers share."""
+        return super().parts(base) | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))}
+
+
 class _Receiver(_End):
     electronics: ElectronicsModel | None = None
 
-    def build(self, base: Path) -> Receiver:
+    def build(self, base: Path) -> list[Receiver]:
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
-        return Receiver(**self.parts(base), electronics=electronics)
+        return [Receiver(**self.parts(base), electronics=electronics)]
+
+
+class _Grid(Model):
+    kind: Literal["grid"]
+    x: float | list[float]
+    y: float | list[float]
+    z: float | list[float]
+
+    def build(self, base: Path) -> Floats:
+        return grid_positions(self.x, self.y, self.z)
+
+
+class _PositionsFile(Model):
+    kind: Literal["file"]
+    path: str
+
+    def build(self, base: Path) -> Floats:
+        return positions_from_file(base / self.path)
+
+
+class _ReceiverArray(_Common):
+    positions: Annotated[_Grid | _PositionsFile, Field(discriminator="kind")]
+    electronics: ElectronicsModel | None = None
+
+    def build(self, base: Path) -> list[Receiver]:
+        model = self.electronics
+        electronics = None if model is None else within("electronics", model.build)
+        positions = within("positions", lambda: self.positions.build(base))
+        return receiver_array(positions=positions, electronics=electronics, **self.parts(base))
+
+
+def _receiver_kind(value: Any) -> str:
+    return "array" if isinstance(value, dict) and "positions" in value else "one"
 
 
 class _Source(_End):
@@ -119,10 +162,12 @@ class _Render(Model):
     transition: float | Literal["gate"] = DEFAULT_TRANSITION
     response_error_db: float | Literal["centre"] = DEFAULT_RESPONSE_ERROR_DB
     baseband: _Baseband | None = None
+    quietest_db: float | None = None
     engine: Literal["opencl", "reference"] = "opencl"
     device: str | None = None
     duration: float | None = None
     chunk: int | None = None
+    convolve_at_rest: bool = True
 
 
 class SceneModel(Model):
@@ -133,7 +178,11 @@ class SceneModel(Model):
     room: RoomModel
     air: _Air = _Air()
     sources: list[_Source]
-    receivers: list[_Receiver]
+    receivers: list[
+        Annotated[
+            Annotated[_Receiver, Tag("one")] | Annotated[_ReceiverArray, Tag("array")], Discriminator(_receiver_kind)
+        ]
+    ]
     paths: _Paths
     render: _Render
 
@@ -197,9 +246,10 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     try:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
-        raise _explain(error, content) from error
+        raise explain(error, content) from error
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
-    receivers = [within(f"receivers[{i}]", partial(end.build, base)) for i, end in enumerate(model.receivers)]
+    entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
+    receivers = [receiver for entry in entries for receiver in entry]
     room = within("room", lambda: model.room.build(base))
     air = within("air", lambda: Air(**model.air.arguments()))
     scene = Scene(room, air, sources, receivers, model.min_distance)
@@ -227,18 +277,22 @@ def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
 
     content = file.model.model_dump(exclude_none=True, warnings=False)
     content["render"] |= resolved
-    _move_paths(content, file.base, folder)
+    for part, key in _paths_within(content):
+        part[key] = Path(os.path.relpath(file.base / part[key], folder)).as_posix()
     return tomli_w.dumps(content)
 
 
-def _move_paths(content: Any, base: Path, folder: Path) -> None:
-    """Make every ``path`` that is relative to one folder relative to another, however deep it stands."""
-    parts = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
-    for key, part in parts:
-        if key in ("path", "phases_path") and isinstance(part, str):
-            content[key] = Path(os.path.relpath(base / part, folder)).as_posix()
-        else:
-            _move_paths(part, base, folder)
+def referenced_files(file: SceneFile) -> list[Path]:
+    """Return the files that a scene file names: meshes, sounds, tables, trajectories."""
+    content = file.model.model_dump(exclude_none=True, warnings=False)
+    return [file.base / part[key] for part, key in _paths_within(content)]
+
+
+def _paths_within(content: Any) -> list[tuple[dict[str, Any], str]]:
+    """Return the tables of a scene file that name a file, however deep they stand, and the keys that do."""
+    parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
+    here = [(content, key) for key in _PATHS if isinstance(content, dict) and isinstance(content.get(key), str)]
+    return [*here, *(found for part in parts for found in _paths_within(part))]
 
 
 def scene_schema() -> dict[str, Any]:
@@ -246,7 +300,7 @@ def scene_schema() -> dict[str, Any]:
     return SceneModel.model_json_schema()
 
 
-def _explain(error: ValidationError, content: Any) -> InputError:
+def explain(error: ValidationError, content: Any) -> InputError:
     """Return one of pydantic's complaints in our words, with the field's path."""
     # A misspelt key comes before what is then missing.
     complaints = error.errors(include_url=False)

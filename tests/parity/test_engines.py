@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 
 import clsim
 from clsim.opencl import device as device_module
@@ -98,6 +99,33 @@ def test_host_tracks_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(opencl_module, "find_device", without_float64)
     assert difference_db(pressure(made), on_device) < TOLERANCE_DB
+
+
+def test_host_tracks_carry_phases(monkeypatch: pytest.MonkeyPatch) -> None:
+    chirp = clsim.Signal.chirp(36e3, 44e3, 0.03, RATE, window="hann")
+    source = clsim.Source("s", chirp, TURNING, Lopsided())
+    ears = [
+        clsim.Receiver("r", clsim.Trajectory.circle((4.5, 2.5, 1.5), 0.5, 0.5, 0.5), OffCentre(2e-3), aim=(-1, 0.2, 0))
+    ]
+    world = clsim.Scene(clsim.Shoebox((6, 5, 3), [POROUS, ROUGH] * 3), clsim.Air(), [source], ears)
+    made = plan_render(world, clsim.find_paths(world, 2), RATE, duration=0.06)
+    on_device = pressure(made)
+    monkeypatch.setattr(opencl_module, "SceneTracks", type(None))  # as for tracks that are sampled
+    assert difference_db(pressure(made), on_device) < TOLERANCE_DB
+
+
+def test_responses_that_nothing_holds_are_told() -> None:
+    chirp = clsim.Signal.chirp(36e3, 44e3, 0.03, RATE, window="hann")
+    world = scene(clsim.Piston(0.006), signal=chirp)
+    made = plan_render(world, clsim.find_paths(world, 1), RATE, duration=0.02)
+    engine = OpenclEngine(made)
+    engine.render(0, made.samples)
+    engine.warn()  # says nothing: warnings are errors
+    engine.note(0, np.array([0]), np.array([0.1]), np.array([1.0]))
+    with pytest.warns(
+        clsim.ClsimWarning, match=r"source 0: air, walls and beams were held within .* dB, not the -80 dB"
+    ):
+        engine.warn()
 
 
 @pytest.mark.parametrize("chunk", [1, SEGMENT + 1, 50_001])

@@ -93,9 +93,9 @@ def test_walls_and_a_beam_in_a_room(engine: str) -> None:
     paths = clsim.find_paths(scene, 2)
     made = clsim.render(scene, paths, RATE, engine=engine, duration=0.06).pressure[0]
     window = slice(round(0.012 * RATE), round(0.05 * RATE))
-    times = np.arange(window.start, window.stop) / RATE
+    times = np.arange(window.start, window.stop, 5) / RATE
     table = paths.table(times)
-    count = 2**14
+    count = 2**13
     spectrum, frequencies = np.fft.rfft(scene.sources[0].signal.read(0, 3840), count), np.fft.rfftfreq(count, 1 / RATE)
     loud = np.flatnonzero(np.abs(spectrum) > 1e-6 * np.abs(spectrum).max())
     materials, distance = walls(), table.delay * C
@@ -104,11 +104,14 @@ def test_walls_and_a_beam_in_a_room(engine: str) -> None:
     centre = scene.sources[0].signal.centre_frequency
 
     def by_hand(f: float) -> np.ndarray:
-        factor = np.array(
-            [np.prod([float(materials[w].reflection_at(f)) for w in row if w >= 0]) for row in paths.walls]
-        )
+        of_wall = np.array([*(m.reflection_at(f) for m in materials), 1.0])  # -1 is no wall
         beam = clsim.Piston(0.0047).gain(cosine, f, C)
-        return factor[:, None] * beam * 10 ** (-AIR.absorption(f) * (distance - 1) / 20) / distance
+        return (
+            of_wall[paths.walls].prod(axis=1)[:, None]
+            * beam
+            * 10 ** (-AIR.absorption(f) * (distance - 1) / 20)
+            / distance
+        )
 
     stretch = table.gain / by_hand(centre)  # the Mach factor, the same at all frequencies
     late = times - table.delay
@@ -116,7 +119,7 @@ def test_walls_and_a_beam_in_a_room(engine: str) -> None:
         f = frequencies[k]
         wave = np.exp(2j * np.pi * f * late) * by_hand(f) * stretch * ((late > -1e-3) & (late < 0.05))
         wanted += 2.0 / count * np.real(spectrum[k] * wave.sum(axis=0))
-    got = made[window]
+    got = made[window][::5]
     assert np.linalg.norm(got - wanted) < 10 ** (-75 / 20) * np.linalg.norm(wanted)
 
 

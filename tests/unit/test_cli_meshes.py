@@ -155,7 +155,7 @@ def test_run_of_a_mesh_can_be_repeated_from_its_results(mesh_scene: Path, tmp_pa
     out = tmp_path / "out" / "deep"
     assert main(["run", str(mesh_scene), "-o", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {
-        "mic.wav", "paths.npz", "mic_spectrogram.png", "mic_echogram.png", "mic_paths.png", "scene.toml",
+        "mic.wav", "paths.npz", "truth.npz", "mic_spectrogram.png", "mic_echogram.png", "mic_paths.png", "scene.toml",
     }  # fmt: skip
     completed = tomllib.loads((out / "scene.toml").read_text("utf-8"))
     assert completed["room"]["path"] == "../../meshes/room.obj"
@@ -350,6 +350,7 @@ def test_run_draws_how_paths_come_and_go(corner_scene: Path, tmp_path: Path, cap
     names = {p.name for p in out.iterdir()}
     assert {
         "corner.wav",
+        "truth.npz",
         "corner_spectrogram.png",
         "corner_echogram.png",
         "corner_paths.png",

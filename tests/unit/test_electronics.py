@@ -62,6 +62,44 @@ def test_all_stages_are_the_same_however_they_are_cut(rng: np.random.Generator) 
     assert pieces.clipped == whole.clipped > 0
 
 
+def test_another_one_goes_on_from_a_state(rng: np.random.Generator) -> None:
+    samples = 0.1 * rng.normal(size=COUNT)
+    electronics = Electronics(
+        ambient_noise_db=20.0, self_noise_db=30.0, seed=5, low_cut=20e3, high_cut=70e3, order=5, gain_db=60.0,
+        adc_bits=12, adc_full_scale=1.0,
+    )  # fmt: skip
+    receiver = clsim.Receiver("r", PLACE, transducer=RESONANCE, electronics=electronics)
+    whole, first, second = (ReceiverEnd(receiver, RATE) for _ in range(3))
+    wanted = whole(0, samples)
+    first(0, samples[: 2 * SEGMENT])
+    second.restore({name: value.copy() for name, value in first.state().items()})
+    np.testing.assert_array_equal(second(2 * SEGMENT, samples[2 * SEGMENT :]), wanted[2 * SEGMENT :])
+    assert second.clipped == whole.clipped > 0
+    # Each part of the state counts.
+    for name in first.state():
+        if name != "clipped":
+            other = ReceiverEnd(receiver, RATE)
+            other.restore(first.state() | {name: 0.0 * first.state()[name]})
+            assert np.any(other(2 * SEGMENT, samples[2 * SEGMENT :]) != wanted[2 * SEGMENT :]), name
+
+
+def test_pieces_begin_at_whole_chunks() -> None:
+    room = clsim.Shoebox((4, 3, 2.5), clsim.Material.from_reflection(0.5))
+    tone = clsim.Signal.tone(40e3, duration=0.3, sampling_rate=RATE)
+    source = clsim.Source("s", tone, clsim.Trajectory.fixed((2, 2, 2)))
+    scene = clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("r", PLACE)])
+    plan = clsim.plan_render(scene, clsim.find_paths(scene, 0), RATE, engine="reference", chunk=SEGMENT)
+    pieces = list(clsim.render_chunks(plan))
+    later = list(clsim.render_chunks(plan, first=SEGMENT))
+    assert [start for start, _ in later] == [start for start, _ in pieces[1:]]
+    for (_, one), (_, other) in zip(later, pieces[1:], strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert list(clsim.render_chunks(plan, first=plan.samples)) == []
+    for first in (1, -SEGMENT, plan.samples + SEGMENT, 0.5):
+        with pytest.raises(InputError, match="first"):
+            list(clsim.render_chunks(plan, first=first))
+
+
 def test_ambient_noise_has_its_density() -> None:
     # 34 dB re 20 µPa/√Hz are 1.0024 mPa/√Hz; times the root of 96 kHz.
     got = recorded(silence(), ambient_noise_db=34.0, seed=1)

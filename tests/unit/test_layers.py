@@ -17,9 +17,10 @@ LAYERS = [
     ("opencl",),
     ("paths",),
     ("render",),
-    ("recording",),
+    ("recording", "room_responses"),
     ("output",),
     ("scene_file",),
+    ("study",),
     ("commands",),
     ("cli",),
 ]
@@ -48,9 +49,7 @@ def test_imports_point_up(path: Path) -> None:
 
 
 def test_import_loads_nothing_heavy() -> None:
-    code = (
-        "import sys, clsim; print([m for m in ('pyopencl', 'matplotlib', 'pydantic', 'soundfile') if m in sys.modules])"
-    )
+    code = "import sys, clsim; print([m for m in ('pyopencl', 'matplotlib', 'pydantic', 'soundfile', 'xarray', 'distributed') if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
 

@@ -35,6 +35,9 @@ def large_table(rng: np.random.Generator, paths: int, times: int, order: int) ->
 def test_parquet_is_written_in_pieces(tmp_path, rng: np.random.Generator) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     table = large_table(rng, paths=301, times=1000, order=30)
+    write_table(
+        large_table(rng, paths=9, times=9, order=2), tmp_path / "first.parquet"
+    )  # loads pyarrow and its friends
     tracemalloc.start()
     try:
         write_table(table, tmp_path / "t.parquet")

@@ -52,7 +52,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def material(walls: dict, folder: Path) -> clsim.Material:
-    return build_scene(scene(walls), folder).scene.room.materials[0]
+    return build_scene(scene(walls), folder).scene.room.wall_materials[0]
 
 
 @pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")
@@ -129,8 +129,8 @@ def test_a_copy_of_the_scene_elsewhere_finds_the_sound_file(folder):
     copy = folder / "out" / "scene.toml"
     copy.write_text(completed_scene(file, folder / "out"), "utf-8")
     assert 'path = "../wall.wav"' in copy.read_text("utf-8")
-    again = load_scene(copy).scene.room.materials
-    for read, first in zip(again, file.scene.room.materials, strict=True):
+    again = load_scene(copy).scene.room.wall_materials
+    for read, first in zip(again, file.scene.room.wall_materials, strict=True):
         assert read.reflection_at(40e3) == first.reflection_at(40e3)
 
 
@@ -179,5 +179,5 @@ def test_a_table_that_does_not_reach_is_an_error_in_a_line(folder, capsys, devic
     printed = capsys.readouterr()
     assert printed.err.endswith(
         "\nclsim: error: room: frequency must be from 1000 to 2000 Hz, where the material (table of factors) is known, "
-        "but is 40000 Hz; extend it by name (outside=) or give more of it\n"
+        "but is 45093.8 Hz; extend it by name (outside=) or give more of it\n"
     )

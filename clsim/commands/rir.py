@@ -1,0 +1,53 @@
+"""`clsim rir`: impulse responses of a scene file at one instant."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from clsim.commands.console import progress
+from clsim.commands.planning import found_paths, shares
+from clsim.errors import InputError
+from clsim.output.responses import write_response_sounds, write_responses
+from clsim.room_responses import as_response_band, impulse_responses
+from clsim.scene_file import load_scene
+
+if TYPE_CHECKING:
+    import argparse
+
+_FIELDS = {"at": "--at", "band": "--band", "band[0]": "--band", "band[1]": "--band", "path": "--output"}
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Write impulse responses to files; return the exit status."""
+    kind = _kind(options)
+    file = load_scene(options.scene)
+    rate = file.render["sampling_rate"]
+    try:
+        as_response_band(rate, options.band)  # before paths are searched for
+        paths = found_paths(file, {})
+        with progress("impulse responses", 1.0) as advance:
+            found = impulse_responses(file.scene, paths, rate, options.at, options.band, progress=shares(advance))
+        if kind == "wav":
+            made = write_response_sounds(found, options.output)
+        else:
+            write_responses(found, options.output)
+            made = [options.output]
+    except InputError as error:
+        raise InputError(_FIELDS.get(error.field, error.field), error.problem) from error
+    for path in made:
+        print(path)
+    count = found.samples.shape[2]
+    early = f"; time 0 is sample {found.lead}" if found.lead else ""
+    print(f"{count} samples at {rate:g} Hz, exact from {found.band[0]:g} to {found.band[1]:g} Hz{early}")
+    return 0
+
+
+def _kind(options: argparse.Namespace) -> str:
+    """Return the format: as asked, by the output's ending, or WAV files in a folder."""
+    ending = options.output.suffix.removeprefix(".")
+    kind: str = options.format or (ending if ending in ("npz", "sofa") else "wav")
+    if kind != "wav" and ending != kind:
+        raise InputError("--output", f"must end in .{kind}, but is {options.output}")
+    if kind == "wav" and (ending in ("npz", "sofa", "wav") or options.output.is_file()):
+        raise InputError("--output", f"must be a folder for WAV files, but is {options.output}")
+    return kind

@@ -1,0 +1,72 @@
+"""Reading stores."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clsim.errors import InputError
+from clsim.output.stores import STORE_FORMAT, check_packages
+
+if TYPE_CHECKING:
+    import os
+
+
+def open_store(path: str | os.PathLike[str]) -> Any:
+    """Open a recording that ``clsim run --store zarr`` or ``hdf5`` wrote.
+
+    Parameters
+    ----------
+    path : path-like
+        ``recording.zarr`` or ``recording.h5``, or the folder that holds one of them.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``sound`` (receiver, time), float32, or complex64 in baseband, read only where it is used; coordinates
+        ``receiver``, ``unit``, ``position`` (receiver, axis) at 0 s, m, and ``time``, s, as told by the receivers'
+        clocks; attributes
+        ``sampling_rate`` (Hz), ``carrier`` (Hz, in baseband), ``scene`` (the completed scene file), ``clsim_version``.
+
+    Raises
+    ------
+    InputError
+        If there is no store, or one of another format, or a package is missing.
+
+    Notes
+    -----
+    ``xarray.open_zarr`` and ``xarray.open_dataset(engine="h5netcdf")`` open the same stores, without ``time`` (which
+    would take twice the space of the sound): it is ``numpy.arange(samples) / sampling_rate``.
+    """
+    path = Path(path)
+    inside = [path / "recording.zarr", path / "recording.h5"]
+    if not (path / "zarr.json").exists() and path.is_dir():
+        path = next((p for p in inside if p.exists()), path)
+    kind = "hdf5" if path.suffix == ".h5" else "zarr"
+    check_packages(kind, "path", "store")
+    import xarray
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # metadata that are not gathered are only slower
+            found = xarray.open_dataset(path, engine="h5netcdf") if kind == "hdf5" else xarray.open_zarr(path)
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError("path", f"must be a store of clsim, but {path} is none: {error}") from error
+    check_format(found.attrs, path)
+    rate, samples = found.attrs["sampling_rate"], found.sizes["time"]
+    index = xarray.indexes.RangeIndex.linspace(0.0, samples / rate, samples, endpoint=False, dim="time")
+    return found.assign_coords(xarray.Coordinates.from_xindex(index))
+
+
+def check_format(attributes: Any, path: Path) -> None:
+    """Raise an InputError if a store is none of clsim's, or of another format."""
+    version = attributes.get("clsim_store_format")
+    if version is None:
+        raise InputError("path", f"must be a store of clsim, but {path} does not say so")
+    if version != STORE_FORMAT:
+        raise InputError(
+            "path",
+            f"must be a store of format {STORE_FORMAT}, but {path} has format {version} "
+            f"(clsim {attributes.get('clsim_version', 'unknown')} wrote it)",
+        )

@@ -1,0 +1,93 @@
+"""Samples of several receivers as rows of numbers at fixed places of files."""
+
+from __future__ import annotations
+
+import errno
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_UNKNOWN_TO_SYSTEM = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS)
+
+
+class Rows:
+    """Writes pieces of rows where they belong: written again they change nothing, and nothing else moves.
+
+    Parameters
+    ----------
+    places : sequence of (path, int)
+        File and byte at which each row begins; the files exist.
+    sample_type : str
+        NumPy's code of the samples: ``"<f4"``, or ``"<c8"``, real before imaginary parts.
+    """
+
+    def __init__(self, places: Sequence[tuple[Path, int]], sample_type: str = "<f4") -> None:
+        self._places, self._type = places, np.dtype(sample_type)
+        self._files: dict[Path, int] = {}
+        try:
+            for path, _ in places:
+                if path not in self._files:
+                    self._files[path] = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        except OSError:
+            self.close()
+            raise
+
+    def reserve(self, samples: int) -> None:
+        """Take the disk space of rows of a length beforehand, so that a full disk shows before hours of work.
+
+        Raises
+        ------
+        OSError
+            If the disk has not that much left; it names the file.
+        """
+        for path, number in self._files.items():
+            size = max(begin + self._type.itemsize * samples for other, begin in self._places if other == path)
+            try:
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(number, 0, size)
+            except OSError as error:
+                if error.errno not in _UNKNOWN_TO_SYSTEM:
+                    raise OSError(
+                        error.errno, f"{os.strerror(error.errno or 0)} ({size / 2**20:.0f} MiB are needed)", str(path)
+                    ) from error
+            os.truncate(number, max(size, os.fstat(number).st_size))
+
+    def write(self, start: int, samples: NDArray[Any]) -> None:
+        """Write samples (rows, n) of all rows from sample `start` on.
+
+        Raises
+        ------
+        OSError
+            If they cannot be written; it names the file.
+        """
+        for (path, begin), row in zip(self._places, samples, strict=True):
+            left = memoryview(np.ascontiguousarray(row, dtype=self._type).tobytes())
+            at = begin + self._type.itemsize * start
+            try:
+                while left:
+                    os.lseek(self._files[path], at, os.SEEK_SET)
+                    count = os.write(self._files[path], left)
+                    left, at = left[count:], at + count
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from error
+
+    def to_disk(self) -> None:
+        """Wait until all is on the disk itself."""
+        for path, number in self._files.items():
+            try:
+                os.fsync(number)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from error
+
+    def close(self) -> None:
+        """Close the files."""
+        for number in self._files.values():
+            os.close(number)
+        self._files = {}

@@ -1,0 +1,349 @@
+"""Where the sound of a run goes: WAV files, a Zarr store or an HDF5 file, each written piece by piece.
+
+All three can be gone on with after the process was killed: a piece that is written again changes nothing, and what
+is not sound is on the disk before the first sample.
+"""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.output.atomic import to_disk, tree_to_disk
+from clsim.output.rows import Rows
+from clsim.output.wav import EnvelopeFile, SoundFile, wav_header
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.output.levels import Readable
+
+KINDS = ("wav", "zarr", "hdf5")
+STORE_FORMAT = 1
+_EXTRA = {"zarr": ("zarr", "xarray"), "hdf5": ("h5netcdf", "h5py", "xarray")}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredSound:
+    """What a store says of the sound in it.
+
+    Attributes
+    ----------
+    receiver_names, units : tuple of str
+        One per receiver; units are Pa or V.
+    positions : ndarray (receivers, 3)
+        Of the receivers at 0 s, m.
+    sampling_rate : float
+        Hz.
+    samples : int
+        Of each receiver.
+    chunk : int
+        Samples that are written at a time.
+    scene : str
+        The completed scene file.
+    version : str
+        Of clsim.
+    carrier : float or None
+        Of complex envelopes, Hz; None for sound as it is.
+    """
+
+    receiver_names: tuple[str, ...]
+    units: tuple[str, ...]
+    positions: Floats
+    sampling_rate: float
+    samples: int
+    chunk: int
+    scene: str
+    version: str
+    carrier: float | None = None
+
+    @property
+    def sample_type(self) -> str:
+        """NumPy's code of the samples."""
+        return "<f4" if self.carrier is None else "<c8"
+
+    def attributes(self) -> dict[str, Any]:
+        """Return what stands at the root of a store."""
+        told = {
+            "clsim_store_format": STORE_FORMAT,
+            "clsim_version": self.version,
+            "sampling_rate": self.sampling_rate,
+            "scene": self.scene,
+        }
+        return told if self.carrier is None else told | {"carrier": self.carrier}
+
+    def coordinates(self) -> Any:
+        """Return all but the sound as an xarray Dataset."""
+        import xarray
+
+        return xarray.Dataset(
+            coords={
+                "receiver": texts(self.receiver_names),
+                "unit": ("receiver", texts(self.units)),
+                "axis": texts("xyz"),
+                "position": (("receiver", "axis"), self.positions, {"units": "m", "long_name": "position at 0 s"}),
+            },
+            attrs=self.attributes(),
+        )
+
+    @property
+    def sound_attributes(self) -> dict[str, Any]:
+        """Return what stands beside the samples."""
+        units = sorted(set(self.units))
+        named = {"units": units[0]} if len(units) == 1 else {}
+        what = "sound pressure or voltage, unit by receiver"
+        if self.carrier is not None:
+            what = "complex envelope of sound pressure about the carrier"
+        return named | {"long_name": what}
+
+
+class SoundStore(Protocol):
+    """One kind of store.
+
+    Attributes
+    ----------
+    paths : list of Path
+        Files or folders that make it up.
+    """
+
+    paths: list[Path]
+
+    def create(self) -> None:
+        """Make all that is not sound; it is on the disk itself afterwards."""
+
+    def open(self) -> None:
+        """Make ready to write."""
+
+    def write(self, start: int, samples: NDArray[Any]) -> None:
+        """Write samples (receivers, n) from sample `start` on; written again they change nothing."""
+
+    def to_disk(self) -> None:
+        """Wait until all that was written is on the disk itself."""
+
+    def close(self) -> None:
+        """Write no more."""
+
+    def row(self, folder: Path, receiver: int) -> Readable:
+        """Return the samples of a receiver in the store, which is in `folder` by now."""
+
+
+def sound_store(kind: str, folder: Path, sound: StoredSound, names: list[str]) -> SoundStore:
+    """Return a store of a kind in a folder.
+
+    Parameters
+    ----------
+    kind : {"wav", "zarr", "hdf5"}
+        WAV has one file per receiver, called by `names`; the others hold all of them.
+
+    Raises
+    ------
+    InputError
+        If a package is missing; the message says what to install.
+    """
+    check_packages(kind, "--store", "store")
+    if kind == "wav":
+        return _WavStore(folder, sound, names)
+    return _ZarrStore(folder, sound) if kind == "zarr" else _Hdf5Store(folder, sound)
+
+
+def check_packages(kind: str, field: str, extra: str) -> None:
+    """Raise an InputError if a package that a kind of store needs is missing."""
+    from importlib.util import find_spec
+
+    missing = [name for name in _EXTRA.get(kind, ()) if find_spec(name) is None]
+    if missing:
+        raise InputError(field, f'{kind} needs {" and ".join(missing)}: pip install "clsim[{extra}]"')
+
+
+class _RowStore:
+    """A store whose samples are rows at known places of files."""
+
+    paths: list[Path]
+
+    def __init__(self, sound: StoredSound) -> None:
+        self._sound = sound
+        self._rows = Rows([])
+
+    def places(self) -> list[tuple[Path, int]]:
+        """Return file and byte at which each receiver's samples begin."""
+        raise NotImplementedError
+
+    def open(self) -> None:
+        self._rows = Rows(self.places(), self._sound.sample_type)
+
+    def reserve(self) -> None:
+        """Take the disk space of all samples."""
+        self.open()
+        try:
+            self._rows.reserve(self._sound.samples)
+            self._rows.to_disk()
+        finally:
+            self.close()
+        to_disk(self.paths[0].parent)
+
+    def write(self, start: int, samples: NDArray[Any]) -> None:
+        self._rows.write(start, samples)
+
+    def to_disk(self) -> None:
+        self._rows.to_disk()
+
+    def close(self) -> None:
+        self._rows.close()
+
+
+class _WavStore(_RowStore):
+    """One file per receiver; its header comes first and says how long it will be.
+
+    Envelopes have two channels, real part (I) and imaginary part (Q): the bytes of complex numbers.
+    """
+
+    def __init__(self, folder: Path, sound: StoredSound, names: list[str]) -> None:
+        super().__init__(sound)
+        self.paths = [folder / f"{name}.wav" for name in names]
+        self._header = wav_header(sound.sampling_rate, 1 if sound.carrier is None else 2, sound.samples)
+
+    def create(self) -> None:
+        for path in self.paths:
+            path.write_bytes(self._header)
+        self.reserve()
+
+    def places(self) -> list[tuple[Path, int]]:
+        return [(path, len(self._header)) for path in self.paths]
+
+    def row(self, folder: Path, receiver: int) -> Readable:
+        path = folder / self.paths[receiver].name
+        return SoundFile(path) if self._sound.carrier is None else EnvelopeFile(path)
+
+
+class _Hdf5Store(_RowStore):
+    """A netCDF-4 file whose sound is one unbroken block, written past the HDF5 library.
+
+    A process that dies within the library can leave a file that no longer opens. Here all that the library writes is on
+    the disk before the first sample, and does not change any more.
+    """
+
+    def __init__(self, folder: Path, sound: StoredSound) -> None:
+        super().__init__(sound)
+        self.paths = [folder / "recording.h5"]
+
+    def create(self) -> None:
+        import h5netcdf
+        import h5py
+
+        path = self.paths[0]
+        self._sound.coordinates().to_netcdf(path, engine="h5netcdf")
+        with h5netcdf.File(path, "a") as file:
+            file.dimensions["time"] = self._sound.samples
+            variable = file.create_variable("sound", ("receiver", "time"), np.dtype(self._sound.sample_type))
+            variable.attrs.update(self._sound.sound_attributes)
+        with h5py.File(path, "r+") as raw:
+            raw["sound"][0, 0] = 0.0  # gives the block its place in the file
+        self.reserve()
+
+    def places(self) -> list[tuple[Path, int]]:
+        path, count = self.paths[0], len(self._sound.receiver_names)
+        begin = _place_in(path)
+        return [(path, begin + self._row_bytes * r) for r in range(count)]
+
+    @property
+    def _row_bytes(self) -> int:
+        return np.dtype(self._sound.sample_type).itemsize * self._sound.samples
+
+    def row(self, folder: Path, receiver: int) -> Readable:
+        path, samples = folder / self.paths[0].name, self._sound.samples
+        begin = _place_in(path) + self._row_bytes * receiver
+        return np.memmap(path, dtype=self._sound.sample_type, mode="r", offset=begin, shape=(samples,))
+
+
+def _place_in(path: Path) -> int:
+    """Return the byte at which the sound of an HDF5 file begins."""
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        return int(file["sound"].id.get_offset())
+
+
+class _ZarrStore:
+    """A Zarr group with one file per receiver and chunk."""
+
+    def __init__(self, folder: Path, sound: StoredSound) -> None:
+        self.paths = [folder / "recording.zarr"]
+        self._sound = sound
+        self._array: Any = None
+        self._written: list[Path] = []
+
+    def create(self) -> None:
+        import zarr
+
+        path, sound = self.paths[0], self._sound
+        shutil.rmtree(path, ignore_errors=True)
+        sound.coordinates().to_zarr(path, mode="w-", consolidated=False, zarr_format=3)
+        zarr.open_group(path, mode="r+").create_array(
+            "sound", shape=(len(sound.receiver_names), sound.samples), chunks=(1, min(sound.chunk, sound.samples)),
+            dtype=sound.sample_type, fill_value=0.0, dimension_names=("receiver", "time"),
+            attributes=sound.sound_attributes,
+        )  # fmt: skip
+        consolidate(path)
+        tree_to_disk(path)
+
+    def open(self) -> None:
+        import zarr
+
+        self._array = zarr.open_group(self.paths[0], mode="r+")["sound"]
+
+    def write(self, start: int, samples: NDArray[Any]) -> None:
+        self._array[:, start : start + samples.shape[1]] = samples
+        for r in range(len(samples)):
+            key = self._array.metadata.encode_chunk_key((r, start // self._sound.chunk))
+            self._written.append(self.paths[0] / "sound" / key)
+
+    def to_disk(self) -> None:
+        for path in self._written:
+            if path.exists():  # silence has no file
+                to_disk(path)
+        for folder in {path.parent for path in self._written if path.parent.exists()}:
+            to_disk(folder)
+        self._written = []
+
+    def close(self) -> None:
+        self._array = None
+
+    def row(self, folder: Path, receiver: int) -> Readable:
+        import zarr
+
+        return _ZarrRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], receiver)
+
+
+class _ZarrRow:
+    """Samples of one receiver of a Zarr array, read where they are cut."""
+
+    def __init__(self, array: Any, receiver: int) -> None:
+        self._array, self._receiver = array, receiver
+
+    def __len__(self) -> int:
+        return int(self._array.shape[1])
+
+    def __getitem__(self, part: slice) -> NDArray[Any]:
+        return np.asarray(self._array[self._receiver, part])
+
+
+def texts(values: Any) -> NDArray[Any]:
+    """Return texts as an array that Zarr and HDF5 keep at their own lengths."""
+    return np.array(list(values), dtype=object)
+
+
+def consolidate(path: Path) -> None:
+    """Gather a Zarr store's metadata in one place, for fast opening."""
+    import zarr
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know this yet
+        zarr.consolidate_metadata(path)

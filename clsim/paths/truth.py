@@ -1,0 +1,80 @@
+"""What a receiver should find out: the direct sound's delay, whether it is heard, and how fast its path grows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import as_floats
+from clsim.paths.arrivals import PathGroup, arrivals
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.path_set import PathSet
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectTruth:
+    """The direct sound between every source and receiver, (sources, receivers, T).
+
+    Attributes
+    ----------
+    times : ndarray (T,)
+        Times of reception, s.
+    delay : ndarray
+        From emission to reception, s, also where a wall is in the way.
+    line_of_sight : ndarray of bool
+        Whether it is heard.
+    radial_speed : ndarray
+        Speed of sound times the change of the delay by time of reception, m/s; positive where they part. The Doppler
+        factor is 1 less the radial speed over the speed of sound.
+    """
+
+    times: Floats
+    delay: Floats
+    line_of_sight: NDArray[np.bool_]
+    radial_speed: Floats
+
+
+def direct_truth(paths: PathSet, times: Floats, motion: str = "retarded") -> DirectTruth:
+    """Return the truth about the direct sound.
+
+    Parameters
+    ----------
+    paths : PathSet
+        Of the scene.
+    times : array_like (T,)
+        Times of reception, s, by the scene's clock.
+    motion : {"retarded", "quasi-static"}
+        As in `render`.
+
+    Examples
+    --------
+    >>> import clsim
+    >>> room = clsim.Shoebox((8.0, 6.0, 3.0), clsim.Material.from_reflection(0.9))
+    >>> tone = clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3)
+    >>> source = clsim.Source("s", tone, clsim.Trajectory.fixed((1.0, 3.0, 1.5)))
+    >>> receiver = clsim.Receiver("r", clsim.Trajectory.line((4.0, 3.0, 1.5), (5.0, 3.0, 1.5), duration=1.0))
+    >>> paths = clsim.find_paths(clsim.Scene(room, clsim.Air(speed_of_sound=340.0), [source], [receiver]), 0)
+    >>> truth = direct_truth(paths, [0.0, 0.5])
+    >>> truth.delay[0, 0] * 340.0, truth.radial_speed[0, 0].round(9), truth.line_of_sight[0, 0]
+    (array([3. , 3.5]), array([1., 1.]), array([ True,  True]))
+    """
+    times = as_floats("times", times, (None,))
+    scene = paths.scene
+    shape = (len(scene.sources), len(scene.receivers), len(times))
+    delay, rate, seen = np.empty(shape), np.empty(shape), np.zeros(shape, dtype=bool)
+    for s in range(shape[0]):
+        for r in range(shape[1]):
+            walls = np.empty((1, 0), dtype=np.int32)
+            direct = PathGroup(s, r, np.eye(3)[None], np.zeros((1, 3)), walls)
+            found = arrivals(scene, direct, times, motion)
+            delay[s, r], rate[s, r] = found.delay[0], found.delay_rate[0]
+    for row in np.flatnonzero(paths.order == 0):
+        heard = (times >= paths.start[row]) & (times < paths.end[row])
+        seen[paths.source[row], paths.receiver[row]] |= heard
+    return DirectTruth(times, delay, seen, scene.air.sound_speed * rate)

@@ -1,0 +1,131 @@
+"""Many receivers at once: fixed microphones on a grid or at positions from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import Floats, as_count, as_floats, as_number
+from clsim.errors import InputError
+from clsim.scene.scene import Receiver
+from clsim.scene.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike
+
+_MOST = 100_000  # receivers of an array
+
+
+def receiver_array(name: str, positions: ArrayLike, **arguments: Any) -> list[Receiver]:
+    """Return a fixed receiver at each position, named ``name-0``, ``name-1`` and so on.
+
+    Parameters
+    ----------
+    name : str
+        What all names begin with.
+    positions : array_like (n, 3)
+        m.
+    **arguments
+        Of `Receiver`, the same for all: directivity, aim, transducer, electronics.
+
+    Raises
+    ------
+    InputError
+        If positions are not n by 3 finite numbers, or are too many.
+
+    Examples
+    --------
+    >>> ceiling = receiver_array("ceiling", grid_positions((0.5, 7.5, 8), (0.5, 5.5, 6), 2.9))
+    >>> len(ceiling), ceiling[-1].name
+    (48, 'ceiling-47')
+    """
+    if not isinstance(name, str) or not name.strip():
+        raise InputError("name", f"must be a text that is not empty, but is {name!r:.80}")
+    places = as_floats("positions", positions, (None, 3))
+    if len(places) > _MOST:
+        raise InputError("positions", f"must be at most {_MOST}, but are {len(places)}")
+    return [Receiver(f"{name}-{i}", Trajectory.fixed(place), **arguments) for i, place in enumerate(places)]
+
+
+def grid_positions(x: Any, y: Any, z: Any) -> Floats:
+    """Return the positions (n, 3) of a grid, x fastest, m.
+
+    Parameters
+    ----------
+    x, y, z : float or (first, last, count)
+        One coordinate, or evenly spaced ones from the first to the last.
+
+    Raises
+    ------
+    InputError
+        If a value is no number, a count is below 1, or one of 1 has two ends.
+
+    Examples
+    --------
+    >>> grid_positions((1.0, 2.0, 2), 3.0, 2.5).tolist()
+    [[1.0, 3.0, 2.5], [2.0, 3.0, 2.5]]
+    """
+    axes = [_axis(field, value) for field, value in (("x", x), ("y", y), ("z", z))]
+    if np.prod([float(len(axis)) for axis in axes]) > _MOST:
+        raise InputError("x", f"must make at most {_MOST} positions with y and z")
+    up, across, along = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
+    return np.stack([along.ravel(), across.ravel(), up.ravel()], axis=1)
+
+
+def positions_from_file(path: str | PathLike[str]) -> Floats:
+    """Return positions (n, 3) from a text file, m.
+
+    Parameters
+    ----------
+    path : path-like
+        Three numbers a line, parted by commas, semicolons or spaces; lines that begin with ``#`` and a first line of
+        words are passed over.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds no positions, or a line has not three finite numbers; the message names it.
+    """
+    try:
+        lines = Path(path).read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError("path", f"{path}: cannot be read: {reason}") from error
+    found: list[list[float]] = []
+    words_passed = False
+    for number, line in enumerate(lines, 1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            values = [float(word) for word in words]
+        except ValueError as error:
+            if not found and not words_passed:
+                words_passed = True  # names of columns
+                continue
+            raise InputError("path", f"{path}: line {number} must be three numbers, but is {line!r:.80}") from error
+        if len(values) != 3 or not np.all(np.isfinite(values)):
+            raise InputError("path", f"{path}: line {number} must be three finite numbers, but is {line!r:.80}")
+        found.append(values)
+    if not found:
+        raise InputError("path", f"{path}: must hold positions, but holds none")
+    return as_floats("positions", found, (None, 3))
+
+
+def _axis(field: str, value: Any) -> Floats:
+    if np.ndim(value) == 0:
+        return np.array([as_number(field, value, unit="m")])
+    if len(value) != 3:
+        raise InputError(field, f"must be a number or first, last and count, but is {value!r:.80}")
+    first, last = (as_number(f"{field}[{i}]", value[i], unit="m") for i in range(2))
+    count = value[2]
+    if isinstance(count, float) and count.is_integer():
+        count = int(count)
+    count = as_count(f"{field}[2]", count, at_least=1, at_most=_MOST)
+    if count == 1 and first != last:
+        raise InputError(f"{field}[2]", f"must be at least 2 between {first:g} and {last:g} m, but is 1")
+    return np.linspace(first, last, count)

@@ -1,0 +1,1 @@
+"""Studies: one scene file rendered many times with other values of some of its fields."""

@@ -1,0 +1,334 @@
+"""Study files: TOML that names a scene file and what is varied in it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import tomllib
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from clsim.arrays import as_count, as_number
+from clsim.errors import InputError
+from clsim.scene_file import build_scene, referenced_files
+from clsim.scene_file.model import Model
+from clsim.scene_file.scene import explain
+from clsim.study.fields import parsed, replaced
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable
+
+Keep = Literal["recording", "truth", "paths", "metrics"]
+DEFAULT_LIMIT = 1000
+TAKEN = ("member", "status", "seconds", "error", "receiver")  # names in the summary
+
+
+class _Range(Model):
+    start: float
+    stop: float
+    count: Annotated[int, Field(ge=1)]
+
+
+class _Random(Model):
+    uniform: list[Any] | None = None
+    log_uniform: list[Any] | None = None
+    normal: list[Any] | None = None
+    choice: list[Any] | None = None
+
+
+class _Vary(Model):
+    field: str | list[str]
+    name: str | list[str] | None = None
+    values: list[Any] | None = None
+    range: _Range | None = None
+    random: _Random | None = None
+
+
+class _StudyModel(Model):
+    """A whole study file."""
+
+    format: Annotated[int, Field(ge=1, le=1)]
+    scene: str
+    keep: list[Keep] | None = None
+    metrics: str | None = None
+    table_rate: float = 100.0
+    draws: int | None = None
+    seed: int = 0
+    vary: Annotated[list[_Vary], Field(min_length=1)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Member:
+    """One scene of a study.
+
+    Attributes
+    ----------
+    number : int
+        From 0.
+    parameters : dict
+        Values of what is varied, by its name.
+    changes : dict
+        The same by the fields' paths.
+    """
+
+    number: int
+    parameters: dict[str, Any]
+    changes: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Name of its group in the store."""
+        return f"m{self.number:06d}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Study:
+    """A study as read from its file.
+
+    Attributes
+    ----------
+    content : dict
+        Of the scene file.
+    base : Path
+        Folder to which the scene's paths are relative.
+    folder : Path
+        That of the study file, in which the metrics' module is looked for.
+    keep : tuple of str
+        What is kept of each member.
+    metrics : str
+        ``"module:function"``, or empty.
+    table_rate : float
+        Instants of the ground truth per second.
+    members : tuple of Member
+        All of them.
+    """
+
+    content: dict[str, Any]
+    base: Path
+    folder: Path
+    keep: tuple[str, ...]
+    metrics: str
+    table_rate: float
+    members: tuple[Member, ...]
+
+    def content_of(self, member: Member) -> dict[str, Any]:
+        """Return the content of a member's scene file."""
+        content = self.content
+        for field, value in member.changes.items():
+            content = replaced(content, field, value)
+        return content
+
+    def check(self, member: Member) -> list[Path]:
+        """Check a member's scene; return the files that it names.
+
+        Raises
+        ------
+        InputError
+            If a field breaks a rule; the message names the member too.
+        """
+        try:
+            return referenced_files(build_scene(self.content_of(member), self.base))
+        except InputError as error:
+            unknown = [f for f in member.changes if error.problem == "is no known key" and _reaches(f, error.field)]
+            if unknown:
+                raise InputError("vary", f"must name fields of the scene, but {error.field} is no known key") from error
+            told = ", ".join(f"{f} = {json.dumps(v, default=str):.40}" for f, v in member.changes.items())
+            raise InputError(f"member {member.number} ({told:.200})", str(error)) from error
+
+
+def _reaches(path: str, field: str) -> bool:
+    return ".".join(str(s) for s in parsed(path) if isinstance(s, str) and s != "*").startswith(
+        ".".join(str(s) for s in parsed(field) if isinstance(s, str))
+    )
+
+
+def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Study:
+    """Read a study file and the scene file that it names.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file.
+    limit : int
+        Largest number of members.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, a field breaks a rule, or there are too many members.
+    """
+    path = Path(path)
+    content = _read(path)
+    try:
+        model = _StudyModel.model_validate(content)
+    except ValidationError as error:
+        raise explain(error, content) from error
+    as_count("seed", model.seed, at_least=0)
+    if model.draws is not None:
+        as_count("draws", model.draws, at_least=1)
+    as_number("table_rate", model.table_rate, above=0.0, at_most=1e6, unit="Hz")
+    keep = model.keep
+    if keep is None:
+        keep = ["truth", "metrics"] if model.metrics else ["recording", "truth"]
+    if not keep:
+        raise InputError("keep", "must name what is kept, but is empty")
+    if ("metrics" in keep) != bool(model.metrics):
+        raise InputError("metrics", 'must be given, "module:function", if and only if keep has "metrics"')
+    if model.metrics is not None and not all(model.metrics.partition(":")):
+        raise InputError("metrics", f'must be "module:function", but is {model.metrics!r:.80}')
+    scene = path.parent / model.scene
+    try:
+        base = _read(scene)
+    except InputError as error:
+        raise InputError("scene", str(error)) from error
+    members = _members(model, base, as_count("limit", limit, at_least=1))
+    return Study(
+        base, scene.parent.resolve(), path.parent.resolve(), tuple(keep), model.metrics or "", model.table_rate, members
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), f"is no TOML file: {error}") from error
+
+
+def _members(model: _StudyModel, content: dict[str, Any], limit: int) -> tuple[Member, ...]:
+    """Return every combination of the axes' values; all random fields are one axis, drawn together."""
+    for many in (model.draws or 0, *(vary.range.count for vary in model.vary if vary.range is not None)):
+        _check_count(many, limit)  # before as many values are made
+    axes: list[list[dict[str, Any]]] = []
+    drawn: dict[str, list[Any]] = {}
+    names: dict[str, str] = {}
+    for i, vary in enumerate(model.vary):
+        try:
+            fields = _fields(vary, content, names)
+            if vary.random is None:
+                axes.append(_values(vary, fields))
+            else:
+                drawn[fields[0]] = _draws(vary.random, fields, model)
+        except InputError as error:
+            raise error.within(f"vary[{i}]") from error
+    if drawn:
+        axes.append([dict(zip(drawn, row, strict=True)) for row in zip(*drawn.values(), strict=True)])
+    elif model.draws is not None:
+        raise InputError("draws", "must be left out, because nothing is random")
+    _check_count(math.prod(len(axis) for axis in axes), limit)
+    members = []
+    for number, row in enumerate(itertools.product(*axes)):
+        changes = {field: value for part in row for field, value in part.items()}
+        members.append(Member(number, {names[field]: value for field, value in changes.items()}, changes))
+    return tuple(members)
+
+
+def _check_count(count: int, limit: int) -> None:
+    if count > limit:
+        raise InputError("vary", f"must give at most {limit} members, but gives {count} (--limit {count} allows them)")
+
+
+def _fields(vary: _Vary, content: dict[str, Any], names: dict[str, str]) -> list[str]:
+    """Return the fields of an entry, and add their names to those that are taken."""
+    fields = [vary.field] if isinstance(vary.field, str) else vary.field
+    if not fields:
+        raise InputError("field", "must name at least one field, but is empty")
+    called = [field.replace("*", "all") for field in fields] if vary.name is None else vary.name
+    called = [called] if isinstance(called, str) else called
+    if len(called) != len(fields):
+        raise InputError("name", f"must be one per field, {len(fields)}, but are {len(called)}")
+    for field, name in zip(fields, called, strict=True):
+        try:
+            replaced(content, field, None)
+        except InputError as error:
+            raise error.within("field") from error
+        if field in names:
+            raise InputError("field", f"must be varied once, but {field!r} is varied twice")
+        if not name or name in names.values() or name in TAKEN or "/" in name or name.startswith("."):
+            raise InputError("name", f"must be a name that is not taken, but is {name!r:.80}")
+        names[field] = name
+    given = [name for name in ("values", "range", "random") if getattr(vary, name) is not None]
+    if len(given) != 1:
+        raise InputError("", f"must have one of values, range, random, but has {' and '.join(given) or 'none'}")
+    if len(fields) > 1 and vary.values is None:
+        raise InputError("field", f"must be a single one for {given[0]}, but are {len(fields)}")
+    return fields
+
+
+def _values(vary: _Vary, fields: list[str]) -> list[dict[str, Any]]:
+    if vary.range is not None:
+        steps = np.linspace(vary.range.start, vary.range.stop, vary.range.count).tolist()
+        return [{fields[0]: value} for value in steps]
+    values = vary.values or []
+    if not values:
+        raise InputError("values", "must hold at least one, but is empty")
+    if len(fields) == 1:
+        return [{fields[0]: value} for value in values]
+    for k, row in enumerate(values):
+        if not isinstance(row, list) or len(row) != len(fields):
+            raise InputError(
+                f"values[{k}]", f"must be a list of one value per field, {len(fields)}, but is {row!r:.80}"
+            )
+    return [dict(zip(fields, row, strict=True)) for row in values]
+
+
+def _draws(random: _Random, fields: list[str], model: _StudyModel) -> list[Any]:
+    """Return the draws of a field; they depend on seed and field only, so another field changes none of them."""
+    given = {name: value for name, value in random.arguments().items() if value is not None}
+    if len(given) != 1:
+        raise InputError("random", f"must have one distribution, but has {' and '.join(given) or 'none'}")
+    if model.draws is None:
+        raise InputError("random", "must come with draws, the number of them, at the top of the study file")
+    count = model.draws
+    generator = np.random.default_rng([model.seed, zlib.crc32(fields[0].encode())])
+    (name, value), field = next(iter(given.items())), f"random.{next(iter(given))}"
+    if name == "choice":
+        if not value:
+            raise InputError(field, "must hold at least one, but is empty")
+        return [value[i] for i in generator.integers(len(value), size=count)]
+    if len(value) != 2:
+        raise InputError(field, f"must be two numbers, or two lists of them, but are {len(value)}")
+    try:
+        low, high = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in value))
+    except (TypeError, ValueError) as error:
+        raise InputError(field, f"must be two numbers, or two lists of them, but is {value!r:.80}") from error
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise InputError(field, f"must be finite, but is {value!r:.80}")
+    shape = (count, *low.shape)
+    if name == "normal":
+        if (high < 0.0).any():
+            raise InputError(field, f"must be mean and standard deviation, but the latter is {value[1]!r:.60}")
+        drawn = generator.normal(low, high, shape)
+    else:
+        if (low > high).any():
+            raise InputError(field, f"must be low and high, but is {value!r:.80}")
+        if name == "log_uniform" and (low <= 0.0).any():
+            raise InputError(field, f"must be above 0, but is {value!r:.80}")
+        log = name == "log_uniform"
+        drawn = generator.uniform(np.log(low) if log else low, np.log(high) if log else high, shape)
+        drawn = np.clip(np.exp(drawn), low, high) if log else drawn
+    result: list[Any] = drawn.tolist()
+    return result
+
+
+def checked(study: Study, advance: Callable[[float], None]) -> set[Path]:
+    """Check the scenes of all members; return the files that they name.
+
+    Raises
+    ------
+    InputError
+        If one breaks a rule.
+    """
+    files: set[Path] = set()
+    for member in study.members:
+        files.update(study.check(member))
+        advance(1.0)
+    return files

@@ -1,0 +1,175 @@
+"""The table of a study's members: what became of each, a line of JSON as soon as it is known."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.output.atomic import safe_path
+from clsim.output.stores import consolidate, texts
+from clsim.study.member import STORE, root_attributes, row_of_group
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from clsim.study.file import Member
+
+INDEX = "index.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class MemberRow:
+    """What became of a member.
+
+    Attributes
+    ----------
+    member : int
+        From 0.
+    parameters : dict
+        Values of what is varied, by its name.
+    status : {"finished", "failed", "waiting"}
+        What became of it.
+    seconds : float
+        That it took; 0 while it waits.
+    error : str
+        Why it failed.
+    warnings : tuple of str
+        What it warned of.
+    """
+
+    member: int
+    parameters: dict[str, Any]
+    status: str = "waiting"
+    seconds: float = 0.0
+    error: str = ""
+    warnings: tuple[str, ...] = field(default=())
+
+
+class Index:
+    """Rows of all members, kept in a file that survives everything: it is appended to, and read leniently.
+
+    A member counts as finished if its group is in the store, whatever the file says.
+    """
+
+    def __init__(self, folder: Path, members: tuple[Member, ...]) -> None:
+        self._folder, self._path = folder, folder / INDEX
+        self.rows = {m.number: MemberRow(m.number, m.parameters) for m in members}
+        for line in self._path.read_text("utf-8").splitlines() if self._path.exists() else []:
+            try:
+                row = json.loads(line)
+            except ValueError:  # the power failed while it was written
+                continue
+            if row.get("status") == "failed" and row.get("member") in self.rows:
+                self._take(row)
+        for member in members:
+            group = folder / STORE / member.name
+            if group.exists():
+                self._take(row_of_group(group))
+
+    def _take(self, row: dict[str, Any]) -> MemberRow:
+        number = int(row["member"])
+        known = {name: row[name] for name in ("status", "seconds", "error") if name in row}
+        warned = tuple(row.get("warnings", ()))
+        self.rows[number] = MemberRow(number, self.rows[number].parameters, **known, warnings=warned)
+        return self.rows[number]
+
+    def todo(self, retry: bool) -> list[int]:
+        """Return the members to be run: those that wait, and those that failed if they are to be retried."""
+        wanted = ("waiting", "failed") if retry else ("waiting",)
+        return [row.member for row in self.rows.values() if row.status in wanted]
+
+    def add(self, row: dict[str, Any]) -> MemberRow:
+        """Note what became of a member, on the disk itself."""
+        taken = self._take(row)
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(_line(taken))
+            file.flush()
+            os.fsync(file.fileno())
+        return taken
+
+    def rewrite(self) -> None:
+        """Write one line per member that is done with."""
+        with safe_path(self._path) as temporary:
+            lines = [_line(row) for row in self.rows.values() if row.status != "waiting"]
+            temporary.write_text("".join(lines), "utf-8")
+
+
+def _line(row: MemberRow) -> str:
+    content = {name: getattr(row, name) for name in ("member", "status", "seconds", "error", "warnings", "parameters")}
+    return json.dumps(content) + "\n"
+
+
+def create_store(folder: Path) -> None:
+    """Make the store of a study, still without members."""
+    import zarr
+
+    zarr.open_group(folder / STORE, mode="w-", zarr_format=3, attributes=root_attributes())
+
+
+def write_summary(folder: Path, rows: list[MemberRow]) -> None:
+    """Write what is known of all members into one group, stacked: parameters, status, seconds, metrics.
+
+    Metrics of another shape than in the first finished member are left out; they stay in the members' groups.
+    """
+    import shutil
+
+    import xarray
+
+    summary = xarray.Dataset(
+        {
+            "status": ("member", texts(row.status for row in rows)),
+            "seconds": ("member", np.array([row.seconds for row in rows])),
+            "error": ("member", texts(row.error for row in rows)),
+        },
+        coords={"member": [row.member for row in rows]},
+        attrs=root_attributes(),
+    )
+    for name in rows[0].parameters:
+        column = _column([row.parameters[name] for row in rows])
+        over = ("member", *(f"{name}_{i}" for i in range(column.ndim - 1)))
+        summary.coords[name] = (over, column)
+    for name, (over, array, coords) in _stacked(folder, rows).items():
+        summary[name] = (("member", *over), array)
+        summary = summary.assign_coords({k: v for k, v in coords.items() if k in over})
+    partial, final = folder / ".partial" / "summary", folder / STORE / "summary"
+    shutil.rmtree(partial, ignore_errors=True)
+    summary.to_zarr(partial, mode="w-", consolidated=False, zarr_format=3)
+    consolidate(partial)
+    shutil.rmtree(final, ignore_errors=True)
+    partial.replace(final)
+
+
+def _column(values: list[Any]) -> Any:
+    """Return numbers, or equally long lists of them, as they are, and all else as texts."""
+    try:
+        column = np.array(values)
+    except ValueError:  # lists of several lengths
+        column = np.array([], dtype=object)
+    if column.dtype.kind in "iuf":
+        return column
+    return texts(v if isinstance(v, str) else json.dumps(v) for v in values)
+
+
+def _stacked(folder: Path, rows: list[MemberRow]) -> dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]:
+    """Return dimensions, values (NaN where a member has none) and coordinates of every metric."""
+    import xarray
+
+    stacked: dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]] = {}
+    for i, row in enumerate(rows):
+        if row.status != "finished":
+            continue
+        with xarray.open_zarr(folder / STORE / f"m{row.member:06d}", chunks=None) as group:
+            for name in group.attrs.get("metrics", ()):
+                values = group[name].load()
+                over = tuple(str(d) for d in values.dims)
+                if name not in stacked:
+                    kind = np.complex128 if values.dtype.kind == "c" else np.float64
+                    empty = np.full((len(rows), *values.shape), np.nan, dtype=kind)
+                    stacked[name] = over, empty, {k: values.coords[k].variable for k in values.indexes}
+                if stacked[name][0] == over and stacked[name][1].shape[1:] == values.shape:
+                    stacked[name][1][i] = values.values
+    return stacked

@@ -1,0 +1,297 @@
+"""One member of a study: found, rendered, judged and written, by whatever process does the work."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import importlib.util
+import json
+import os
+import shutil
+import sys
+import time
+import traceback
+import uuid
+import warnings
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.output.atomic import to_disk, tree_to_disk
+from clsim.output.stores import STORE_FORMAT, StoredSound, consolidate, texts
+from clsim.paths.truth import direct_truth
+from clsim.study.file import TAKEN, Member, Study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from clsim.paths.path_set import PathSet
+    from clsim.recording import Recording
+    from clsim.scene_file import SceneFile
+
+STORE = "study.zarr"
+SETTINGS = "study.json"
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
+    """Compute a member and write its group into the study's store; return its row of the index.
+
+    A member whose group is there already is not computed again: it was finished by a process that died before it could
+    say so. The group appears whole or not at all.
+
+    Raises
+    ------
+    OSError
+        If the disk is full: then all others would fail too. Whatever else goes wrong is told in the row.
+    """
+    study = _settings(folder)
+    member = study.members[number]
+    target = Path(folder) / STORE / member.name
+    if target.exists():
+        return row_of_group(target)
+    begun = time.perf_counter()
+    row: dict[str, Any] = {"member": number, "status": "finished", "error": ""}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", ClsimWarning)
+        try:
+            content = _computed(study, member, device)
+            row["seconds"] = round(time.perf_counter() - begun, 3)
+            row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
+            content.attrs["study_row"] = json.dumps(row)
+            _write(content, Path(folder), target)
+        except OSError as error:
+            if error.errno in _DISK_FULL:
+                raise
+            row |= {"status": "failed", "error": _told(error)}
+        except Exception as error:  # of the user's function, too: the others go on
+            row |= {"status": "failed", "error": _told(error)}
+    row["seconds"] = round(time.perf_counter() - begun, 3)
+    row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
+    return row
+
+
+def row_of_group(group: Path) -> dict[str, Any]:
+    """Return the row of the index that a finished member wrote beside its results."""
+    metadata = json.loads((group / "zarr.json").read_text("utf-8"))
+    row: dict[str, Any] = json.loads(metadata["attributes"]["study_row"])
+    return row
+
+
+def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[str, bool]:
+    """Return what keeps a worker from doing its work, or an empty text, and whether that is its device."""
+    from clsim.opencl.device import find_device
+
+    if not (Path(folder) / SETTINGS).exists():
+        return f"does not see {folder}: workers on other machines need it under the same path", False
+    try:
+        study = _settings(folder)
+        if study.metrics:
+            metrics_function(study.metrics, study.folder)
+        if needs_device:
+            find_device(device)
+    except Exception as error:
+        return _told(error), isinstance(error, DeviceError)
+    return "", False
+
+
+def _told(error: BaseException) -> str:
+    """Return an error in a line; for one that clsim did not expect, with its place."""
+    text = " ".join(str(error).split())[:500]
+    if isinstance(error, ClsimError):
+        return text
+    last = traceback.extract_tb(error.__traceback__)[-1:]
+    place = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in last)
+    return f"{type(error).__name__}: {text}{place}"
+
+
+def _settings(folder: str) -> Study:
+    path = Path(folder) / SETTINGS
+    return _read_settings(folder, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _read_settings(folder: str, changed: int) -> Study:
+    """Return the study of a folder; `changed` makes a file that is another one now be read again."""
+    return settings_to_study(json.loads((Path(folder) / SETTINGS).read_text("utf-8")))
+
+
+def study_to_settings(study: Study) -> dict[str, Any]:
+    """Return a study as what JSON holds."""
+    members = [{"parameters": m.parameters, "changes": m.changes} for m in study.members]
+    return {
+        "content": study.content, "base": str(study.base), "folder": str(study.folder), "keep": list(study.keep),
+        "metrics": study.metrics, "table_rate": study.table_rate, "members": members,
+    }  # fmt: skip
+
+
+def settings_to_study(settings: dict[str, Any]) -> Study:
+    """Return the study again."""
+    members = tuple(Member(n, **member) for n, member in enumerate(settings["members"]))
+    return Study(
+        settings["content"], Path(settings["base"]), Path(settings["folder"]), tuple(settings["keep"]),
+        settings["metrics"], settings["table_rate"], members,
+    )  # fmt: skip
+
+
+def metrics_function(name: str, folder: Path) -> Callable[..., dict[str, Any]]:
+    """Return the function ``"module:function"``; a module beside the study file comes before installed ones.
+
+    Raises
+    ------
+    InputError
+        If there is none, or its module fails.
+    """
+    module, _, function = name.partition(":")
+    file = folder / f"{module}.py"
+    try:
+        found = getattr(_module(module, file, file.stat().st_mtime_ns if file.exists() else 0), function)
+    except Exception as error:
+        raise InputError("metrics", f"{name!r} cannot be loaded: {type(error).__name__}: {error}") from error
+    if not callable(found):
+        raise InputError("metrics", f"must be a function, but {name!r} is {found!r:.80}")
+    return found  # type: ignore[no-any-return]
+
+
+@lru_cache(maxsize=8)
+def _module(name: str, file: Path, changed: int) -> Any:
+    """Return a module from a file of its own, else the installed one."""
+    if not changed:
+        return importlib.import_module(name)
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def _computed(study: Study, member: Member, device: str | None) -> Any:
+    """Return all that is kept of a member, an xarray Dataset."""
+    from clsim.paths.find_paths import find_paths
+    from clsim.render.render import render
+    from clsim.scene_file import build_scene
+
+    file = build_scene(study.content_of(member), study.base)
+    if device is not None:
+        file.render["device"] = file.render["device"] or device
+        file.paths["device"] = file.paths["device"] or device
+    paths = find_paths(file.scene, **file.paths)
+    recording = render(file.scene, paths, **file.render)
+    content = _described(file, recording, study, member)
+    if "recording" in study.keep:
+        content["sound"] = (("receiver", "time"), recording.samples, content.attrs.pop("sound"))
+    content.attrs.pop("sound", None)
+    times = _instants(study.table_rate, recording)
+    if "truth" in study.keep:
+        _add_truth(content, paths, times, file.render["motion"])
+    if "paths" in study.keep:
+        _add_paths(content, paths, times, file)
+    if study.metrics:
+        function = metrics_function(study.metrics, study.folder)
+        _add_metrics(content, function(recording, paths, dict(member.parameters)), {*TAKEN, *member.parameters})
+    return content
+
+
+def _described(file: SceneFile, recording: Recording, study: Study, member: Member) -> Any:
+    """Return what a group says of a member beside its results."""
+    import clsim
+    from clsim.scene_file import completed_scene
+
+    scene, samples = file.scene, recording.samples.shape[1]
+    positions = np.concatenate([r.trajectory.position(np.zeros(1)) for r in scene.receivers])
+    text = completed_scene(file, study.base, duration=samples / recording.sampling_rate)
+    stored = StoredSound(
+        recording.receiver_names, recording.units, positions, recording.sampling_rate, samples, samples, text,
+        clsim.__version__, recording.carrier,
+    )  # fmt: skip
+    content = stored.coordinates()
+    content.attrs |= {"parameters": json.dumps(member.parameters), "sound": stored.sound_attributes}
+    return content
+
+
+def _instants(rate: float, recording: Recording) -> Any:
+    count = int(recording.samples.shape[1] / recording.sampling_rate * rate) + 1
+    return np.arange(count) / rate
+
+
+def _add_truth(content: Any, paths: PathSet, times: Any, motion: str) -> None:
+    truth = direct_truth(paths, times, motion)
+    over = ("source", "receiver", "instant")
+    content.coords["instant"] = ("instant", truth.times, {"units": "s", "long_name": "time of reception"})
+    content.coords["source"] = texts(s.name for s in paths.scene.sources)
+    content["direct_delay"] = (over, truth.delay, {"units": "s"})
+    content["line_of_sight"] = (over, truth.line_of_sight)
+    content["radial_speed"] = (over, truth.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
+
+
+def _add_paths(content: Any, paths: PathSet, times: Any, file: SceneFile) -> None:
+    table = paths.table(times, file.render["motion"], file.render["amplitude"])
+    content.coords["instant"] = ("instant", times, {"units": "s", "long_name": "time of reception"})
+    for name in ("source", "receiver", "order"):
+        content[f"path_{name}"] = ("path", getattr(table, name))
+    content["path_walls"] = (("path", "reflection"), table.walls, {"names": list(table.wall_names)})
+    for name in ("delay", "doppler", "gain"):
+        content[f"path_{name}"] = (("path", "instant"), getattr(table, name))
+    for name in ("departure", "arrival"):
+        content[f"path_{name}"] = (("path", "instant", "axis"), getattr(table, name))
+
+
+def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
+    """Add what the user's function returned: numbers, arrays, or arrays with dimensions of their own.
+
+    Raises
+    ------
+    InputError
+        If it is no dict of such.
+    """
+    import xarray
+
+    if not isinstance(found, dict):
+        raise InputError("metrics", f"must return a dict, but returned {found!r:.80}")
+    receivers = content.sizes["receiver"]
+    for name, value in found.items():
+        if not isinstance(name, str) or not name.isidentifier() or name in taken | set(content.variables):
+            raise InputError("metrics", f"must return names that are not taken yet, but returned {name!r:.80}")
+        if isinstance(value, xarray.DataArray):
+            content[name] = value
+            continue
+        array = np.asarray(value)
+        if array.dtype.kind not in "biufc":
+            raise InputError("metrics", f"must return numbers, but {name} is {value!r:.80}")
+        over = [f"{name}_{i}" for i in range(array.ndim)]
+        if array.ndim and array.shape[0] == receivers:
+            over[0] = "receiver"
+        content[name] = (over, array)
+    content.attrs["metrics"] = list(found)
+
+
+def _write(content: Any, folder: Path, target: Path) -> None:
+    """Write a group under another name, and give it its own when all is on the disk."""
+    partial = folder / ".partial" / f"{target.name}-{uuid.uuid4().hex}"
+    partial.parent.mkdir(exist_ok=True)
+    try:
+        encoding = {"sound": {"chunks": (1, content.sizes["time"])}} if "sound" in content else {}
+        content.to_zarr(partial, mode="w-", consolidated=False, zarr_format=3, encoding=encoding)
+        consolidate(partial)
+        tree_to_disk(partial)
+        if not target.exists():
+            os.rename(partial, target)  # noqa: PTH104  (fails where another worker was faster)
+        to_disk(target.parent)
+    except OSError:
+        if not target.exists():
+            raise
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def root_attributes() -> dict[str, Any]:
+    """Return what stands at the root of a study's store."""
+    import clsim
+
+    return {"clsim_store_format": STORE_FORMAT, "clsim_version": clsim.__version__}

@@ -1,0 +1,121 @@
+"""What is silent is left out without a change of a single bit."""
+
+import numpy as np
+import pytest
+from made_meshes import pillar_room
+
+import clsim
+from clsim.opencl import device as device_module
+from clsim.render import opencl as opencl_module
+from clsim.render.opencl import GPU_LAYOUT, OpenclEngine
+from clsim.render.plan import Plan, plan_render
+from clsim.render.silence import CELL, sounding
+
+pytestmark = pytest.mark.usefixtures("device")
+RATE = 192e3
+WALL = clsim.Material.from_reflection(0.9)
+
+
+def pulses(period: float, count: int, duration: float = 1e-3) -> clsim.Signal:
+    return clsim.Signal.pulses(clsim.Signal.chirp(38e3, 42e3, duration, RATE, window="hann"), period, count)
+
+
+def around(centre, radius: float, turns: float, duration: float = 0.6) -> clsim.Trajectory:
+    return clsim.Trajectory.circle(centre, radius, 2 * np.pi * turns, duration)
+
+
+def box_plan(signal: clsim.Signal, order: int = 4, **options) -> Plan:
+    walls = {"default": WALL, "x_min": clsim.Material.from_absorption([20e3, 40e3, 60e3], [0.1, 0.6, 0.2])}
+    ears = [
+        clsim.Receiver("near", around((4.5, 2.5, 1.5), 0.5, 1.3)),
+        clsim.Receiver(
+            "late", clsim.Trajectory.fixed((1.0, 1.0, 2.0)), electronics=clsim.Electronics(clock_offset=0.02)
+        ),
+    ]
+    source = clsim.Source("s", signal, around((2.0, 2.0, 1.2), 0.8, 1.7), start=0.0123)
+    scene = clsim.Scene(clsim.Shoebox((6, 5, 3), walls), clsim.Air(), [source], ears)
+    return plan_render(scene, clsim.find_paths(scene, order), RATE, duration=0.5, **options)
+
+
+def pillar_plan() -> Plan:
+    source = clsim.Source("s", pulses(0.05, 10), around((3.0, 2.0, 1.2), 1.5, 2.0))
+    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((6.2, 4.4, 1.4)))]
+    scene = clsim.Scene(clsim.MeshRoom(*pillar_room(), WALL), clsim.Air(), [source], ears)
+    return plan_render(scene, clsim.find_paths(scene, 2), RATE, duration=0.5)
+
+
+PLANS = {
+    "a pulse every 0.1 s": lambda: box_plan(pulses(0.1, 5)),
+    "one pulse": lambda: box_plan(pulses(1.0, 1)),
+    "as at the centre": lambda: box_plan(pulses(0.1, 5), response_error_db="centre"),
+    "short groups": lambda: box_plan(
+        pulses(0.1, 5), order=1, interpolator=clsim.Lagrange(7), response_error_db="centre"
+    ),
+    "paths that come and go": pillar_plan,
+}
+
+
+def rendered(plan: Plan, skips_silence: bool, **options) -> np.ndarray:
+    engine = OpenclEngine(plan, **options)
+    engine.skips_silence = skips_silence
+    return engine.render(0, plan.samples)
+
+
+@pytest.mark.filterwarnings("ignore:.*delay filters are wrong")
+@pytest.mark.parametrize("layout", [None, GPU_LAYOUT])
+@pytest.mark.parametrize("name", PLANS)
+def test_not_a_bit_changes(name: str, layout, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = PLANS[name]()
+    looked: list[bool] = []
+    monkeypatch.setattr(opencl_module, "sounding", lambda *a: looked.append(sounding(*a).pays) or sounding(*a))
+    with_silence = rendered(plan, False, layout=layout)
+    assert np.abs(with_silence).max() > 0.0
+    np.testing.assert_array_equal(rendered(plan, True, layout=layout), with_silence)
+    assert looked
+    assert all(looked)
+
+
+def test_dense_signals_are_not_looked_through() -> None:
+    assert not sounding(np.ones((2, 5000)), 10, 11).pays
+
+
+def test_cells_are_those_that_filters_hear(rng: np.random.Generator) -> None:
+    before, after, length = 7, 13, 2000
+    stream = np.where(rng.random(length + before + after) < 0.004, 1.0, 0.0)
+    found = sounding(stream[None], before, after)
+    heard = [np.any(stream[j : j + before + after + 1]) for j in range(length)]
+    cells = -(-length // CELL)
+    first = np.pad(heard, (0, cells * CELL - length)).reshape(cells, CELL).any(axis=1)
+    for c in range(cells):
+        later, earlier = np.flatnonzero(first[c:]), np.flatnonzero(first[: c + 1])
+        assert found.following[c] <= (c + later[0] if len(later) else cells)  # none that sounds is passed over
+        assert found.preceding[c] >= (earlier[-1] if len(earlier) else -1)
+    assert 0.3 < np.mean(found.following == np.arange(cells)) / np.mean(first) < 1.2
+
+
+MUTANTS = {
+    "bounds too narrow": ("tracks", "cell_at(s, start - longest)] <=", "cell_at(s, start - longest + 200.0)] <="),
+    "first group too late": ("tracks", "* CELL - start + shortest;\n    const double end", "* CELL - start + longest + 40.0;\n    const double end"),
+    "next block too late": ("tracks", "* CELL - start + shortest;\n    return", "* CELL - start + longest + 800.0;\n    return"),
+    "last group too early": ("tracks", "+ 1) * CELL - start + longest", "+ 1) * CELL - start + shortest - 40.0"),
+    "cells before the origin": ("tracks", "s->origin + (double)block * BLOCK;\n    return", "(double)block * BLOCK;\n    return"),
+    "last node forgotten": ("tracks", "solved = block + 3;", "solved = block + 4;"),
+    "group of another block": ("render", "g - block * block_groups, worker, &paths)", "g, worker, &paths)"),
+    "last group left out": ("render", "group < spans[p] >> 16", "group + 1 < spans[p] >> 16"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_mutants_are_caught(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    program, old, new = MUTANTS[name]
+    original = device_module.kernel_source
+    assert original(program).count(old) == 1
+    plan = box_plan(pulses(0.1, 5), order=2)
+    wanted = rendered(plan, False)
+
+    def mutated(wanted: str) -> str:
+        text = original(wanted)
+        return text.replace(old, new) if wanted == program else text
+
+    monkeypatch.setattr(device_module, "kernel_source", mutated)
+    assert not np.array_equal(rendered(plan, True), wanted)

@@ -1,0 +1,391 @@
+"""Runs that are killed go on, and end like those that are not; stores hold the same sound."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+import clsim
+from clsim.cli import main
+from clsim.output.journal import Journal
+from clsim.output.stores import StoredSound, sound_store
+
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [4.0, 3.0, 2.5]
+walls = { reflection = 0.9 }
+[[sources]]
+name = "robot"
+signal = { kind = "chirp", start = 30e3, stop = 50e3, duration = %s, sampling_rate = 192e3 }
+trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1000.0 }
+[[receivers]]
+name = "über/left"
+trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
+transducer = { kind = "named", name = "MA40S4R" }
+[receivers.electronics]
+ambient_noise_db = 10.0
+self_noise_db = 20.0
+seed = 3
+low_cut = 20e3
+high_cut = 80e3
+order = 4
+gain_db = 40.0
+adc_bits = 12
+adc_full_scale = 0.25
+clock_ppm = 50.0
+clock_offset = 0.001
+[[receivers]]
+name = "right"
+trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
+[paths]
+max_order = %d
+[render]
+sampling_rate = 192e3
+chunk = 18432
+"""
+LONG = SCENE % (10.0, 5)  # takes long enough to be killed
+SHORT = SCENE % (12.0, 1)
+KINDS = ("wav", "zarr", "hdf5")
+FILES = {"wav": ["ber_left.wav", "right.wav"], "zarr": ["recording.zarr"], "hdf5": ["recording.h5"]}
+ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+
+
+def skip_without(kind: str) -> None:
+    for name in {"wav": (), "zarr": ("zarr", "xarray"), "hdf5": ("h5netcdf", "xarray")}[kind]:
+        pytest.importorskip(name)
+
+
+def command(scene: Path, out: Path, kind: str, *more: str) -> list[str]:
+    return ["run", str(scene), "-o", str(out), "--store", kind, "--no-plots", "--table", "none", *more]
+
+
+def start(scene: Path, out: Path, kind: str, *more: str) -> subprocess.Popen:
+    arguments = [sys.executable, "-m", "clsim.cli", *command(scene, out, kind, *more)]
+    return subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
+
+
+def done(out: Path) -> int:
+    journal = Journal(out / ".partial")
+    return journal.load()[1] if journal.exists() else 0
+
+
+def kill_once_beyond(process: subprocess.Popen, out: Path, samples: int, delay: float) -> bool:
+    """Kill a run a while after its journal has passed a sample; return whether it was in the middle of it."""
+    while process.poll() is None and done(out) <= samples:
+        time.sleep(0.01)
+    time.sleep(delay)
+    process.kill()
+    process.communicate()
+    return process.returncode == -signal.SIGKILL
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """Return all that a folder holds but for the journal's folder and the completed scene, which names the folder."""
+    return {
+        str(p.relative_to(folder)): p.read_bytes()
+        for p in folder.rglob("*")
+        if p.is_file() and ".partial" not in p.parts
+    }
+
+
+def sound(out: Path, kind: str) -> np.ndarray:
+    if kind == "wav":
+        return np.stack([soundfile.read(out / name, dtype="float32")[0] for name in FILES["wav"]])
+    with clsim.open_store(out) as found:
+        return found.sound.values
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SHORT, "utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a run that nobody kills leaves."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "scene.toml").write_text(LONG, "utf-8")
+    assert main(command(folder / "scene.toml", folder / "out", "wav")) == 0
+    return folder / "out"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_killed_run_ends_like_one_that_was_not(kind: str, whole: Path, tmp_path: Path, rng, device) -> None:
+    skip_without(kind)
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    scene.write_text(LONG, "utf-8")
+    wanted = sound(whole, "wav")
+    total, longest, reached, kills = wanted.shape[1], 0.5, -1, 0
+    while kills < 3:  # first perhaps before anything is noted, then behind what was
+        process = start(scene, out, kind, "--resume")
+        while process.poll() is None and not (out / ".partial").exists():
+            time.sleep(0.01)
+        in_time = kill_once_beyond(process, out, reached, float(rng.uniform(0.0, longest)))
+        if not in_time or done(out) == total:
+            assert longest > 0.001, "the run must be long enough to be killed"
+            shutil.rmtree(out)
+            longest, reached, kills = longest / 4, -1, 0
+            continue
+        assert done(out) >= reached
+        assert [p.name for p in out.iterdir()] == [".partial"]  # nothing looks whole
+        reached, kills = done(out), kills + 1
+    process = start(scene, out, kind, "--resume")
+    _, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    np.testing.assert_array_equal(sound(out, kind), wanted)
+    if kind == "wav":
+        assert content(out) == content(whole)
+    assert "clipped" in err  # those before the kills are counted too
+    assert not (out / ".partial").exists()
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scene and a run of it that was killed."""
+    folder = tmp_path_factory.mktemp("killed")
+    (folder / "scene.toml").write_text(LONG, "utf-8")
+    assert kill_once_beyond(start(folder / "scene.toml", folder / "out", "wav"), folder / "out", 0, 0.0)
+    return folder
+
+
+@pytest.fixture
+def unfinished(killed: Path, tmp_path: Path, device) -> Path:
+    shutil.copytree(killed, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def change_version(folder: Path) -> None:
+    journal = Journal(folder / "out" / ".partial")
+    identity, samples, state = journal.load()
+    identity["versions"]["clsim"] = "0.0.9"
+    journal.save(identity, samples, state)
+
+
+@pytest.mark.parametrize(
+    ("change", "more", "message"),
+    [
+        (("reflection = 0.9", "reflection = 0.8"), (), "scene.room.walls.reflection was 0.9 and is 0.8"),
+        (("seed = 3", "seed = 4"), (), "scene.receivers[0].electronics.seed was 3 and is 4"),
+        (None, ("--store", "hdf5"), "options.store was 'wav' and is 'hdf5'"),
+        (None, ("--duration", "11.0"), "scene.render.duration was 10.0"),
+        (None, ("--engine", "reference"), "scene.render.engine was 'opencl' and is 'reference'"),
+        (change_version, (), "versions.clsim was '0.0.9' and is "),
+    ],
+)
+def test_another_run_is_not_gone_on_with(unfinished: Path, change, more, message: str, capsys) -> None:
+    path = unfinished / "scene.toml"
+    if isinstance(change, tuple):
+        path.write_text(path.read_text("utf-8").replace(*change), "utf-8")
+    elif change is not None:
+        change(unfinished)
+    assert main(command(path, unfinished / "out", "wav", "--resume", *more)) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("clsim: error: --resume: must go on with the same run, but ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert done(unfinished / "out") > 0
+
+
+def test_changed_files_are_noticed(tmp_path: Path, capsys, device) -> None:
+    chirp = 'signal = { kind = "chirp", start = 30e3, stop = 50e3, duration = 10.0, sampling_rate = 192e3 }'
+    assert chirp in LONG
+    scene = tmp_path / "scene.toml"
+    scene.write_text(LONG.replace(chirp, 'signal = { kind = "wav", path = "s.wav" }'), "utf-8")
+    samples = np.sin(0.2 * np.pi * np.arange(10 * 192_000)).astype(np.float32)
+    soundfile.write(tmp_path / "s.wav", samples, 192_000, subtype="FLOAT")
+    assert kill_once_beyond(start(scene, tmp_path / "out", "wav"), tmp_path / "out", 0, 0.0)
+    samples[-1] += 1e-6
+    soundfile.write(tmp_path / "s.wav", samples, 192_000, subtype="FLOAT")
+    assert main(command(scene, tmp_path / "out", "wav", "--resume")) == 2
+    assert "s.wav was" in capsys.readouterr().err
+
+
+def test_an_unfinished_run_must_be_told_what_becomes_of_it(unfinished: Path, capsys) -> None:
+    arguments = command(unfinished / "scene.toml", unfinished / "out", "wav")
+    assert main(arguments) == 2
+    err = capsys.readouterr().err
+    assert "--resume goes on, --force begins anew" in err
+    assert main([*arguments, "--resume", "--force"]) == 2
+    short = command(unfinished / "scene.toml", unfinished / "out", "wav", "--force", "--duration", "0.1")
+    assert main(short) == 0
+    assert len(sound(unfinished / "out", "wav")[0]) == 19_200
+
+
+def test_a_bad_scene_with_force_loses_nothing(unfinished: Path, capsys) -> None:
+    path = unfinished / "scene.toml"
+    path.write_text(LONG.replace("reflection", "reflektion"), "utf-8")
+    assert main(command(path, unfinished / "out", "wav", "--force")) == 2
+    assert done(unfinished / "out") > 0
+    path.write_text(LONG, "utf-8")
+    assert main(command(path, unfinished / "out", "hdf5", "--resume")) == 2
+    assert "; " not in capsys.readouterr().err  # what to do is told once
+    assert done(unfinished / "out") > 0
+
+
+def test_resume_begins_where_there_is_nothing_and_leaves_what_is_whole(
+    scene: Path, tmp_path: Path, capsys, device
+) -> None:
+    arguments = command(scene, tmp_path / "out", "wav", "--resume", "--duration", "0.2")
+    assert main(arguments) == 0
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").iterdir()}
+    assert main(arguments) == 0
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "out").iterdir()} == before
+    assert main([*arguments[:-1], "0.3"]) == 2
+    assert "render.duration was 0.2 and is 0.3" in capsys.readouterr().err
+
+
+def test_a_broken_journal_is_told(unfinished: Path, capsys) -> None:
+    journal = unfinished / "out" / ".partial" / "journal.npz"
+    for text in (b"", b"PK\x03\x04", journal.read_bytes()[:-100]):
+        journal.write_bytes(text)
+        assert main(command(unfinished / "scene.toml", unfinished / "out", "wav", "--resume")) == 2
+        err = capsys.readouterr().err
+        assert "journal.npz cannot be read" in err
+        assert err.count("\n") == 1
+
+
+def test_two_runs_into_one_folder(tmp_path: Path, capsys, device) -> None:
+    pytest.importorskip("fcntl")
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    scene.write_text(LONG, "utf-8")
+    process = start(scene, out, "wav")
+    while process.poll() is None and done(out) == 0:
+        time.sleep(0.01)
+    assert main(command(scene, out, "wav", "--resume")) == 2
+    assert "one process at a time" in capsys.readouterr().err
+    assert done(out) > 0
+    process.kill()
+    process.communicate()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 8 MiB of its own."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    if os.name == "nt" or os.geteuid() != 0:
+        pytest.skip("only root may mount a small disk")
+    mount = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(place)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("a small disk cannot be mounted here")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_full_disk_loses_nothing(kind: str, scene: Path, small_disk: Path, tmp_path: Path, capsys, device) -> None:
+    skip_without(kind)
+    out = small_disk / "out"
+    assert main(command(scene, out, kind)) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "No space left on device" in err
+    if kind == "zarr":  # what is compressed cannot be reserved: it fills up in mid-run
+        assert "--resume goes on" in err
+        assert done(out) > 0
+        assert [p.name for p in out.iterdir()] == [".partial"]
+    else:  # told before anything was rendered, and nothing is left
+        assert "MiB are needed" in err
+        assert list(out.iterdir()) == []
+    subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)
+    assert main(command(scene, out, kind, "--resume")) == 0
+    assert main(command(scene, tmp_path / "whole", kind)) == 0
+    assert content(out) == content(tmp_path / "whole")
+
+
+def test_stores_hold_the_same_sound(scene: Path, tmp_path: Path, device) -> None:
+    xarray = pytest.importorskip("xarray")
+    skip_without("zarr")
+    skip_without("hdf5")
+    for kind in KINDS:
+        assert main(command(scene, tmp_path / kind, kind, "--duration", "0.5")) == 0
+    wanted = sound(tmp_path / "wav", "wav")
+    for kind in ("zarr", "hdf5"):
+        with clsim.open_store(tmp_path / kind) as found:
+            np.testing.assert_array_equal(found.sound.values, wanted)
+            assert found.sound.dims == ("receiver", "time")
+            assert list(found.receiver.values) == ["über/left", "right"]
+            assert list(found.unit.values) == ["V", "Pa"]
+            np.testing.assert_array_equal(found.position.values, [[3, 1, 2], [3, 2, 2]])
+            np.testing.assert_allclose(found.time.values, np.arange(96_000) / 192e3, rtol=1e-15)
+            assert found.attrs["sampling_rate"] == 192e3
+            assert found.attrs["clsim_version"] == clsim.__version__
+            assert 'kind = "shoebox"' in found.attrs["scene"]
+            part = found.sound.sel(receiver="right").sel(time=slice(0.1, 0.2), method="nearest")
+            assert 19_200 <= part.size <= 19_201
+    # Readable without clsim.
+    with xarray.open_zarr(tmp_path / "zarr" / "recording.zarr") as plain:
+        np.testing.assert_array_equal(plain.sound.values, wanted)
+    with xarray.open_dataset(tmp_path / "hdf5" / "recording.h5", engine="h5netcdf") as plain:
+        np.testing.assert_array_equal(plain.sound.values, wanted)
+
+
+def test_pictures_are_drawn_from_every_store(scene: Path, tmp_path: Path, device) -> None:
+    skip_without("zarr")
+    skip_without("hdf5")
+    pictures = []
+    for kind in KINDS:
+        arguments = ["run", str(scene), "-o", str(tmp_path / kind), "--store", kind, "--duration", "0.2"]
+        assert main(arguments) == 0
+        pictures.append((tmp_path / kind / "right_spectrogram.png").read_bytes())
+    assert pictures[0] == pictures[1] == pictures[2]
+
+
+def test_open_store_refuses_others(tmp_path: Path) -> None:
+    zarr = pytest.importorskip("zarr")
+    skip_without("zarr")
+    with pytest.raises(clsim.InputError, match="must be a store of clsim"):
+        clsim.open_store(tmp_path / "missing.zarr")
+    (tmp_path / "no.h5").write_bytes(b"nothing")
+    with pytest.raises(clsim.InputError, match="must be a store of clsim"):
+        clsim.open_store(tmp_path / "no.h5")
+    zarr.open_group(tmp_path / "other.zarr", mode="w")
+    with pytest.raises(clsim.InputError, match="does not say so"):
+        clsim.open_store(tmp_path / "other.zarr")
+    about = StoredSound(("a",), ("Pa",), np.zeros((1, 3)), 48e3, 10, 10, "", "9.9")
+    store = sound_store("zarr", tmp_path, about, ["a"])
+    store.create()
+    group = zarr.open_group(tmp_path / "recording.zarr", mode="r+")
+    group.attrs["clsim_store_format"] = 2
+    with pytest.raises(clsim.InputError, match=r"store of format 1, but .* has format 2 \(clsim 9\.9 wrote it\)"):
+        clsim.open_store(tmp_path)
+
+
+@pytest.mark.parametrize(("rate", "channels", "samples"), [(44_100, 1, 0), (192_000, 1, 7), (500_000, 3, 1000)])
+def test_wav_headers_are_read_by_others(rate: int, channels: int, samples: int, tmp_path: Path, rng) -> None:
+    from clsim.output.wav import wav_header
+
+    data = rng.normal(size=(samples, channels)).astype("<f4")
+    (tmp_path / "a.wav").write_bytes(wav_header(rate, channels, samples) + data.tobytes())
+    read, found = soundfile.read(tmp_path / "a.wav", dtype="float32", always_2d=True)
+    assert found == rate
+    np.testing.assert_array_equal(read, data)
+    assert soundfile.info(tmp_path / "a.wav").subtype == "FLOAT"
+
+
+def test_wav_header_beyond_4_gib(tmp_path: Path, rng) -> None:
+    from clsim.output.wav import wav_header
+
+    count = 2**30 + 5
+    header = wav_header(192e3, 1, count)
+    with (tmp_path / "a.wav").open("wb") as file:
+        file.write(header)
+        file.truncate(len(header) + 4 * count)
+        file.seek(len(header) + 4 * (count - 1))
+        file.write(np.array([0.5], dtype="<f4").tobytes())
+    info = soundfile.info(tmp_path / "a.wav")
+    assert (info.format, info.frames, info.samplerate) == ("RF64", count, 192_000)
+    assert soundfile.read(tmp_path / "a.wav", start=count - 1)[0] == 0.5

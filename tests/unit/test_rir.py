@@ -1,0 +1,159 @@
+"""`clsim rir` and the files that it writes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+import clsim
+from clsim.cli import main
+from clsim.output.responses import write_responses
+from clsim.scene_file import load_scene
+
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [4.0, 3.0, 2.5]
+walls = { reflection = 0.9 }
+[[sources]]
+name = "robot"
+signal = { kind = "tone", frequency = 10e3, duration = 0.5, sampling_rate = 48e3, fade = 0.005 }
+trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1.0 }
+directivity = { kind = "cardioid", weight = 0.5 }
+aim = [0, 1, 0]
+[[receivers]]
+name = "left/1"
+trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
+[[receivers]]
+name = "right"
+trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
+[paths]
+max_order = 2
+[render]
+sampling_rate = 48e3
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE, "utf-8")
+    return path
+
+
+@pytest.fixture
+def wanted(scene: Path) -> clsim.ImpulseResponses:
+    file = load_scene(scene)
+    paths = clsim.find_paths(file.scene, 2)
+    return clsim.impulse_responses(file.scene, paths, 48e3, at=0.5, band=(2e3, 20e3))
+
+
+ASKED = ["--at", "0.5", "--band", "2000", "20000"]
+
+
+def test_wav(scene: Path, tmp_path: Path, capsys, wanted) -> None:
+    out = tmp_path / "out"
+    assert main(["rir", str(scene), "-o", str(out), *ASKED]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    names = ["robot_left_1.wav", "robot_right.wav"]
+    assert sorted(p.name for p in out.iterdir()) == names
+    assert printed.out.splitlines() == [
+        *(str(out / name) for name in names),
+        f"{wanted.samples.shape[2]} samples at 48000 Hz, exact from 2000 to 20000 Hz",
+    ]
+    for r, name in enumerate(names):
+        samples, rate = soundfile.read(out / name, dtype="float32")
+        assert rate == 48_000
+        np.testing.assert_array_equal(samples, wanted.samples[0, r].astype(np.float32))
+
+
+def test_npz(scene: Path, tmp_path: Path, wanted) -> None:
+    out = tmp_path / "responses.npz"
+    assert main(["rir", str(scene), "-o", str(out), *ASKED]) == 0
+    with np.load(out) as file:
+        np.testing.assert_array_equal(file["samples"], wanted.samples)
+        assert (file["sampling_rate"], file["lead"], file["at"]) == (48e3, 0, 0.5)
+        assert file["band"].tolist() == [2e3, 20e3]
+        assert file["source_names"].tolist() == ["robot"]
+        assert file["receiver_names"].tolist() == ["left/1", "right"]
+        np.testing.assert_allclose(file["source_positions"], [[1.5, 1, 1]])
+        np.testing.assert_allclose(file["receiver_positions"], [[3, 1, 2], [3, 2, 2]])
+        np.testing.assert_allclose(np.abs(file["source_orientations"]), [[0, 0, 2**-0.5, 2**-0.5]])
+        np.testing.assert_allclose(file["receiver_orientations"], [[0, 0, 0, 1]] * 2)
+
+
+def test_sofa(scene: Path, tmp_path: Path, wanted) -> None:
+    sofar = pytest.importorskip("sofar", reason="sofar is not installed")
+    out = tmp_path / "responses.sofa"
+    assert main(["rir", str(scene), "-o", str(out), *ASKED]) == 0
+    sofa = sofar.read_sofa(str(out), verbose=False)
+    sofa.verify()
+    assert (sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_RoomType) == ("SingleRoomSRIR", "shoebox")
+    np.testing.assert_array_equal(sofa.Data_IR[:, 0], wanted.samples[0])
+    assert sofa.Data_SamplingRate == 48e3
+    np.testing.assert_array_equal(sofa.Data_Delay, 0.0)
+    np.testing.assert_allclose(sofa.SourcePosition, [[1.5, 1, 1]] * 2)
+    np.testing.assert_allclose(sofa.ListenerPosition, [[3, 1, 2], [3, 2, 2]])
+    np.testing.assert_allclose(sofa.SourceView, [[0, 1, 0]] * 2, atol=1e-12)
+    np.testing.assert_allclose(sofa.SourceUp, [[0, 0, 1]] * 2, atol=1e-12)
+    np.testing.assert_allclose(sofa.ListenerView, [[1, 0, 0]] * 2, atol=1e-12)
+    np.testing.assert_allclose(sofa.RoomCornerB, [[4, 3, 2.5]])
+    assert pytest.approx(293.15) == sofa.RoomTemperature
+
+
+def test_sofa_of_a_mesh_with_two_sources(tmp_path: Path) -> None:
+    """Receivers run fastest; a lead is a negative delay; a room without a box has no corners."""
+    sofar = pytest.importorskip("sofar", reason="sofar is not installed")
+    room = clsim.MeshRoom.from_plan([(0, 0), (5, 0), (5, 4), (0, 4)], 3.0, clsim.Material.from_reflection(0.8))
+    tone = clsim.Signal.tone(10e3, 0.01, 48e3)
+    still = clsim.Trajectory.fixed
+    sources = [clsim.Source(n, tone, still(p)) for n, p in (("a", (1, 1, 1)), ("b", (2, 3, 1)))]
+    receivers = [clsim.Receiver(n, still(p)) for n, p in (("c", (1.05, 1, 1)), ("d", (4, 3, 2)), ("e", (3, 1, 2)))]
+    scene = clsim.Scene(room, clsim.Air(), sources, receivers)
+    found = clsim.impulse_responses(scene, clsim.find_paths(scene, 1, engine="reference"), 48e3)
+    assert found.lead > 0
+    write_responses(found, tmp_path / "two.sofa")
+    sofa = sofar.read_sofa(str(tmp_path / "two.sofa"), verbose=False)
+    assert sofa.GLOBAL_RoomType == "reverberant"
+    np.testing.assert_array_equal(sofa.Data_Delay, -found.lead)
+    for row in range(6):
+        s, r = divmod(row, 3)
+        np.testing.assert_array_equal(sofa.Data_IR[row, 0], found.samples[s, r])
+        np.testing.assert_allclose(sofa.SourcePosition[row], sources[s].trajectory.position(0.0))
+        np.testing.assert_allclose(sofa.ListenerPosition[row], receivers[r].trajectory.position(0.0))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--at", "1.5"], "--at: must lie within sources[0].trajectory, up to 1 s, but is 1.5 s"),
+        (["--at", "nan"], "--at: must be finite, but is nan s"),
+        (["--band", "0", "24000"], "--band: must be at most 22800 Hz, but is 24000 Hz"),
+        (["--band", "nan", "20000"], "--band: must be finite, but is nan"),
+        (["--format", "npz"], "--output: must end in .npz, but is {out}"),
+        (["-o", "responses.wav"], "--output: must be a folder for WAV files, but is responses.wav"),
+        (["-o", "responses.npz", "--format", "sofa"], "--output: must end in .sofa, but is responses.npz"),
+    ],
+)
+def test_bad_arguments(scene: Path, tmp_path: Path, capsys, arguments: list[str], message: str) -> None:
+    out = tmp_path / "out"
+    assert main(["rir", str(scene), "-o", str(out), *arguments]) == 2
+    printed = capsys.readouterr()
+    assert printed.err == f"clsim: error: {message.format(out=out)}\n"
+    assert printed.out == ""
+    assert not out.exists()
+
+
+def test_unwritable_and_missing(tmp_path: Path, scene: Path, capsys) -> None:
+    (tmp_path / "file").write_text("x", "utf-8")
+    assert main(["rir", str(scene), "-o", str(tmp_path / "file")]) == 2
+    assert main(["rir", str(scene), "-o", str(tmp_path / "none" / "a.npz")]) == 2
+    assert main(["rir", str(tmp_path / "none.toml"), "-o", str(tmp_path / "a.npz")]) == 2
+    printed = capsys.readouterr()
+    assert len(printed.err.splitlines()) == 3
+    assert all(line.startswith("clsim: error: ") for line in printed.err.splitlines())
+    with pytest.raises(clsim.InputError, match=r"^path: must end in \.npz or \.sofa"):
+        write_responses(None, tmp_path / "a.txt")  # type: ignore[arg-type]
