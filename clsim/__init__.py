@@ -13,6 +13,7 @@ from clsim.paths.find_paths import find_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.truth import direct_truth
 from clsim.recording import Recording
+from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.plan import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
@@ -38,6 +39,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Air",
     "Bandlimited",
+    "Baseband",
     "Cardioid",
     "ClsimError",
     "ClsimWarning",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,8 +23,9 @@ class Recording:
 
     Attributes
     ----------
-    samples : ndarray (receivers, samples) float32
-        Sound pressure in Pa, or the voltage of a receiver with a transducer: see `units`.
+    samples : ndarray (receivers, samples) float32, or complex64 in baseband
+        Sound pressure in Pa, or the voltage of a receiver with a transducer: see `units`. In baseband the complex
+        envelope about `carrier`: 1 + 0j for a cosine of 1 Pa.
     sampling_rate : float
         Hz.
     receiver_names : tuple of str
@@ -37,15 +38,18 @@ class Recording:
         ``"Pa"`` or ``"V"``, one per row; all Pa when left out.
     clipped : tuple of int
         How many samples of each row a converter clipped; none when left out.
+    carrier : float or None
+        That of complex envelopes, Hz; None for sound as it is.
     """
 
-    samples: NDArray[np.float32]
+    samples: NDArray[Any]
     sampling_rate: float
     receiver_names: tuple[str, ...]
     paths: PathSet | None
     notes: tuple[str, ...]
     units: tuple[str, ...] = ()
     clipped: tuple[int, ...] = ()
+    carrier: float | None = None
 
     def __post_init__(self) -> None:
         count = len(self.receiver_names)
@@ -53,8 +57,8 @@ class Recording:
         object.__setattr__(self, "clipped", tuple(self.clipped) or (0,) * count)
 
     @property
-    def pressure(self) -> NDArray[np.float32]:
-        """Sound pressure (receivers, samples), Pa.
+    def pressure(self) -> NDArray[Any]:
+        """Sound pressure (receivers, samples), Pa; in baseband its complex envelope.
 
         Raises
         ------
@@ -64,7 +68,7 @@ class Recording:
         return self._all_in("Pa", "pressure")
 
     @property
-    def voltage(self) -> NDArray[np.float32]:
+    def voltage(self) -> NDArray[Any]:
         """Voltage of the receivers' transducers (receivers, samples), V.
 
         Raises
@@ -87,18 +91,20 @@ class Recording:
     def save(self, path: str | PathLike[str]) -> None:
         """Write a WAV file of 32-bit floats in Pa or V, one channel per receiver, whole or not at all.
 
+        In baseband there are two channels per receiver, real part (I) before imaginary part (Q).
+
         Raises
         ------
         OSError
             If the file cannot be written.
         """
-        from clsim.output.wav import WavWriter
+        from clsim.output.wav import WavWriter, as_frames
 
-        channels, samples = self.samples.shape
-        with WavWriter(path, self.sampling_rate, channels, samples) as writer:
-            writer.write(self.samples.T)
+        frames = as_frames(self.samples)
+        with WavWriter(path, self.sampling_rate, frames.shape[1], len(frames)) as writer:
+            writer.write(frames)
 
-    def _all_in(self, unit: str, name: str) -> NDArray[np.float32]:
+    def _all_in(self, unit: str, name: str) -> NDArray[Any]:
         for receiver, found in zip(self.receiver_names, self.units, strict=True):
             if found != unit:
                 raise InputError(name, f"must be in {unit}, but {receiver!r} recorded {found}; take recording.samples")

@@ -1,5 +1,6 @@
 // From four neighbouring nodes to the cubics of the block between the middle two: Hermite for the delay, whose
-// derivatives are exact, Catmull-Rom for the gain. Cubics are in t, -1 at the block's start and 1 at its end.
+// derivatives are exact, Catmull-Rom for the gain. Polynomials are in t, -1 at the block's start and 1 at its end.
+// With DELAY_TERMS == 8 the delay is Hermite through all four nodes (septic.h), for blocks of few samples.
 
 #define ROUNDING 6755399441055744.0  // 1.5 * 2^52: adding and taking it away rounds to a whole number
 
@@ -15,6 +16,9 @@ static void write_block(const window* node, int block, int slots, int slot, doub
                         int heard, __global int* delay, __global float* cubics)
 {
     __global float* c = cubics + (long)block * coefficients(FUNCTIONS) * slots + slot;
+#if DELAY_TERMS == 8
+    delay[block * slots + slot] = write_septic(node->delay, node->rate, slots, sampling_rate, late, c);
+#else
     const double p0 = node->delay[1] * sampling_rate + late, p1 = node->delay[2] * sampling_rate + late;
     const double e0 = node->rate[1] * (0.5 * BLOCK), e1 = node->rate[2] * (0.5 * BLOCK);
     const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING) - ROUNDING;
@@ -23,6 +27,7 @@ static void write_block(const window* node, int block, int slots, int slot, doub
     c[slots] = (float)(0.75 * (p1 - p0) - 0.25 * (e0 + e1));
     c[2 * slots] = (float)(0.25 * (e1 - e0));
     c[3 * slots] = (float)(0.25 * (e0 + e1) - 0.25 * (p1 - p0));
+#endif
     for (int k = 0; k < FUNCTIONS; k++) {
         __global float* g = c + coefficients(k) * slots;
         const float g0 = gain_of(node, 1, k), g1 = gain_of(node, 2, k);
@@ -41,7 +46,11 @@ static float block_error_squared(const window* node, __global const float* sizes
                                  double block_time)
 {
     const double* r = node->rate;
+#if DELAY_TERMS == 8
+    const float late = septic_error(node->delay, r, block_time);
+#else
     const float late = (float)((r[3] - r[0] + 3.0 * (r[1] - r[2])) * block_time) / 384.0f;
+#endif
     const float phase = angular_frequency * late;
     float change = 0.0f;
     for (int k = 0; k < FUNCTIONS; k++) {

@@ -1,4 +1,8 @@
-// How the polynomials of a block and a path are laid out: [block][4 + 4 functions][slots], lowest power first: a cubic
-// of the delay, and one of the gain of every function of frequency.
+// How the polynomials of a block and a path are laid out: [block][DELAY_TERMS + 4 functions][slots], lowest power first:
+// a polynomial of the delay, and a cubic of the gain of every function of frequency.
 
-static int coefficients(int functions) { return 4 + 4 * functions; }
+#ifndef DELAY_TERMS
+#define DELAY_TERMS 4
+#endif
+
+static int coefficients(int functions) { return DELAY_TERMS + 4 * functions; }

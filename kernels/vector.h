@@ -7,6 +7,7 @@ typedef float8 __attribute__((aligned(4))) loose_vec;  // may start at any float
 typedef int8 ivec;
 typedef int8 __attribute__((aligned(4))) loose_ivec;
 #define AS_IVEC(x) as_int8(x)
+#define AS_VEC(x) as_float8(x)
 #define RAMP ((vec)(0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f))
 #elif LANES == 1
 typedef float vec;
@@ -14,6 +15,7 @@ typedef float loose_vec;
 typedef int ivec;
 typedef int loose_ivec;
 #define AS_IVEC(x) as_int(x)
+#define AS_VEC(x) as_float(x)
 #define RAMP 0.0f
 #endif
 

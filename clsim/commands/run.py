@@ -13,6 +13,7 @@ from clsim.commands.planning import path_table, planned
 from clsim.commands.unfinished import Unfinished, run_identity
 from clsim.errors import ClsimWarning, InputError
 from clsim.output.atomic import safe_path
+from clsim.output.envelope_plot import envelope_spectrogram
 from clsim.output.names import file_names
 from clsim.output.plots import echogram, history, spectrogram
 from clsim.output.stores import StoredSound, sound_store
@@ -77,7 +78,7 @@ def _stored(paths: PathSet, plan: Plan, text: str) -> StoredSound:
     positions = np.concatenate([r.trajectory.position(np.zeros(1)) for r in paths.scene.receivers])
     return StoredSound(
         plan.tracks.receiver_names, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk, text,
-        clsim.__version__,
+        clsim.__version__, plan.carrier,
     )  # fmt: skip
 
 
@@ -114,7 +115,11 @@ def _draw(plan: Plan, table: PathTable, sounds: list[Readable], folder: Path, na
                 history(table, r, made[-1])
                 made[-3:] = made[-1:] + made[-3:-1]
             title = plan.tracks.receiver_names[r]
-            spectrogram(sound, plan.sampling_rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r])
+            rate = plan.sampling_rate
+            if plan.carrier is None:
+                spectrogram(sound, rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r])
+            else:
+                envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, made[-2], title=title)
             echogram(table, r, 0, made[-1])
             advance(1)
     return made

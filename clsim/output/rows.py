@@ -1,4 +1,4 @@
-"""Samples of several receivers as rows of 32-bit floats at fixed places of files."""
+"""Samples of several receivers as rows of numbers at fixed places of files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_SAMPLE_BYTES = 4
 _UNKNOWN_TO_SYSTEM = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
@@ -25,10 +24,12 @@ class Rows:
     ----------
     places : sequence of (path, int)
         File and byte at which each row begins; the files exist.
+    sample_type : str
+        NumPy's code of the samples: ``"<f4"``, or ``"<c8"``, real before imaginary parts.
     """
 
-    def __init__(self, places: Sequence[tuple[Path, int]]) -> None:
-        self._places = places
+    def __init__(self, places: Sequence[tuple[Path, int]], sample_type: str = "<f4") -> None:
+        self._places, self._type = places, np.dtype(sample_type)
         self._files: dict[Path, int] = {}
         try:
             for path, _ in places:
@@ -47,7 +48,7 @@ class Rows:
             If the disk has not that much left; it names the file.
         """
         for path, number in self._files.items():
-            size = max(begin + _SAMPLE_BYTES * samples for other, begin in self._places if other == path)
+            size = max(begin + self._type.itemsize * samples for other, begin in self._places if other == path)
             try:
                 if hasattr(os, "posix_fallocate"):
                     os.posix_fallocate(number, 0, size)
@@ -67,8 +68,8 @@ class Rows:
             If they cannot be written; it names the file.
         """
         for (path, begin), row in zip(self._places, samples, strict=True):
-            left = memoryview(np.ascontiguousarray(row, dtype="<f4").tobytes())
-            at = begin + _SAMPLE_BYTES * start
+            left = memoryview(np.ascontiguousarray(row, dtype=self._type).tobytes())
+            at = begin + self._type.itemsize * start
             try:
                 while left:
                     os.lseek(self._files[path], at, os.SEEK_SET)

@@ -16,7 +16,7 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.output.atomic import to_disk, tree_to_disk
 from clsim.output.rows import Rows
-from clsim.output.wav import SoundFile, wav_header
+from clsim.output.wav import EnvelopeFile, SoundFile, wav_header
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -51,6 +51,8 @@ class StoredSound:
         The completed scene file.
     version : str
         Of clsim.
+    carrier : float or None
+        Of complex envelopes, Hz; None for sound as it is.
     """
 
     receiver_names: tuple[str, ...]
@@ -61,15 +63,22 @@ class StoredSound:
     chunk: int
     scene: str
     version: str
+    carrier: float | None = None
+
+    @property
+    def sample_type(self) -> str:
+        """NumPy's code of the samples."""
+        return "<f4" if self.carrier is None else "<c8"
 
     def attributes(self) -> dict[str, Any]:
         """Return what stands at the root of a store."""
-        return {
+        told = {
             "clsim_store_format": STORE_FORMAT,
             "clsim_version": self.version,
             "sampling_rate": self.sampling_rate,
             "scene": self.scene,
         }
+        return told if self.carrier is None else told | {"carrier": self.carrier}
 
     def coordinates(self) -> Any:
         """Return all but the sound as an xarray Dataset."""
@@ -90,7 +99,10 @@ class StoredSound:
         """Return what stands beside the samples."""
         units = sorted(set(self.units))
         named = {"units": units[0]} if len(units) == 1 else {}
-        return named | {"long_name": "sound pressure or voltage, unit by receiver"}
+        what = "sound pressure or voltage, unit by receiver"
+        if self.carrier is not None:
+            what = "complex envelope of sound pressure about the carrier"
+        return named | {"long_name": what}
 
 
 class SoundStore(Protocol):
@@ -110,7 +122,7 @@ class SoundStore(Protocol):
     def open(self) -> None:
         """Make ready to write."""
 
-    def write(self, start: int, samples: NDArray[np.float32]) -> None:
+    def write(self, start: int, samples: NDArray[Any]) -> None:
         """Write samples (receivers, n) from sample `start` on; written again they change nothing."""
 
     def to_disk(self) -> None:
@@ -165,7 +177,7 @@ class _RowStore:
         raise NotImplementedError
 
     def open(self) -> None:
-        self._rows = Rows(self.places())
+        self._rows = Rows(self.places(), self._sound.sample_type)
 
     def reserve(self) -> None:
         """Take the disk space of all samples."""
@@ -177,7 +189,7 @@ class _RowStore:
             self.close()
         to_disk(self.paths[0].parent)
 
-    def write(self, start: int, samples: NDArray[np.float32]) -> None:
+    def write(self, start: int, samples: NDArray[Any]) -> None:
         self._rows.write(start, samples)
 
     def to_disk(self) -> None:
@@ -188,12 +200,15 @@ class _RowStore:
 
 
 class _WavStore(_RowStore):
-    """One file per receiver; its header comes first and says how long it will be."""
+    """One file per receiver; its header comes first and says how long it will be.
+
+    Envelopes have two channels, real part (I) and imaginary part (Q): the bytes of complex numbers.
+    """
 
     def __init__(self, folder: Path, sound: StoredSound, names: list[str]) -> None:
         super().__init__(sound)
         self.paths = [folder / f"{name}.wav" for name in names]
-        self._header = wav_header(sound.sampling_rate, 1, sound.samples)
+        self._header = wav_header(sound.sampling_rate, 1 if sound.carrier is None else 2, sound.samples)
 
     def create(self) -> None:
         for path in self.paths:
@@ -204,7 +219,8 @@ class _WavStore(_RowStore):
         return [(path, len(self._header)) for path in self.paths]
 
     def row(self, folder: Path, receiver: int) -> Readable:
-        return SoundFile(folder / self.paths[receiver].name)
+        path = folder / self.paths[receiver].name
+        return SoundFile(path) if self._sound.carrier is None else EnvelopeFile(path)
 
 
 class _Hdf5Store(_RowStore):
@@ -226,7 +242,7 @@ class _Hdf5Store(_RowStore):
         self._sound.coordinates().to_netcdf(path, engine="h5netcdf")
         with h5netcdf.File(path, "a") as file:
             file.dimensions["time"] = self._sound.samples
-            variable = file.create_variable("sound", ("receiver", "time"), "<f4")
+            variable = file.create_variable("sound", ("receiver", "time"), np.dtype(self._sound.sample_type))
             variable.attrs.update(self._sound.sound_attributes)
         with h5py.File(path, "r+") as raw:
             raw["sound"][0, 0] = 0.0  # gives the block its place in the file
@@ -235,12 +251,16 @@ class _Hdf5Store(_RowStore):
     def places(self) -> list[tuple[Path, int]]:
         path, count = self.paths[0], len(self._sound.receiver_names)
         begin = _place_in(path)
-        return [(path, begin + 4 * self._sound.samples * r) for r in range(count)]
+        return [(path, begin + self._row_bytes * r) for r in range(count)]
+
+    @property
+    def _row_bytes(self) -> int:
+        return np.dtype(self._sound.sample_type).itemsize * self._sound.samples
 
     def row(self, folder: Path, receiver: int) -> Readable:
         path, samples = folder / self.paths[0].name, self._sound.samples
-        begin = _place_in(path) + 4 * samples * receiver
-        return np.memmap(path, dtype="<f4", mode="r", offset=begin, shape=(samples,))
+        begin = _place_in(path) + self._row_bytes * receiver
+        return np.memmap(path, dtype=self._sound.sample_type, mode="r", offset=begin, shape=(samples,))
 
 
 def _place_in(path: Path) -> int:
@@ -268,7 +288,7 @@ class _ZarrStore:
         sound.coordinates().to_zarr(path, mode="w-", consolidated=False, zarr_format=3)
         zarr.open_group(path, mode="r+").create_array(
             "sound", shape=(len(sound.receiver_names), sound.samples), chunks=(1, min(sound.chunk, sound.samples)),
-            dtype="<f4", fill_value=0.0, dimension_names=("receiver", "time"),
+            dtype=sound.sample_type, fill_value=0.0, dimension_names=("receiver", "time"),
             attributes=sound.sound_attributes,
         )  # fmt: skip
         consolidate(path)
@@ -279,7 +299,7 @@ class _ZarrStore:
 
         self._array = zarr.open_group(self.paths[0], mode="r+")["sound"]
 
-    def write(self, start: int, samples: NDArray[np.float32]) -> None:
+    def write(self, start: int, samples: NDArray[Any]) -> None:
         self._array[:, start : start + samples.shape[1]] = samples
         for r in range(len(samples)):
             key = self._array.metadata.encode_chunk_key((r, start // self._sound.chunk))
@@ -311,7 +331,7 @@ class _ZarrRow:
     def __len__(self) -> int:
         return int(self._array.shape[1])
 
-    def __getitem__(self, part: slice) -> NDArray[np.float32]:
+    def __getitem__(self, part: slice) -> NDArray[Any]:
         return np.asarray(self._array[self._receiver, part])
 
 

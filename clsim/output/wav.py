@@ -139,6 +139,13 @@ def _whole_rate(sampling_rate: float) -> int:
     return int(rate)
 
 
+def as_frames(samples: NDArray[Any]) -> NDArray[np.float32]:
+    """Return samples (rows, n) as a file holds them, (n, channels): complex ones as real and imaginary channels."""
+    if np.iscomplexobj(samples):
+        samples = np.stack([samples.real, samples.imag], axis=1).reshape(-1, samples.shape[1])
+    return np.asarray(samples.T, dtype=np.float32)
+
+
 class SoundFile:
     """Samples of a mono sound file, read where they are cut."""
 
@@ -155,3 +162,13 @@ class SoundFile:
         import soundfile
 
         return soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32")[0]
+
+
+class EnvelopeFile(SoundFile):
+    """Samples of a file of real and imaginary parts, read where they are cut, complex64."""
+
+    def __getitem__(self, part: slice) -> Any:
+        import soundfile
+
+        frames = soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32", always_2d=True)[0]
+        return frames[:, 0] + np.complex64(1j) * frames[:, 1]

@@ -54,15 +54,26 @@ class ResponseBand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpulseResponse:
-    """Taps (n,) of a filter; the first one is that of a delay of `first` samples, which can be negative."""
+    """Taps (n,) of a filter; the first one is that of a delay of `first` samples, which can be negative.
+
+    They are complex where the filter acts on complex envelopes.
+    """
 
     first: int
-    taps: Floats
+    taps: NDArray[Any]
 
     @property
     def last(self) -> int:
         """Delay of the last tap, samples."""
         return self.first + len(self.taps) - 1
+
+    def read(self, start: int, stop: int) -> Floats:
+        """Return the taps of delays from `start` up to `stop` (n,), zero beyond the ends."""
+        out = np.zeros(max(stop - start, 0), dtype=self.taps.dtype)
+        first, last = max(start, self.first), min(stop, self.last + 1)
+        if first < last:
+            out[first - start : last - start] = self.taps[first - self.first : last - self.first]
+        return out
 
 
 def impulse_response(

@@ -17,7 +17,6 @@ from clsim.scene.directivity import Omni
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
     from clsim.render.emission import Emission
     from clsim.render.interpolator import Interpolator
     from clsim.render.plan import Plan
@@ -97,7 +96,7 @@ class Convolution:
                 continue
             last = max(response.last for _, response in responses)
             first = min(response.first for _, response in responses)
-            emitted = self._plan.emissions[source].signal.read(start - last, stop - first)
+            emitted = self._plan.emissions[source].emitted(start - last, stop - first)
             if not np.any(emitted):
                 continue
             for receiver, response in responses:
@@ -109,35 +108,36 @@ def _responses(plan: Plan, source: int) -> list[tuple[int, ImpulseResponse]]:
     tracks, emission = plan.tracks, plan.emissions[source]
     assert isinstance(tracks, SceneTracks)
     centre = emission.signal.centre_frequency if plan.at_rest.at_centre else None
+    rate = emission.signal.sampling_rate
     band, found = _band(emission, complex_responses=is_complex(tracks.scene)), []
     for i in sorted(plan.at_rest.groups):
         group = tracks.path_groups[i]
         if group.source == source:
             ahead = float(tracks.scene.receivers[group.receiver].clock_ahead(np.zeros(1))[0])
             response = frozen_response(
-                tracks.scene, group, 0.0, plan.sampling_rate, band, later=emission.start - ahead, centre=centre
+                tracks.scene, group, 0.0, rate, band, later=emission.start - ahead, centre=centre
             )
-            found.append((group.receiver, response))
+            found.append((group.receiver, emission.acting(response)))
     return found
 
 
 def _band(emission: Emission, *, complex_responses: bool) -> ResponseBand:
     """Return the band that holds a signal, with edges as wide as there is room, so that arrivals are short."""
     rate = emission.signal.sampling_rate
-    low, high = shares(emission.signal.energy_spectrum(), _SHARE)
+    low, high = np.clip(shares(emission.signal.energy_spectrum(), _SHARE), *emission.held)
     high = min(max(high, 0.025 * rate), 0.5 * _WIDEST * rate)
     low, above = min(low, high), 0.5 * rate - high
     least = (_LOWEST_COMPLEX if complex_responses else _LOWEST) * rate
     return ResponseBand(low, high, low if low >= least else 0.0, above)
 
 
-def _convolved(emitted: Floats, response: ImpulseResponse, count: int) -> Floats:
+def _convolved(emitted: NDArray[Any], response: ImpulseResponse, count: int) -> NDArray[Any]:
     """Return samples (count,) of a response to what was emitted from as many samples before as it is long."""
     from scipy.signal import oaconvolve
 
     taps = response.taps
     heard = emitted[: count + len(taps) - 1]
-    out, sounding = np.zeros(count), np.flatnonzero(heard)
+    out, sounding = np.zeros(count, dtype=heard.dtype), np.flatnonzero(heard)
     if not len(sounding):
         return out
     begin, end = int(sounding[0]), int(sounding[-1]) + 1

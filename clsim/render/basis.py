@@ -287,6 +287,9 @@ class _Functions:
         """Return the functions that hold responses best."""
         frequencies, weight = len(rows.band.weight), rows.band.weight
         nodes = _spread(min(-(-2 * count // 8) * 8, frequencies), frequencies)
+        # A tone is next to all there is: a node must lie on it.
+        loudest = int(np.median(np.flatnonzero(weight >= weight.max())))
+        nodes[np.argmin(np.abs(nodes - loudest))] = loudest
         emphasis = np.ones(len(rows.places))
         for _ in range(_EMPHASES):
             _, _, vectors = np.linalg.svd(emphasis[:, None] * rows.places, full_matrices=False)

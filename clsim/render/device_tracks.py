@@ -13,7 +13,7 @@ from clsim.opencl.device import Scratch, upload
 from clsim.paths.arrivals import MACH_EXPONENT, PathGroup
 from clsim.paths.motion_knots import knot_rate, motion_knots
 from clsim.paths.responses import Responses
-from clsim.render.plan import SEGMENT, Plan, node_times
+from clsim.render.plan import Plan, node_times
 from clsim.render.response_tables import CELLS, SIDE, SPHERICAL, beam_kind, beam_table, wall_table
 from clsim.render.silence import CELL
 
@@ -122,7 +122,7 @@ class DeviceTracks:
         motion = (
             self._upload(knots), np.int32(len(knots)), np.float64(knot_first), np.float64(self._knot_rates[source]),
         )  # fmt: skip
-        anchors = self._anchors(source, slots, images, motion, start, -(-length // SEGMENT) + 1)
+        anchors = self._anchors(source, slots, images, motion, start, -(-length // plan.segment) + 1)
         cells = None
         if sounding is not None:
             signal = (sounding.following, sounding.preceding)
@@ -135,13 +135,13 @@ class DeviceTracks:
         """Solve the delays at the ends of segments, from which those between are predicted."""
         import pyopencl as cl
 
-        rate = self._plan.sampling_rate
+        rate, segment = self._plan.sampling_rate, self._plan.segment
         out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * slots.count)
-        times = (start + SEGMENT * np.arange(ends, dtype=np.float64)) / rate
+        times = (start + segment * np.arange(ends, dtype=np.float64)) / rate
         kernel = self._compiler.kernel("anchors", self._motion_constants(source))
         kernel(
             self._queue, (slots.count, ends), None, *images[:3], self._upload(self._receivers_at(slots, times)),
-            np.int32(ends), *motion, np.float64(start / rate), np.float64(SEGMENT / rate),
+            np.int32(ends), *motion, np.float64(start / rate), np.float64(segment / rate),
             np.float64(self._tracks.scene.air.sound_speed), out,
         )  # fmt: skip
         return out
@@ -153,10 +153,10 @@ class DeviceTracks:
         plan, scene, slots = self._plan, self._tracks.scene, chunk.slots
         emission = plan.emissions[chunk.source]
         rate, c = plan.sampling_rate, scene.air.sound_speed
-        walks = -(-blocks * block // SEGMENT)
-        functions = len(emission.basis)
+        walks = -(-blocks * block // plan.segment)
+        terms = plan.delay_terms + 4 * len(emission.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * slots.count)
-        cubics = self._scratch.take(("cubics", block), 16 * (1 + functions) * blocks * slots.count)
+        cubics = self._scratch.take(("cubics", block), 4 * terms * blocks * slots.count)
         found = np.empty((walks, slots.count, 4), dtype=np.float32)
         unheld = np.empty((walks, slots.count), dtype=np.float32)
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
@@ -172,7 +172,7 @@ class DeviceTracks:
         kernel(
             self._queue, (slots.count, walks), None, *chunk.images,
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
-            np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // SEGMENT), *chunk.knots,
+            np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // plan.segment), *chunk.knots,
             np.float64(start / rate), np.float64(rate), np.float64(c),
             *around.basis, np.float64(emission.start * rate - emission.bank.shift),
             np.float64(emission.start - spread), np.float64(emission.start + emission.signal.duration + spread),
@@ -203,7 +203,8 @@ class DeviceTracks:
             "BLOCK": block,
             "GROUP": self._plan.emissions[source].bank.group,
             "CELL": CELL,
-            "WALK": SEGMENT // block,
+            "WALK": self._plan.segment // block,
+            "DELAY_TERMS": self._plan.delay_terms,
             "FUNCTIONS": len(self._plan.emissions[source].basis),
             "NODES": around.count,
             "PARTS": around.parts,

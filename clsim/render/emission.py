@@ -22,7 +22,8 @@ from clsim.render.tracks import SceneTracks, Tracks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.impulse_response import ImpulseResponse
     from clsim.scene.signal import Signal
 
 DEFAULT_RESPONSE_ERROR_DB = -80.0  # of air, walls and beams over a signal's band
@@ -71,7 +72,7 @@ class Emission:
         """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
         return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
 
-    def streams(self, first: int, last: int) -> Floats:
+    def streams(self, first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last` of the signal through each function of the basis, (K, n)."""
         places, values = self.sounding(first, last)
         out = np.zeros((len(self.basis), last - first))
@@ -101,6 +102,31 @@ class Emission:
         made = oaconvolve(together[None], self.basis.filters, mode="valid", axes=1)
         within = _ranges(np.cumsum(lengths + reach) - lengths - reach, lengths)
         return places, np.asarray(made[:, within])
+
+    def turned(self, late: Floats) -> Floats | Complexes | float:
+        """Return the factor by which delays (P, n), samples, turn the phase of what is carried: 1 of sound as it is."""
+        return 1.0
+
+    @property
+    def held(self) -> tuple[float, float]:
+        """Frequencies between which sound is not removed on purpose, Hz."""
+        return 0.0, 0.5 * self.signal.sampling_rate
+
+    def emitted(self, first: int, last: int) -> NDArray[Any]:
+        """Return samples `first` to `last` of what impulse responses are convolved with."""
+        return self.signal.read(first, last)
+
+    def acting(self, response: ImpulseResponse) -> ImpulseResponse:
+        """Return an impulse response at the signal's sampling rate as it acts on what is emitted."""
+        return response
+
+    def describe_filters(self) -> str:
+        """Return how delays are carried."""
+        removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
+        return (
+            f"filters of {len(self.bank.taps)} branches hold up to {self.band:.0f} Hz within "
+            f"{self.bank.error_db:.1f} dB; share of the signal above: {removed}"
+        )
 
     def describe(self) -> str:
         """Return how air, walls and beams are carried, and what it costs."""
@@ -159,16 +185,22 @@ def design_emission(
     InputError
         If a wall or a beam is not known over the signal's band, or asks for too many functions.
     """
-    if response_error_db != AT_CENTRE:
-        if isinstance(response_error_db, str):
-            raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
-        as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
+    check_response_error(response_error_db)
     signal = signal.at_rate(sampling_rate)
     spectrum = signal.energy_spectrum()
     high, removed_db, bank = _delay_filters(index, spectrum, interpolator, tracks, sampling_rate)
-    basis = _basis(index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact, at_rest)
+    basis = basis_of(index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact, at_rest)
     banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
     return Emission(signal, start, banks, basis, high, removed_db)
+
+
+def check_response_error(response_error_db: float | str) -> None:
+    """Raise an InputError if the asked error of responses is neither in dB nor that of the centre frequency."""
+    if response_error_db == AT_CENTRE:
+        return
+    if isinstance(response_error_db, str):
+        raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
+    as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
 
 
 def _delay_filters(
@@ -193,7 +225,7 @@ def _delay_filters(
     return band, removed_db, bank
 
 
-def _basis(
+def basis_of(
     index: int,
     signal: Signal,
     spectrum: tuple[Floats, Floats],
@@ -204,8 +236,9 @@ def _basis(
     error_db: float | str,
     exact: bool,
     at_rest: bool,
+    least: float = 0.0,
 ) -> Basis:
-    """Return the functions of frequency that a source's paths need."""
+    """Return the functions of frequency that a source's paths need, from `least` to `high` Hz at most."""
     if not isinstance(tracks, SceneTracks):
         return flat_basis(signal.centre_frequency)
     frequencies, energy = spectrum
@@ -217,7 +250,7 @@ def _basis(
         return flat_basis(signal.centre_frequency)
     floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
     low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
-    low = min(max(low, frequencies[1]), 0.999 * high)
+    low = min(max(low, least, frequencies[1]), 0.999 * high)
     if not isinstance(error_db, str):
         floor_db = min(floor_db, error_db)
         band = partial(band_of, low, high, frequencies, energy)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.device import upload
-from clsim.render.blocks import block_cubics, block_error
-from clsim.render.plan import SEGMENT, Plan, node_times
+from clsim.render.blocks import block_error, block_polynomials
+from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,8 +60,8 @@ class HostTracks:
         plan, emission = self._plan, self._plan.emissions[source]
         rate = plan.sampling_rate
         whole = np.empty((blocks, slots.count), dtype=np.int32)
-        cubics = np.empty((blocks, 4 + 4 * len(emission.basis), slots.count), dtype=np.float32)
-        error = np.zeros(-(-blocks * block // SEGMENT))
+        cubics = np.empty((blocks, plan.delay_terms + 4 * len(emission.basis), slots.count), dtype=np.float32)
+        error = np.zeros(-(-blocks * block // plan.segment))
         shortest, longest = math.inf, -math.inf
         times = node_times(start, block, blocks, rate)
         late = emission.start * rate - emission.bank.shift
@@ -70,15 +70,18 @@ class HostTracks:
         for i, index in enumerate(slots.groups):
             here = slots.of_group(i)
             delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
-            whole[:, here], made = block_cubics(delay, change, gain, block, rate, late)
+            whole[:, here], made = block_polynomials(delay, change, gain, block, rate, late, plan.delay_terms)
             sized = gain * emission.basis.sizes[:, None, None]
-            wrong = block_error(change, sized, 2.0 * math.pi * emission.band, block / rate)
+            wrong = block_error(delay, change, sized, 2.0 * math.pi * emission.band, block / rate, plan.delay_terms)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
-            made[:, 4:] = np.where(heard.T[:, None], made[:, 4:], 0.0)
+            terms = plan.delay_terms
+            made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
             cubics[:, :, here] = made
             np.maximum(
                 error,
-                _by_segment(np.where(heard, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, block),
+                _by_segment(
+                    np.where(heard, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, plan.segment // block
+                ),
                 out=error,
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
@@ -89,9 +92,9 @@ class HostTracks:
         return upload(self._queue.context, array)
 
 
-def _by_segment(wrong: Floats, gain: Floats, block: int) -> Floats:
+def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:
     """Return the largest error of each segment relative to the strongest gain, both from (paths, blocks)."""
-    first = np.arange(0, wrong.shape[1], SEGMENT // block)
+    first = np.arange(0, wrong.shape[1], step)
     error = np.maximum.reduceat(wrong.max(axis=0), first)
     strongest = np.maximum.reduceat(np.abs(gain).max(axis=0), first)
     return np.asarray(error / np.maximum(strongest, 1e-30))

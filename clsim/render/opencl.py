@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from clsim.opencl.device import Scratch, find_device, opened, upload
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
-from clsim.render.plan import BLOCKS, NODE_BUDGET, SEGMENT, Plan
+from clsim.render.plan import NODE_BUDGET, Plan
 from clsim.render.silence import CELL, Sounding, sounding
 from clsim.render.slots import Active, Slots, fill_slots
 from clsim.render.tracks import SceneTracks
@@ -76,6 +77,8 @@ class OpenclEngine:
         If there is no device, or it fails; the message says what to do.
     """
 
+    parts = 1  # rows of what is heard of a receiver
+
     def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
         import pyopencl as cl
 
@@ -125,12 +128,17 @@ class OpenclEngine:
         for seen, value in ((self._strongest, strongest), (self._unheld, unheld)):
             seen[source, receivers] = np.maximum(seen[source, receivers], value)
 
+    @property
+    def run(self) -> type[Run]:
+        """What renders a batch of receivers."""
+        return Run
+
     def _render(self, start: int, stop: int) -> NDArray[np.float32]:
         import pyopencl as cl
 
         plan = self._plan
-        length = -(-(stop - start) // BLOCKS[0]) * BLOCKS[0]
-        pressure = np.empty((plan.receiver_count, length), dtype=np.float32)
+        length = -(-(stop - start) // plan.blocks[0]) * plan.blocks[0]
+        pressure = np.empty((self.parts * plan.receiver_count, length), dtype=np.float32)
         on_device = self._scratch.take("pressure", pressure.nbytes)
         cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)
         for source in range(len(plan.emissions)):
@@ -138,16 +146,19 @@ class OpenclEngine:
             branches = self._branches(source, start, length, active) if active else None
             if branches is None:
                 continue
-            segments = -(-length // SEGMENT)
+            segments = -(-length // plan.segment)
             always = all(plan.tracks.groups[group.index].always_heard for group in active)
             step = segments if always else _STRETCH
             for first in range(0, segments, step):
                 last = min(first + step, segments)
-                here = [group.during(plan, start + first * SEGMENT, start + last * SEGMENT) for group in active]
-                functions = len(plan.emissions[source].basis)
-                for some in _batches([group for group in here if len(group.rows)], functions):
+                here = [
+                    group.during(plan, start + first * plan.segment, start + last * plan.segment) for group in active
+                ]
+                node = bytes_per_node(plan, source)
+                per_segment = node * (plan.segment // plan.blocks[-1])
+                for some in _batches([group for group in here if len(group.rows)], per_segment):
                     slots = fill_slots(plan, some, BATCH)
-                    _Run(self, source, slots, branches, on_device, length, start, first, last).render()
+                    self.run(self, source, slots, branches, on_device, length, start, first, last).render()
         cl.enqueue_copy(self._queue, pressure, on_device)
         return pressure[:, : stop - start]
 
@@ -163,7 +174,7 @@ class OpenclEngine:
     def _seconds(self, first: int, last: int) -> tuple[float, float]:
         return first / self._plan.sampling_rate, last / self._plan.sampling_rate
 
-    def _branches(self, source: int, start: int, length: int, active: list[Active]) -> _Branches | None:
+    def _branches(self, source: int, start: int, length: int, active: list[Active]) -> Branches | None:
         """Filter the part of a signal that can be heard in a chunk; None if it is silent."""
         import pyopencl as cl
 
@@ -183,22 +194,24 @@ class OpenclEngine:
             return None
         found = sounding(places, width, before, after)
         sparse = self.skips_silence and found.pays
-        out, following = self._rows(int(emission.rows[-1]), stride, found if sparse else None)
-        there = self._scratch.take("emitted", 4 * len(emission.banks) * (before + width + after))
-        emitted = np.zeros((len(emission.banks), before + width + after), dtype=np.float32)
-        emitted[:, places] = values
+        out, following = self._rows(self.parts * int(emission.rows[-1]), stride, found if sparse else None)
+        emitted = np.zeros((len(emission.banks), self.parts, before + width + after), dtype=np.float32)
+        for part, of in enumerate((values.real, values.imag)[: self.parts]):
+            emitted[:, part, places] = of
+        there = self._scratch.take("emitted", emitted.nbytes)
         cl.enqueue_copy(self._queue, there, emitted)
-        for k, bank in enumerate(emission.banks):
+        for (k, bank), part in itertools.product(enumerate(emission.banks), range(self.parts)):
             rows, taps = bank.taps.shape
             constants = {"LANES": self._layout.lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(sparse)}
             kernel = self._compiler.kernel("branches", constants)
             kernel(
                 self._queue, (width // channel, rows), None, there,
-                np.int32(k * emitted.shape[1] + before - _taps_before(bank)),
-                self._upload(bank.taps.astype(np.float32)), np.int32(stride), np.int32(emission.rows[k]), out,
+                np.int32((k * self.parts + part) * emitted.shape[2] + before - _taps_before(bank)),
+                self._upload(bank.taps.astype(np.float32)), np.int32(stride),
+                np.int32(self.parts * emission.rows[k] + part * rows), out,
                 following,
             )  # fmt: skip
-        return _Branches(out, stride, first, least, most, found if sparse else None)
+        return Branches(out, stride, first, least, most, found if sparse else None)
 
     def _rows(self, count: int, stride: int, found: Sounding | None) -> tuple[Any, Any]:
         """Return memory for branch signals, and where they are to be written: where they sound, or did before."""
@@ -221,7 +234,7 @@ class OpenclEngine:
 
 
 @dataclass(frozen=True, slots=True)
-class _Branches:
+class Branches:
     """Branch signals on the device, and which delays they cover."""
 
     rows: Any
@@ -232,7 +245,7 @@ class _Branches:
     sounding: Sounding | None  # where it is worth leaving out what is silent
 
 
-class _Run:
+class Run:
     """Renders one batch of receivers over some segments of a chunk, choosing the block length for each."""
 
     def __init__(
@@ -240,7 +253,7 @@ class _Run:
         engine: OpenclEngine,
         source: int,
         slots: Slots,
-        branches: _Branches,
+        branches: Branches,
         pressure: Any,
         length: int,
         start: int,
@@ -253,7 +266,7 @@ class _Run:
         self._first_slot, self._row = engine._upload(slots.first_slot), engine._upload(slots.receiver)
         self._bounds = boundaries(self._plan, slots)
         self._first, self._last = first, last
-        begin, end = first * SEGMENT, min(last * SEGMENT, length)
+        begin, end = first * self._plan.segment, min(last * self._plan.segment, length)
         self._state: Any = engine._tracks.prepare(
             source, slots, self._bounds, start + begin, end - begin, branches.sounding, branches.first
         )
@@ -267,21 +280,23 @@ class _Run:
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
-        block = BLOCKS[level]
-        step = max(1, NODE_BUDGET // (_bytes_per_node(self._functions) * self._slots.count * (SEGMENT // block)))
+        plan, segment = self._plan, self._plan.segment
+        block = plan.blocks[level]
+        node = bytes_per_node(plan, self._source)
+        step = max(1, NODE_BUDGET // (node * self._slots.count * (segment // block)))
         for at in range(first, last, step):
             upto = min(at + step, last)
-            begin, end = at * SEGMENT, min(upto * SEGMENT, self._length)
+            begin, end = at * segment, min(upto * segment, self._length)
             nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
             self._check(nodes.shortest, nodes.longest)
             self._engine.note(self._source, self._slots.receiver, nodes.strongest, nodes.unheld)
             coarse = nodes.error > self._tolerance
-            coarse &= level + 1 < len(BLOCKS)
+            coarse &= level + 1 < len(plan.blocks)
             for a, b in _runs(coarse):
                 if coarse[a]:
                     self._cover(at + a, at + b, level + 1)
                 else:
-                    self._render(nodes, at + a, min((at + b) * SEGMENT, self._length), block, a * SEGMENT // block)
+                    self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
 
     def _check(self, shortest: float, longest: float) -> None:
         """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
@@ -298,7 +313,7 @@ class _Run:
         self._render_edges(nodes, segment, end, block, first_block)
         constants = engine._layout.constants(emission.bank.group, sparse=nodes.spans is not None)
         spans = nodes.delay if nodes.spans is None else nodes.spans
-        begin = segment * SEGMENT
+        begin = segment * self._plan.segment
         groups = (end - begin) // emission.bank.group
         size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
         counts = [len(bank.taps) for bank in emission.banks]
@@ -314,7 +329,7 @@ class _Run:
 
     def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
-        engine, slots, begin = self._engine, self._slots, segment * SEGMENT
+        engine, slots, begin = self._engine, self._slots, segment * self._plan.segment
         edges = find_edges(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
         if edges is None:
             return
@@ -352,14 +367,14 @@ def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip([0, *edges], [*edges, len(values)], strict=True))
 
 
-def _bytes_per_node(functions: int) -> int:
-    """Return the size of a block of a path: whole delay, and the cubics of its rest and of every gain."""
-    return 20 + 16 * functions
+def bytes_per_node(plan: Plan, source: int) -> int:
+    """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain."""
+    return 4 + 4 * plan.delay_terms + 16 * len(plan.emissions[source].basis)
 
 
-def _batches(active: list[Active], functions: int) -> list[list[Active]]:
-    """Cut groups into batches whose polynomials fit the budget for one segment at the shortest blocks."""
-    most = max(BATCH, NODE_BUDGET // (_bytes_per_node(functions) * (SEGMENT // BLOCKS[-1])))
+def _batches(active: list[Active], per_segment: int) -> list[list[Active]]:
+    """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path."""
+    most = max(BATCH, NODE_BUDGET // per_segment)
     batches: list[list[Active]] = []
     count = most
     for group in active:

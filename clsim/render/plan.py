@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,9 @@ from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
 from clsim.render.at_rest import NONE_AT_REST, AtRest, find_at_rest
+from clsim.render.baseband import Baseband, as_baseband, check_ends, segmented
 from clsim.render.emission import AT_CENTRE, DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
+from clsim.render.envelope import design_envelope
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.quiet import without_quiet
 from clsim.render.tracks import SceneTracks, Tracks, track
@@ -45,6 +48,24 @@ class Plan:
     device: str | None
     left_out: str = ""
     at_rest: AtRest = NONE_AT_REST
+    segment: int = SEGMENT
+    blocks: tuple[int, ...] = BLOCKS
+    baseband: Baseband | None = None  # of complex envelopes; None for sound as it is
+
+    @property
+    def delay_terms(self) -> int:
+        """Coefficients of the polynomial of a block's delay, 4 or 8; of the gains' it is always 4."""
+        return 4 if self.baseband is None else 8
+
+    @property
+    def sample_type(self) -> type[np.generic]:
+        """Type of the samples: float32, or complex64 in baseband."""
+        return np.float32 if self.baseband is None else np.complex64
+
+    @property
+    def carrier(self) -> float | None:
+        """That of complex envelopes, Hz; None for sound as it is."""
+        return None if self.baseband is None else self.baseband.carrier
 
     @property
     def duration(self) -> float:
@@ -68,13 +89,15 @@ class Plan:
         rows = max(int(e.rows[-1]) for e in self.emissions)
         functions = max(len(e.basis) for e in self.emissions)
         per_segment = (
-            (20 + 16 * functions)
-            * (SEGMENT // BLOCKS[-1])
+            (4 + 4 * self.delay_terms + 16 * functions)
+            * (self.segment // self.blocks[-1])
             * max((len(group) for group in self.tracks.groups), default=0)
         )
         nodes = max(NODE_BUDGET, per_segment)
         paths = self.path_count * 150
-        return int(4 * (rows + 1) * (self.chunk + span) + nodes + 8 * self.chunk * self.receiver_count + paths)
+        parts = 1 if self.baseband is None else 2
+        held = 4 * parts * ((rows + 1) * (self.chunk + span) + 2 * self.chunk * self.receiver_count)
+        return int(held + nodes + paths)
 
     @property
     def receiver_count(self) -> int:
@@ -110,15 +133,11 @@ class Plan:
             *([self.left_out] if self.left_out else []),
             *self.at_rest.describe(self.tracks),
         ]
+        if self.baseband is not None:
+            lines[1] += f"; complex envelopes of {self.baseband.bandwidth:g} Hz about {self.baseband.carrier:g} Hz"
         for i, e in enumerate(self.emissions):
-            if self.at_rest.holds(self.tracks, i):
-                continue
-            removed = "none" if np.isneginf(e.removed_db) else f"{e.removed_db:.0f} dB"
-            lines.append(
-                f"source {i}: filters of {len(e.bank.taps)} branches hold up to {e.band:.0f} Hz within "
-                f"{e.bank.error_db:.1f} dB; share of the signal above: {removed}"
-            )
-            lines.append(f"source {i}: {e.describe()}")
+            if not self.at_rest.holds(self.tracks, i):
+                lines += [f"source {i}: {e.describe_filters()}", f"source {i}: {e.describe()}"]
         for i, r in enumerate(self.receivers):
             if r.electronics is not None or r.transducer is not None:
                 name = "" if r.transducer is None else f"; transducer {r.transducer.name or 'without a name'}"
@@ -137,6 +156,7 @@ def plan_render(
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    baseband: Baseband | tuple[float, ...] | None = None,
     quietest_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
@@ -150,6 +170,8 @@ def plan_render(
     if isinstance(paths, PathSet) and paths.scene is not scene:
         raise InputError("paths", "must be those of the scene that is rendered, but belong to another one")
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+    if baseband is not None:
+        check_ends(scene)
     ringing = _check_receivers(scene, rate)
     tracks, left_out = track(paths, motion=motion, amplitude=amplitude, transition=transition), ""
     if quietest_db is not None:
@@ -164,6 +186,7 @@ def plan_render(
         starts=[source.start for source in scene.sources],
         interpolator=interpolator,
         response_error_db=response_error_db,
+        baseband=baseband,
         engine=engine,
         device=device,
         duration=duration,
@@ -182,6 +205,7 @@ def plan_tracks(
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    baseband: Baseband | tuple[float, ...] | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -207,7 +231,10 @@ def plan_tracks(
     if len(signals) != tracks.source_count:
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
-    samples = _samples(signals, starts, tracks, rate, duration, ringing)
+    wanted = None if baseband is None else as_baseband(baseband, rate)
+    design = design_emission if wanted is None else partial(design_envelope, baseband=wanted)
+    heard_at = rate if wanted is None else wanted.sampling_rate or rate
+    samples = _samples(signals, starts, tracks, heard_at, duration, ringing)
     if not isinstance(convolve_at_rest, bool | np.bool_):
         raise InputError("convolve_at_rest", f"must be true or false, but is {convolve_at_rest!r:.80}")
     still = NONE_AT_REST
@@ -216,13 +243,16 @@ def plan_tracks(
     # Matrices are small: threads of the linear algebra would wait for each other, the longer the busier the machine.
     with threadpool_limits(1, "blas"):
         emissions = tuple(
-            design_emission(
-                i, signal, start, tracks, interpolator=interpolator, until=samples / rate, sampling_rate=rate,
+            design(
+                i, signal, start, tracks, interpolator=interpolator, until=samples / heard_at, sampling_rate=rate,
                 response_error_db=response_error_db, exact=engine == "reference", at_rest=still.holds(tracks, i),
             )
             for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
         )  # fmt: skip
-    draft = Plan(tracks, emissions, interpolator, rate, samples, SEGMENT, engine, device, left_out, still)
+    draft = Plan(tracks, emissions, interpolator, heard_at, samples, SEGMENT, engine, device, left_out, still)
+    if wanted is not None:
+        segment, blocks = segmented(tracks, heard_at, draft.max_rate)
+        draft = replace(draft, segment=segment, blocks=blocks, baseband=wanted)
     return replace(draft, chunk=_chunk(draft, chunk))
 
 
@@ -270,13 +300,15 @@ def _samples(
 
 def _chunk(plan: Plan, chunk: int | None) -> int:
     """Return the chunk's length in whole segments: as asked, or long against the delays and small in memory."""
-    whole = math.ceil(plan.samples / SEGMENT)
+    segment = plan.segment
+    whole = math.ceil(plan.samples / segment)
     if chunk is not None:
-        return SEGMENT * min(whole, math.ceil(as_count("chunk", chunk, at_least=1) / SEGMENT))
+        return segment * min(whole, math.ceil(as_count("chunk", chunk, at_least=1) / segment))
     span = max(plan.longest_delay(s) for s in range(len(plan.emissions))) * plan.sampling_rate
-    wanted = math.ceil(4.0 * span / SEGMENT)
-    affordable = _PRESSURE_BUDGET // (4 * SEGMENT * plan.receiver_count)
-    return SEGMENT * max(1, min(whole, max(8, min(wanted, 48)), affordable))
+    wanted = math.ceil(4.0 * span / segment)
+    affordable = _PRESSURE_BUDGET // (4 * segment * plan.receiver_count)
+    least = 8 if plan.baseband is None else 48
+    return segment * max(1, min(whole, max(least, min(wanted, 48)), affordable))
 
 
 def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:

@@ -36,7 +36,7 @@ class Receiving:
         self._ends = {
             i: ReceiverEnd(receiver, plan.sampling_rate)
             for i, receiver in enumerate(plan.receivers)
-            if receiver.transducer is not None or receiver.electronics is not None
+            if plan.baseband is None and (receiver.transducer is not None or receiver.electronics is not None)
         }
         self._plan = plan
 
@@ -45,9 +45,9 @@ class Receiving:
         """Samples at each receiver that its converter clipped so far."""
         return tuple(self._ends[i].clipped if i in self._ends else 0 for i in range(self._plan.receiver_count))
 
-    def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[np.float32]:
+    def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[Any]:
         """Return what is recorded of pressure (receivers, n) in Pa from sample `start` on."""
-        out = np.array(pressure, dtype=np.float32)
+        out = np.array(pressure, dtype=self._plan.sample_type)
         for i, end in self._ends.items():
             out[i] = end(start, np.asarray(pressure[i], dtype=np.float64))
         return out

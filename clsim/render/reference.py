@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -12,7 +12,7 @@ from clsim.render.transition import heard
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
+    from clsim.arrays import Complexes, Floats
     from clsim.render.emission import Emission
     from clsim.render.plan import Plan
 
@@ -25,10 +25,10 @@ class ReferenceEngine:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
 
-    def render(self, start: int, stop: int) -> Floats:
-        """Return the pressure (receivers, stop - start) in Pa."""
+    def render(self, start: int, stop: int) -> Floats | Complexes:
+        """Return the pressure (receivers, stop - start) in Pa; in baseband its complex envelope."""
         plan = self._plan
-        pressure = np.zeros((plan.receiver_count, stop - start))
+        pressure = np.zeros((plan.receiver_count, stop - start), dtype=float if plan.baseband is None else complex)
         for i, group in enumerate(plan.tracks.groups):
             functions = len(plan.emissions[group.source].basis)
             step = min(max(_NUMBERS // (len(group) * functions), 256), 4096)
@@ -38,7 +38,7 @@ class ReferenceEngine:
         return pressure
 
 
-def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats:
+def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats | Complexes:
     """Return the sum of a group's paths over samples `first` to `last`, shape (n,)."""
     tracks, member = plan.tracks, plan.tracks.groups[group]
     emission = plan.emissions[member.source]
@@ -52,17 +52,20 @@ def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats:
     gain = np.where(weight > 0.0, gain, 0.0) * weight
     late = delay * plan.sampling_rate + emission.start * plan.sampling_rate - emission.bank.shift
     whole = np.rint(late)
-    return _sum_paths(plan, emission, np.arange(first, last) - whole.astype(np.int64), late - whole, gain)
+    weighted: Any = gain * emission.turned(late)
+    return _sum_paths(plan, emission, np.arange(first, last) - whole.astype(np.int64), late - whole, weighted)
 
 
-def _sum_paths(plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: Floats, gain: Floats) -> Floats:
+def _sum_paths(
+    plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: Floats, gain: Floats | Complexes
+) -> Floats | Complexes:
     """Apply taps and gains (K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
     length, centre = emission.bank.taps.shape[1], emission.bank.centre
-    total = np.zeros(emitted.shape[1])
+    total: Any = np.zeros(emitted.shape[1], dtype=gain.dtype)
     first = int(emitted.min()) + centre - length + 1
     streams = emission.streams(first, int(emitted.max()) + centre + 1)
     if not np.any(streams):
-        return total
+        return np.asarray(total)
     # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
     windows = sliding_window_view(streams, length, axis=1)
     for p in range(len(emitted)):
@@ -71,4 +74,4 @@ def _sum_paths(plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: F
             total += np.einsum(
                 "nk,fnk,fn->n", plan.interpolator.taps(emission.bank, mu[p]), seen, gain[:, p], optimize=True
             )
-    return total
+    return np.asarray(total)

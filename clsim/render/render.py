@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from clsim.arrays import as_count
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
 from clsim.render.at_rest import Convolution
+from clsim.render.baseband_opencl import BasebandEngine
 from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import Plan, plan_render, plan_tracks
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from clsim.paths.path_set import PathSet
     from clsim.recording import Recording
+    from clsim.render.baseband import Baseband
     from clsim.render.interpolator import Interpolator
     from clsim.scene.scene import Scene
     from clsim.scene.signal import Signal
@@ -40,6 +42,7 @@ def render(
     amplitude: str = "wave-equation",
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    baseband: Baseband | tuple[float, ...] | None = None,
     quietest_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
@@ -56,7 +59,7 @@ def render(
     paths : PathSet
         Its paths, from `find_paths`.
     sampling_rate : float
-        Of the recording, Hz; signals are brought to it.
+        Of the recording, Hz; signals are brought to it. In baseband that of the signals.
     interpolator : Lagrange, TruncatedLagrange or Bandlimited, optional
         The fractional-delay filter, ``Bandlimited(error_db=-90)`` when left out.
     motion : {"retarded", "quasi-static"}
@@ -69,6 +72,10 @@ def render(
     response_error_db : float or "centre"
         Bound on the error of each path's response over the signal's band (air, walls, beams), -120 to -20 dB relative
         to the strongest arrival. With "centre" they are what they are at the centre of the signal's band.
+    baseband : (carrier, bandwidth), optional
+        Render complex envelopes about a carrier, Hz, instead of the sound: what mixing it with
+        ``exp(-2 pi j carrier t)``, a low-pass and decimation would give, several times faster. The bandwidth, both
+        sides together, must hold signals and Doppler shifts; a third number chooses the sampling rate: see `Baseband`.
     quietest_db : float, optional
         Leave out paths that stay below this level, dB relative to the strongest arrival at the same receiver; the
         recording's notes tell how many, and a bound of what they add up to.
@@ -80,7 +87,7 @@ def render(
         Length of the recording, s. Left out: until all that was emitted has been heard, or until the first moving
         receiver's trajectory ends.
     chunk : int, optional
-        Samples that are held at a time, rounded up to whole segments of 18432.
+        Samples that are held at a time, rounded up to whole segments (of 18432 samples; in baseband of 32 blocks).
     convolve_at_rest : bool
         Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
         instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
@@ -88,7 +95,7 @@ def render(
     Returns
     -------
     Recording
-        Sound pressure in Pa, float32; volts of receivers with a transducer.
+        Sound pressure in Pa, float32; volts of receivers with a transducer; complex64 envelopes in baseband.
 
     Raises
     ------
@@ -121,8 +128,8 @@ def render(
     """
     plan = plan_render(
         scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
-        transition=transition, response_error_db=response_error_db, quietest_db=quietest_db, engine=engine,
-        device=device, duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
+        transition=transition, response_error_db=response_error_db, baseband=baseband, quietest_db=quietest_db,
+        engine=engine, device=device, duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
     )  # fmt: skip
     return _record(plan)
 
@@ -135,6 +142,7 @@ def render_tracks(
     starts: Sequence[float] | None = None,
     interpolator: Interpolator | None = None,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
+    baseband: Baseband | tuple[float, ...] | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
@@ -153,19 +161,20 @@ def render_tracks(
         Of the recording, Hz.
     starts : sequence of float, optional
         Time at which each signal begins, s; 0 when left out.
-    interpolator, response_error_db, engine, device, duration, chunk, convolve_at_rest
+    interpolator, response_error_db, baseband, engine, device, duration, chunk, convolve_at_rest
         As in `render`.
     """
     plan = plan_tracks(
         signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, response_error_db=response_error_db,
-        engine=engine, device=device, duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
+        baseband=baseband, engine=engine, device=device, duration=duration, chunk=chunk,
+        convolve_at_rest=convolve_at_rest,
     )  # fmt: skip
     return _record(plan)
 
 
 def render_chunks(
     plan: Plan, *, first: int = 0, receiving: Receiving | None = None
-) -> Iterator[tuple[int, NDArray[np.float32]]]:
+) -> Iterator[tuple[int, NDArray[Any]]]:
     """Yield the recording piece by piece, in bounded memory.
 
     Parameters
@@ -183,7 +192,7 @@ def render_chunks(
     start : int
         First sample of the piece.
     samples : ndarray (receivers, n) float32
-        Sound pressure in Pa, or V of receivers with a transducer: see ``plan.units``.
+        Sound pressure in Pa, or V of receivers with a transducer: see ``plan.units``. In baseband complex64.
 
     Raises
     ------
@@ -197,12 +206,12 @@ def render_chunks(
     receiving.warn()
 
 
-def _pieces(plan: Plan, receiving: Receiving, first: int = 0) -> Iterator[tuple[int, NDArray[np.float32]]]:
+def _pieces(plan: Plan, receiving: Receiving, first: int = 0) -> Iterator[tuple[int, NDArray[Any]]]:
     engine, convolution = _engine(plan), Convolution(plan)
     for start in range(first, plan.samples, plan.chunk):
         stop = min(start + plan.chunk, plan.samples)
         silence = (plan.receiver_count, stop - start)
-        pressure = np.zeros(silence, np.float32) if engine is None else engine.render(start, stop)
+        pressure = np.zeros(silence, plan.sample_type) if engine is None else engine.render(start, stop)
         convolution.add(pressure, start)
         yield start, receiving(start, pressure)
     if isinstance(engine, OpenclEngine):
@@ -216,13 +225,13 @@ def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine | None:
     if len(plan.at_rest.groups) == len(plan.tracks.groups):
         find_device(plan.device)  # a device that is not there is an error all the same
         return None
-    return OpenclEngine(plan)
+    return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
 
 
 def _record(plan: Plan) -> Recording:
     from clsim.recording import Recording
 
-    samples = np.empty((plan.receiver_count, plan.samples), dtype=np.float32)
+    samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)
     receiving = Receiving(plan)
     for start, piece in _pieces(plan, receiving):
         samples[:, start : start + piece.shape[1]] = piece
@@ -231,4 +240,4 @@ def _record(plan: Plan) -> Recording:
     paths = plan.tracks.paths if isinstance(plan.tracks, SceneTracks) else None
     notes = (*plan.describe(), *receiving.describe())
     names = plan.tracks.receiver_names
-    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiving.clipped)
+    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiving.clipped, plan.carrier)

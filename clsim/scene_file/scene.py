@@ -14,6 +14,7 @@ from pydantic import Discriminator, Field, Tag, ValidationError
 from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
+from clsim.render.baseband import Baseband
 from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.transition import DEFAULT_TRANSITION
@@ -147,6 +148,12 @@ class _Paths(Model):
     path_limit: int = DEFAULT_PATH_LIMIT
 
 
+class _Baseband(Model):
+    carrier: float
+    bandwidth: float
+    sampling_rate: float | None = None
+
+
 class _Render(Model):
     sampling_rate: float
     interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = _Bandlimited()
@@ -154,6 +161,7 @@ class _Render(Model):
     amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
     transition: float | Literal["gate"] = DEFAULT_TRANSITION
     response_error_db: float | Literal["centre"] = DEFAULT_RESPONSE_ERROR_DB
+    baseband: _Baseband | None = None
     quietest_db: float | None = None
     engine: Literal["opencl", "reference"] = "opencl"
     device: str | None = None
@@ -247,6 +255,8 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     scene = Scene(room, air, sources, receivers, model.min_distance)
     arguments = model.render.arguments()
     arguments["interpolator"] = within("render.interpolator", model.render.interpolator.build)
+    band = model.render.baseband
+    arguments["baseband"] = None if band is None else Baseband(band.carrier, band.bandwidth, band.sampling_rate)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)
 

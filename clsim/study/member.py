@@ -208,7 +208,7 @@ def _described(file: SceneFile, recording: Recording, study: Study, member: Memb
     text = completed_scene(file, study.base, duration=samples / recording.sampling_rate)
     stored = StoredSound(
         recording.receiver_names, recording.units, positions, recording.sampling_rate, samples, samples, text,
-        clsim.__version__,
+        clsim.__version__, recording.carrier,
     )  # fmt: skip
     content = stored.coordinates()
     content.attrs |= {"parameters": json.dumps(member.parameters), "sound": stored.sound_attributes}

@@ -1,0 +1,78 @@
+"""Pictures of complex envelopes: level over time and frequency off the carrier."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.output.atomic import atomic_path
+
+if TYPE_CHECKING:
+    import os
+
+    from numpy.typing import NDArray
+
+_RANGE_DB = 75.0  # shown below the loudest
+_COLUMNS = 1600  # of the picture at most
+_REFERENCE = 20e-6  # Pa, of the envelope's rms
+
+
+def envelope_spectrogram(
+    envelope: NDArray[np.complex64],
+    sampling_rate: float,
+    carrier: float,
+    path: str | os.PathLike[str],
+    *,
+    title: str,
+    segment: int | None = None,
+    shown: float | None = None,
+) -> None:
+    """Draw the level of a complex envelope over time and frequency off the carrier.
+
+    Parameters
+    ----------
+    envelope : ndarray (n,) complex
+        Pa.
+    sampling_rate, carrier : float
+        Hz.
+    path : path-like
+        Of the PNG.
+    title : str
+        Above the picture.
+    segment : int, optional
+        Samples of a window; 0.1 s when left out.
+    shown : float, optional
+        Frequencies off the carrier that are shown, Hz; all when left out.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from scipy.signal import ShortTimeFFT
+    from scipy.signal.windows import hann
+
+    length = min(segment or max(16, round(0.1 * sampling_rate)), max(16, len(envelope)))
+    hop = max(length // 8, math.ceil(len(envelope) / _COLUMNS), 1)
+    window = hann(length, sym=False)
+    size = 2 ** math.ceil(math.log2(2 * length))
+    transform = ShortTimeFFT(window / window.sum(), hop, sampling_rate, fft_mode="centered", mfft=size)
+    padded = np.pad(envelope, (0, max(0, length - len(envelope))))
+    spectrum = np.abs(transform.stft(padded)).astype(np.float32)
+    # The rms of a tone is its amplitude over the root of two.
+    level = 20.0 * np.log10(np.maximum(spectrum / math.sqrt(2.0), 1e-30) / _REFERENCE)
+    peak = float(level.max())
+    half, end = 0.5 * sampling_rate, len(envelope) / sampling_rate
+    figure = Figure(figsize=(10.0, 5.0), layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.imshow(
+        level, origin="lower", aspect="auto", cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
+        extent=(float(transform.t(len(padded))[0]), float(transform.t(len(padded))[-1]), -half, half),
+    )  # fmt: skip
+    axes.set(
+        xlabel="time (s)", ylabel=f"frequency - {carrier / 1e3:g} kHz (Hz)", title=title, xlim=(0.0, end),
+        ylim=(-(shown or half), shown or half),
+    )  # fmt: skip
+    figure.colorbar(image, pad=0.015, aspect=30).set_label("level (dB re 20 µPa)", fontsize=12)
+    FigureCanvasAgg(figure)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=130, format="png")

@@ -1,0 +1,200 @@
+"""Complex baseband: what is asked for, and what follows from it before anything is filtered."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from clsim.arrays import as_number
+from clsim.errors import ClsimWarning, InputError
+from clsim.scene.electronics import Electronics
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+    from clsim.render.tracks import Tracks
+    from clsim.scene.scene import Scene
+    from clsim.scene.signal import Signal
+
+_BLOCKS_IN_SEGMENT = 32
+GROUP = 8  # samples, the unit of blocks and of what is silent
+_WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
+_CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
+_LONGEST, _SHORTEST = 48e-3, 0.5e-3  # s, of blocks
+_DRIFT = 1.25  # samples by which a delay may change in a block
+_REFUSED_DB, _LOUD_DB = -40.0, -60.0  # shares of a signal's energy outside the band
+_RAMP = 6  # samples that a transition should take
+
+
+class Baseband(NamedTuple):
+    """A band about a carrier whose complex envelope is rendered, instead of the sound itself.
+
+    Attributes
+    ----------
+    carrier : float
+        Hz.
+    bandwidth : float
+        Width of the band about the carrier, both sides together, that holds what the receivers hear: the signals and
+        their Doppler shifts, Hz.
+    sampling_rate : float or None
+        Of the envelopes, Hz: the sampling rate of the signals over a whole number, and at least 1.25 times the
+        bandwidth. Left out: the lowest of these that is a whole number of Hz, and at least a 16th of the carrier.
+
+    Examples
+    --------
+    >>> as_baseband((40e3, 4e3), 192e3)
+    Baseband(carrier=40000.0, bandwidth=4000.0, sampling_rate=6000.0)
+    """
+
+    carrier: float
+    bandwidth: float
+    sampling_rate: float | None = None
+
+
+def as_baseband(value: object, rate: float) -> Baseband:
+    """Return what is asked for with its sampling rate, for signals of a sampling rate.
+
+    Raises
+    ------
+    InputError
+        If it is no carrier and bandwidth, the band does not fit between 0 Hz and half the rate, or the sampling rate
+        does not fit.
+    """
+    if not isinstance(value, tuple | list) or len(value) not in (2, 3):
+        raise InputError("baseband", f"must be a carrier and a bandwidth, Hz, but is {value!r:.80}")
+    carrier = as_number("baseband.carrier", value[0], above=0.0, below=0.5 * rate, unit="Hz")
+    most = min(carrier, rate - 2.0 * carrier)
+    bandwidth = as_number("baseband.bandwidth", value[1], above=0.0, unit="Hz")
+    if bandwidth > most:
+        raise InputError(
+            "baseband.bandwidth",
+            f"must be at most {most:g} Hz, for the band to lie between half the carrier of {carrier:g} Hz and half the "
+            f"sampling rate of {rate:g} Hz, but is {bandwidth:g} Hz",
+        )
+    least = bandwidth / _WIDEST
+    if len(value) == 3 and value[2] is not None:
+        return Baseband(carrier, bandwidth, _told_rate(value[2], rate, least))
+    return Baseband(carrier, bandwidth, rate / _decimation(rate, max(least, carrier / _CYCLES)))
+
+
+def _told_rate(value: object, rate: float, least: float) -> float:
+    field = "baseband.sampling_rate"
+    told = as_number(field, value, at_least=least, at_most=rate, unit="Hz")
+    every = round(rate / told)
+    if abs(rate / told - every) > 1e-9 * every:
+        near = ", ".join(f"{rate / n:.9g}" for n in (every + 1, every, every - 1) if n > 0 and rate / n >= least)
+        raise InputError(field, f"must be {rate:g} Hz over a whole number, such as {near} Hz, but is {told:g} Hz")
+    return rate / every
+
+
+def _decimation(rate: float, least: float) -> int:
+    """Return the largest whole number by which a rate can be divided; whole Hz go before a lower rate."""
+    most = max(1, math.floor(rate / least * (1.0 + 1e-12)))
+    whole = [n for n in range(most, (most + 1) // 2, -1) if (rate / n).is_integer()]
+    return whole[0] if whole else most
+
+
+def half_band(
+    index: int, signal: Signal, spectrum: tuple[Floats, Floats], baseband: Baseband, max_rate: float
+) -> tuple[float, float]:
+    """Return by how far an emitted frequency may lie off the carrier, Hz, and the signal's share beyond, dB.
+
+    Parameters
+    ----------
+    index : int
+        Of the signal, for messages.
+    signal : Signal
+        What is emitted.
+    spectrum : (ndarray (F,), ndarray (F,))
+        Its frequencies, Hz, and the energy at each.
+    baseband : Baseband
+        The band at the receivers.
+    max_rate : float
+        Fastest change of a delay, s/s.
+
+    Raises
+    ------
+    InputError
+        If the Doppler shift alone is wider than the band, or -40 dB or more of the signal's energy lie outside.
+
+    Notes
+    -----
+    An emitted frequency f is received within ``f (1 +- max_rate)``: all are within ``bandwidth / 2`` of the carrier if
+    ``|f - carrier| (1 + max_rate) <= bandwidth / 2 - carrier max_rate``.
+    """
+    carrier, bandwidth, _ = baseband
+    shift = carrier * max_rate
+    if 0.5 * bandwidth <= shift:
+        raise InputError(
+            "baseband.bandwidth",
+            f"must be above {2.0 * shift:.4g} Hz, twice the Doppler shift of the carrier by source {index} at up to "
+            f"{max_rate:.3g} s/s, but is {bandwidth:g} Hz",
+        )
+    half = (0.5 * bandwidth - shift) / (1.0 + max_rate)
+    frequencies, energy = spectrum
+    total = float(energy.sum())
+    share = float(energy[np.abs(frequencies - carrier) > half].sum()) / total if total > 0.0 else 0.0
+    outside_db = 10.0 * math.log10(share) if share > 0.0 else -math.inf
+    told = (
+        f"{outside_db:.0f} dB of the energy of signals[{index}] lies outside {carrier - half:.0f} to "
+        f"{carrier + half:.0f} Hz, the bandwidth of {bandwidth:g} Hz less Doppler shifts of up to {shift:.0f} Hz"
+    )
+    if outside_db > _REFUSED_DB:
+        low, high = signal.band()
+        raise InputError(
+            "baseband",
+            f"must hold the signals but for {_REFUSED_DB:g} dB of their energy, but {told}; 99 % of it lies between "
+            f"{low:.0f} and {high:.0f} Hz",
+        )
+    if outside_db > _LOUD_DB:
+        warnings.warn(f"baseband: {told}, and is removed; widen it, or fade the signal", ClsimWarning, stacklevel=6)
+    return half, outside_db
+
+
+def blocks_of(sampling_rate: float, max_rate: float) -> tuple[int, ...]:
+    """Return the lengths of blocks, in samples, from the longest: as long as motion and 48 ms allow."""
+    longest = max(GROUP, min(_LONGEST * sampling_rate, _DRIFT / max(max_rate, 1e-12)))
+    shortest = max(GROUP, min(_SHORTEST * sampling_rate, longest))
+    count = 1 + math.floor(math.log2(longest / GROUP))
+    blocks = [GROUP * 2**k for k in range(count)]
+    return tuple(b for b in reversed(blocks) if b >= shortest or b == blocks[-1])
+
+
+def check_ends(scene: Scene) -> None:
+    """Refuse receivers whose transducer or electronics work on the sound itself.
+
+    Raises
+    ------
+    InputError
+        If one has a transducer, or electronics beyond a clock.
+    """
+    for i, receiver in enumerate(scene.receivers):
+        if receiver.transducer is not None:
+            raise InputError(
+                f"receivers[{i}].transducer",
+                "must be left out in baseband, where complex sound pressure is rendered; render without baseband",
+            )
+        ends = receiver.electronics
+        if ends is not None and replace(ends, clock_ppm=0.0, clock_offset=0.0) != Electronics():
+            raise InputError(
+                f"receivers[{i}].electronics",
+                "must be no more than a clock in baseband: noise, cuts, gain and converter work on the sound itself; "
+                "render without baseband",
+            )
+
+
+def segmented(tracks: Tracks, sampling_rate: float, max_rate: float) -> tuple[int, tuple[int, ...]]:
+    """Return the lengths of segments and blocks, samples; warn where paths begin or end faster than envelopes can."""
+    samples = tracks.transition * sampling_rate
+    if samples < _RAMP and not all(group.always_heard for group in tracks.groups):
+        warnings.warn(
+            f"transition: paths begin and end within {samples:.1f} samples of the envelopes at {sampling_rate:g} Hz, "
+            f"which aliases; {_RAMP / sampling_rate:.2g} s or more does not",
+            ClsimWarning,
+            stacklevel=5,
+        )
+    blocks = blocks_of(sampling_rate, max_rate)
+    return _BLOCKS_IN_SEGMENT * blocks[0], blocks

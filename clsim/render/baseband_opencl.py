@@ -1,0 +1,130 @@
+"""The OpenCL engine for complex envelopes: the same tracks and branch signals, another sum over paths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.render.edges import find_edges
+from clsim.render.envelope import EnvelopeEmission
+from clsim.render.opencl import OpenclEngine, Run
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_VECTORS = 2  # of samples in a work-item, where blocks are long enough
+_MANY = 6  # segments, from which on it pays to look at three of them first
+
+
+class BasebandEngine(OpenclEngine):
+    """Carries out a plan of complex envelopes on an OpenCL device."""
+
+    parts = 2
+
+    @property
+    def run(self) -> type[Run]:
+        """What renders a batch of receivers."""
+        return _BasebandRun
+
+    def render(self, start: int, stop: int) -> NDArray[Any]:
+        """Return the envelopes (receivers, stop - start) in Pa, complex64; `start` is a whole number of segments."""
+        rows = super().render(start, stop)
+        out = np.empty((len(rows) // 2, rows.shape[1]), dtype=np.complex64)
+        out.real, out.imag = rows[::2], rows[1::2]
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Launch:
+    """What both kernels take alike."""
+
+    constants: dict[str, int]
+    branches: tuple[Any, ...]
+    envelope: tuple[Any, ...]
+
+
+class _BasebandRun(Run):
+    """Renders one batch of receivers over some segments of a chunk."""
+
+    def render(self) -> None:
+        """Add what is heard to the envelopes on the device, beginning with blocks that may do."""
+        self._cover(self._first, self._last, self._first_level())
+
+    def _first_level(self) -> int:
+        """Return the longest blocks that are short enough for one segment of three, where there are many."""
+        plan, count = self._plan, self._last - self._first
+        if count < _MANY:
+            return 0
+        looked_at = sorted({self._first, self._first + count // 2, self._last - 1})
+        for level, block in enumerate(plan.blocks[:-1]):
+            for at in looked_at:
+                begin, end = at * plan.segment, min((at + 1) * plan.segment, self._length)
+                nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
+                if nodes.error.max() <= self._tolerance:
+                    return level
+        return len(plan.blocks) - 1
+
+    def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        engine, begin = self._engine, segment * self._plan.segment
+        self._render_edges(nodes, segment, end, block, first_block)
+        lanes = engine._layout.lanes
+        vectors = _VECTORS if lanes > 1 and block % (_VECTORS * lanes) == 0 else 1
+        size = ((end - begin) // (vectors * lanes), len(self._slots.groups))
+        launch = self._launch(nodes, begin, block, first_block)
+        kernel = engine._compiler.kernel(
+            "baseband",
+            launch.constants | {"VECTORS": vectors, "SPARSE": int(nodes.spans is not None)},
+        )
+        kernel(
+            engine._queue, size, None, *launch.branches[:6], self._first_slot, *launch.branches[6:], self._row,
+            *launch.envelope, nodes.delay if nodes.spans is None else nodes.spans,
+        )  # fmt: skip
+
+    def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        """Render the blocks in which paths begin or end, and take them out of the polynomials."""
+        engine, begin = self._engine, segment * self._plan.segment
+        edges = find_edges(self._bounds, self._slots, self._start + begin, block, -(-(end - begin) // block))
+        if edges is None:
+            return
+        launch, ramp = self._launch(nodes, begin, block, first_block), self._bounds.ramp
+        slot = engine._upload(edges.slot)
+        columns = (edges.start, edges.end, edges.first, edges.row, edges.at)
+        kernel = engine._compiler.kernel("baseband_edges", launch.constants | {"LANES": 1})
+        kernel(
+            engine._queue, (block, len(edges.row)), None, *launch.branches,
+            np.float32(1.0 / ramp if ramp else 0.0), slot, *(engine._upload(column) for column in columns),
+            *launch.envelope, np.int32(end - begin), np.int32(nodes.spans is not None),
+            nodes.delay if nodes.spans is None else nodes.spans,
+        )  # fmt: skip
+        at = engine._upload(edges.block + np.int32(first_block))
+        mute = engine._compiler.kernel("mute", {"DELAY_TERMS": self._plan.delay_terms})
+        mute(
+            engine._queue, (len(edges.slot),), None, slot, at, np.int32(self._functions), nodes.cubics,
+            np.int32(self._slots.count),
+        )  # fmt: skip
+
+    def _launch(self, nodes: Any, begin: int, block: int, first_block: int) -> _Launch:
+        emission = self._plan.emissions[self._source]
+        assert isinstance(emission, EnvelopeEmission)
+        constants = {
+            "LANES": self._engine._layout.lanes,
+            "DELAY_TERMS": self._plan.delay_terms,
+            "FUNCTIONS": self._functions,
+            "GROUP": emission.bank.group,
+        }
+        turn = round(emission.mixer.turn * 2**64) % 2**64
+        return _Launch(
+            constants,
+            (
+                self._branches.rows, np.int32(self._branches.stride),
+                self._engine._upload(emission.rows.astype(np.int32)),
+                np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics,
+                np.int32(self._slots.count), np.int32(block), np.int32(first_block),
+            ),
+            (
+                self._pressure, np.int32(self._length), np.int32(begin), np.uint64(turn),
+                np.float32(2.0 * emission.cycles),
+            ),
+        )  # fmt: skip

@@ -1,0 +1,224 @@
+"""Complex envelopes of emitted signals, and the filters that delay them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.interpolation import design_bandlimited
+from clsim.errors import InputError
+from clsim.paths.impulse_response import ImpulseResponse
+from clsim.render.baseband import GROUP, blocks_of, half_band
+from clsim.render.emission import Emission, basis_of, check_response_error
+from clsim.render.interpolator import Bandlimited, Bank
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.render.baseband import Baseband
+    from clsim.render.interpolator import Interpolator
+    from clsim.render.tracks import Tracks
+    from clsim.scene.signal import Signal
+
+_MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
+_NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
+_ROWS = 8192  # samples of envelopes made at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixer:
+    """Mixes sound down, low-passes it, applies filters, and keeps every so many-th sample.
+
+    Attributes
+    ----------
+    every : int
+        Samples of the sound in one of the envelope.
+    turn : Fraction
+        Part of a turn of the carrier in one sample of the envelope beyond whole ones.
+    reach : int
+        Samples of the envelope that are looked at to either side.
+    taps : ndarray (every, K 2 reach 2)
+        By filter, sample of the envelope, and real and imaginary part.
+    """
+
+    every: int
+    turn: Fraction
+    reach: int
+    taps: Floats
+
+    def __call__(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
+        """Return samples `first` to `last` of the envelope through each filter, (K, n).
+
+        `read` returns the samples of the sound from one to another.
+        """
+        pieces = [self._made(read, start, min(start + _ROWS, last)) for start in range(first, last, _ROWS)]
+        return np.concatenate(pieces, axis=1)
+
+    def _made(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
+        count, span = last - first, 2 * self.reach
+        filters = self.taps.shape[1] // (2 * span)
+        sound = read((first - self.reach) * self.every, (last + self.reach) * self.every)
+        out = np.zeros((filters, count), dtype=np.complex128)
+        if not np.any(sound):
+            return out
+        parts = (sound.reshape(-1, self.every) @ self.taps).view(np.complex128).reshape(-1, filters, span)
+        for j in range(span):
+            out += parts[j : j + count, :, j].T
+        whole = first * self.turn % 1  # exact, however late
+        cycles = float(whole) + float(self.turn) * np.arange(count)
+        return np.asarray(out * np.exp(-2j * math.pi * cycles))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnvelopeEmission(Emission):
+    """One source's complex envelope and the filters for it; what is removed lies outside the band on either side.
+
+    Attributes
+    ----------
+    carrier : float
+        Hz.
+    half : float
+        Frequencies off the carrier that are held, Hz.
+    mixer : Mixer
+        Applies the functions of the basis.
+    plain : Mixer
+        Applies none.
+    """
+
+    carrier: float
+    half: float
+    mixer: Mixer
+    plain: Mixer
+
+    @property
+    def cycles(self) -> float:
+        """Of the carrier in one sample of the envelope."""
+        return self.carrier * self.mixer.every / self.signal.sampling_rate
+
+    @property
+    def held(self) -> tuple[float, float]:
+        """Frequencies between which sound is not removed on purpose, Hz."""
+        return self.carrier - self.half, self.carrier + self.half
+
+    def streams(self, first: int, last: int) -> NDArray[Any]:
+        """Return samples `first` to `last` of the envelope through each function of the basis, (K, n) complex."""
+        return self.mixer(self.signal.read, first, last)
+
+    def sounding(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
+        """Return where samples `first` to `last` of those streams sound, from `first` on, (n,), and these (K, n)."""
+        streams = self.streams(first, last)
+        places = np.flatnonzero(np.any(streams != 0.0, axis=0))
+        return places, streams[:, places]
+
+    def emitted(self, first: int, last: int) -> NDArray[Any]:
+        """Return samples `first` to `last` of the envelope, (n,) complex."""
+        return np.asarray(self.plain(self.signal.read, first, last)[0])
+
+    def acting(self, response: ImpulseResponse) -> ImpulseResponse:
+        """Return an impulse response at the signal's sampling rate as it acts on the envelope, at that one's rate.
+
+        Both are made alike: where the low-pass is flat, the spectrum of a response's envelope is twice the response
+        about the carrier, over the samples of sound in one of the envelope.
+        """
+        every, reach = self.plain.every, self.plain.reach
+        first, last = response.first // every - reach, response.last // every + reach + 1
+        return ImpulseResponse(first, 0.5 * every * self.plain(response.read, first, last)[0])
+
+    def turned(self, late: Floats) -> Complexes:
+        """Return the carrier's phase ``exp(-2 pi j carrier delay)`` of delays (P, n), samples of the envelope."""
+        return np.asarray(np.exp(-2j * math.pi * self.cycles * late))
+
+    def describe_filters(self) -> str:
+        """Return how delays are carried."""
+        removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
+        return (
+            f"filters of {len(self.bank.taps)} branches hold {self.half:.0f} Hz on either side of "
+            f"{self.carrier:.0f} Hz within {self.bank.error_db:.1f} dB; share of the signal outside: {removed}"
+        )
+
+
+def design_envelope(
+    index: int,
+    signal: Signal,
+    start: float,
+    tracks: Tracks,
+    *,
+    baseband: Baseband,
+    interpolator: Interpolator,
+    until: float,
+    sampling_rate: float,
+    response_error_db: float | str,
+    exact: bool,
+    at_rest: bool = False,
+) -> EnvelopeEmission:
+    """Return a source's complex envelope, with filters for its band and for how its paths move.
+
+    Parameters
+    ----------
+    index, signal, start, tracks, interpolator, until, response_error_db, exact, at_rest
+        As of `design_emission`.
+    baseband : Baseband
+        With its sampling rate.
+    sampling_rate : float
+        Of the sound of which the envelope is made, Hz.
+
+    Raises
+    ------
+    InputError
+        If the signal does not lie in the band, the interpolator is none of `Bandlimited`, or as in `design_emission`.
+    """
+    if not isinstance(interpolator, Bandlimited):
+        raise InputError("interpolator", f"must be Bandlimited in baseband, but is {interpolator!r:.80}")
+    check_response_error(response_error_db)
+    signal, max_rate = signal.at_rate(sampling_rate), tracks.max_rate(index)
+    spectrum = signal.energy_spectrum()
+    half, removed_db = half_band(index, signal, spectrum, baseband, max_rate)
+    low, high = baseband.carrier - half, baseband.carrier + half
+    basis = basis_of(
+        index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact, at_rest, least=low
+    )
+    rate = baseband.sampling_rate or 0.0
+    edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
+    edge = math.ceil(edge * 64) / 64
+    mu_max = math.ceil((0.52 + 0.5 * blocks_of(rate, max_rate)[0] * max_rate) * 32) / 32
+    taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max)
+    bank = Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, GROUP, reached)
+    banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
+    every = round(sampling_rate / rate)
+    mixer, plain = (
+        _mixer(sampling_rate, every, baseband.carrier, half, filters, interpolator.error_db)
+        for filters in (basis.filters, np.ones((1, 1)))
+    )
+    highest = baseband.carrier + 0.5 * baseband.bandwidth
+    return EnvelopeEmission(signal, start, banks, basis, highest, removed_db, baseband.carrier, half, mixer, plain)
+
+
+def _mixer(rate: float, every: int, carrier: float, half: float, filters: Floats, error_db: float) -> Mixer:
+    """Return the mixer from sound at a rate, Hz, with filters (K, L) of odd length about their middle tap.
+
+    A low-pass by the window method (Kaiser) that passes `half` Hz and stops what would be folded onto them, or is the
+    image of the carrier; the window makes both ripples equal.
+    """
+    from scipy.signal import firwin, kaiserord
+
+    stop = min(rate / every, 2.0 * carrier) - half
+    length, beta = kaiserord(-error_db + _MARGIN_DB, (stop - half) / (0.5 * rate))
+    length += 1 - length % 2
+    # Twice, for half of a real signal is on the carrier's negative side.
+    low_pass = 2.0 * firwin(length, 0.5 * (stop + half), window=("kaiser", beta), fs=rate)
+    mixed = low_pass * np.exp(-2j * math.pi * (carrier / rate) * (np.arange(length) - length // 2))
+    taps = np.stack([np.convolve(f[::-1], mixed) for f in filters])
+    most = taps.shape[1] // 2
+    reach = most // every + 1
+    padded = np.zeros((len(taps), 2 * reach * every), dtype=np.complex128)
+    padded[:, reach * every - most : reach * every + most + 1] = taps
+    by_sample = padded.reshape(len(taps), 2 * reach, every).transpose(2, 0, 1)
+    turn = Fraction(carrier) * every / Fraction(rate) % 1
+    return Mixer(every, turn, reach, np.ascontiguousarray(by_sample).view(np.float64).reshape(every, -1))

@@ -1,0 +1,95 @@
+// Sum of all paths of one receiver as a complex envelope: each path's envelope, delayed, and turned by the carrier's
+// phase of the exact delay. Work-item: dimension 0 counts WIDTH = VECTORS * LANES samples, dimension 1 receivers.
+
+#define WIDTH (VECTORS * LANES)
+
+__kernel void baseband(__global const float* branches,  // [rows][stride], real rows of a function before imaginary ones
+                       int stride,
+                       __constant int* first_row,       // [FUNCTIONS + 1], of their branches; a real and an imaginary row each
+                       int lead,                        // sample of `branches` emitted at the run's first sample
+                       __global const int* delay,       // [block][slots], whole samples
+                       __global const float* nodes,     // as in nodes.h, on [-1, 1]
+                       __global const int* first_slot,  // [receivers + 1]
+                       int slots,
+                       int block_samples,
+                       int first_block,                 // of `delay` and `nodes`, at the run's first sample
+                       __global const int* envelope_row,  // [receivers]
+                       __global float* envelope,        // [2 rows][envelope_stride], real and imaginary, added to
+                       int envelope_stride,
+                       int first_sample,                // of `envelope`, at the run's first sample
+                       ulong turn_per_sample,           // of the carrier; one turn is 2^64
+                       float half_turns_per_sample,
+                       __global const int* spans)       // [block][slots]: groups that are heard, as in silence.h
+{
+    const int at = get_global_id(0) * WIDTH, receiver = get_global_id(1);
+    const int block = at / block_samples, inside = at - block * block_samples;
+    const long row = first_block + block;
+    vec t[VECTORS], real_sum[VECTORS], imaginary_sum[VECTORS];
+    for (int j = 0; j < VECTORS; j++) {
+        t[j] = (RAMP + (float)(inside + j * LANES)) * (2.0f / (float)block_samples) - 1.0f;
+        real_sum[j] = imaginary_sum[j] = 0.0f;
+    }
+    for (int slot = first_slot[receiver]; slot < first_slot[receiver + 1]; slot++) {
+#if SPARSE
+        const int heard = spans[row * slots + slot];
+        if ((inside + WIDTH - 1) / GROUP < (heard & 0xffff) || inside / GROUP >= heard >> 16) continue;
+#endif
+        const int whole = delay[row * slots + slot];
+        const float begin = whole_turn(whole, turn_per_sample);
+        __global const float* c = nodes + row * coefficients(FUNCTIONS) * slots + slot;
+        vec mu[VECTORS], real[VECTORS], imaginary[VECTORS];
+#pragma unroll
+        for (int j = 0; j < VECTORS; j++) {
+            mu[j] = c[(DELAY_TERMS - 1) * slots];
+            real[j] = imaginary[j] = 0.0f;
+        }
+#pragma unroll
+        for (int i = DELAY_TERMS - 2; i >= 0; i--) {
+            const float term = c[i * slots];
+#pragma unroll
+            for (int j = 0; j < VECTORS; j++) mu[j] = mu[j] * t[j] + term;
+        }
+        for (int k = 0; k < FUNCTIONS; k++) {
+            const int count = first_row[k + 1] - first_row[k];
+            __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
+            __global const float* y = x + count * (long)stride;
+            __global const float* g = c + coefficients(k) * slots;
+            const float g0 = g[0], g1 = g[slots], g2 = g[2 * slots], g3 = g[3 * slots];
+            vec a[VECTORS], b[VECTORS];
+#pragma unroll
+            for (int j = 0; j < VECTORS; j++) {
+                a[j] = LOAD(x + j * LANES);
+                b[j] = LOAD(y + j * LANES);
+            }
+            for (int q = 1; q < count; q++) {
+                x -= stride;
+                y -= stride;
+#pragma unroll
+                for (int j = 0; j < VECTORS; j++) {
+                    a[j] = a[j] * mu[j] + LOAD(x + j * LANES);
+                    b[j] = b[j] * mu[j] + LOAD(y + j * LANES);
+                }
+            }
+#pragma unroll
+            for (int j = 0; j < VECTORS; j++) {
+                const vec gain = g0 + t[j] * (g1 + t[j] * (g2 + t[j] * g3));
+                real[j] += gain * a[j];
+                imaginary[j] += gain * b[j];
+            }
+        }
+#pragma unroll
+        for (int j = 0; j < VECTORS; j++) {
+            vec cosine, sine;
+            half_turns(mu[j] * half_turns_per_sample + begin, &cosine, &sine);
+            real_sum[j] += real[j] * cosine + imaginary[j] * sine;
+            imaginary_sum[j] += imaginary[j] * cosine - real[j] * sine;
+        }
+    }
+    __global float* out = envelope + 2 * envelope_row[receiver] * (long)envelope_stride + first_sample + at;
+    for (int j = 0; j < VECTORS; j++) {
+        __global loose_vec* re = (__global loose_vec*)(out + j * LANES);
+        __global loose_vec* im = (__global loose_vec*)(out + envelope_stride + j * LANES);
+        *re = *re + real_sum[j];
+        *im = *im + imaginary_sum[j];
+    }
+}

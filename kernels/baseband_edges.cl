@@ -1,0 +1,51 @@
+// Adds the envelopes of paths that begin or end within a block, sample by sample, with a weight that rises and falls.
+// Work-item: dimension 0 counts the samples of a block, dimension 1 the places: a receiver and one of its blocks each.
+
+__kernel void baseband_edges(
+    __global const float* branches, int stride, __constant int* first_row, int lead, __global const int* delay,
+    __global const float* nodes, int slots, int block_samples, int first_block,  // as in baseband.cl
+    float per_ramp,                  // 1 / samples of a transition; 0 for a gate
+    __global const int* slot_of, __global const float* start, __global const float* end,  // [edges]
+    __global const int* first,       // [places + 1]
+    __global const int* row, __global const int* block,  // [places]
+    __global float* envelope, int envelope_stride, int first_sample, ulong turn_per_sample, float half_turns_per_sample,
+    int samples,                     // in the run
+    int sparse, __global const int* spans)
+{
+    const int n = get_global_id(0), place = get_global_id(1), at = block[place] * block_samples + n;
+    if (at >= samples) return;
+    const float t = (float)(2 * n) / (float)block_samples - 1.0f;
+    float real_sum = 0.0f, imaginary_sum = 0.0f;
+    for (int e = first[place]; e < first[place + 1]; e++) {
+        const int slot = slot_of[e];
+        const long node = first_block + block[place];
+        if (sparse && spans[node * slots + slot] == 0) continue;
+        __global const float* c = nodes + node * coefficients(FUNCTIONS) * slots + slot;
+        float both = weight((float)n - start[e], per_ramp);
+        both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[e], 0.0f) : weight(end[e] - (float)n, per_ramp);
+        if (both == 0.0f) continue;
+        const int whole = delay[node * slots + slot];
+        float mu = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
+        for (int i = DELAY_TERMS - 1; i >= 0; i--) mu = mu * t + c[i * slots];
+        for (int k = 0; k < FUNCTIONS; k++) {
+            const int count = first_row[k + 1] - first_row[k];
+            __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
+            __global const float* y = x + count * (long)stride;
+            __global const float* g = c + coefficients(k) * slots;
+            const float gain = g[0] + t * (g[slots] + t * (g[2 * slots] + t * g[3 * slots]));
+            float a = *x, b = *y;
+            for (int q = 1; q < count; q++) {
+                a = a * mu + *(x -= stride);
+                b = b * mu + *(y -= stride);
+            }
+            real += gain * a;
+            imaginary += gain * b;
+        }
+        half_turns(mu * half_turns_per_sample + whole_turn(whole, turn_per_sample), &cosine, &sine);
+        real_sum += both * (real * cosine + imaginary * sine);
+        imaginary_sum += both * (imaginary * cosine - real * sine);
+    }
+    __global float* out = envelope + 2 * row[place] * (long)envelope_stride + first_sample + at;
+    out[0] += real_sum;
+    out[envelope_stride] += imaginary_sum;
+}

@@ -1,0 +1,157 @@
+"""The OpenCL engine for complex envelopes against the reference engine, and kernels with one thing wrong."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.opencl import device as device_module
+from clsim.render import opencl as opencl_module
+from clsim.render.baseband_opencl import BasebandEngine
+from clsim.render.opencl import GPU_LAYOUT
+from clsim.render.plan import Plan, plan_render
+from clsim.render.reference import ReferenceEngine
+
+pytestmark = pytest.mark.usefixtures("device")
+RATE, BAND = 192e3, (40e3, 4.8e3)
+SAMPLES = 1800  # of the envelope, at 6 kHz
+# Phases in float32 and block polynomials within -96 dB of the strongest path: measured -108 dB and better.
+TOLERANCE_DB = -100.0
+
+
+def pulses() -> clsim.Signal:
+    return clsim.Signal.pulses(clsim.Signal.chirp(39.8e3, 40.2e3, 0.012, RATE, window="hann"), 0.06, 5)
+
+
+def plan(order: int = 2, signal: clsim.Signal | None = None, **options) -> Plan:
+    """Return the plan of a scene in which all moves, walls depend on frequency and a clock is fast."""
+
+    def trajectory(centre: np.ndarray, phase: float) -> clsim.Trajectory:
+        def place(t: np.ndarray) -> np.ndarray:
+            return centre + 0.3 * np.sin(2 * np.pi * np.array([2.0, 1.7, 1.3]) * t[:, None] + phase)
+
+        return clsim.Trajectory.sampled(place, 0.5, 500.0)
+
+    walls = [clsim.Material.from_reflection(f) for f in (0.9, -0.8, 0.7, 0.6, -0.5, 0.8)]
+    walls[0] = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
+    signal = signal or clsim.Signal.chirp(39.3e3, 40.7e3, 0.3, RATE, window="tukey")
+    scene = clsim.Scene(
+        clsim.Shoebox((6, 5, 4), walls), clsim.Air(),
+        [clsim.Source("s", signal, trajectory(np.array([2.0, 2.5, 2.0]), 0.3), clsim.Piston(0.004), aim=(1, 0.3, -0.2), start=1.234e-3)],
+        [clsim.Receiver("r", trajectory(np.array([4.2, 2.4, 2.1]), 1.9), clsim.Cardioid(0.4), aim=(-0.8, 0.1, 0.4), electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=2e-3))],
+    )  # fmt: skip
+    paths = clsim.find_paths(scene, order)
+    if options.pop("partly", False):
+        k = np.arange(len(paths))
+        start, end = np.where(k % 3 == 1, 0.04 + 7.3e-3 * k, -np.inf), np.where(k % 3 == 2, 0.06 + 8.7e-3 * k, np.inf)
+        paths = dataclasses.replace(paths, start=start, end=end)
+    return plan_render(
+        scene, paths, RATE, **{"duration": SAMPLES / 6e3, "response_error_db": -110.0, "baseband": BAND} | options
+    )
+
+
+def apart_db(got: np.ndarray, wanted: np.ndarray) -> float:
+    if not np.all(np.isfinite(got)):
+        return np.inf
+    return float(20 * np.log10(np.linalg.norm(got - wanted) / np.linalg.norm(wanted) + 1e-15))
+
+
+@pytest.fixture(scope="module")
+def made() -> Plan:
+    return plan()
+
+
+@pytest.fixture(scope="module")
+def wanted(made: Plan) -> np.ndarray:
+    return ReferenceEngine(made).render(0, made.samples)
+
+
+def test_engines_agree(made: Plan, wanted: np.ndarray) -> None:
+    assert len(made.emissions[0].basis) > 1
+    assert apart_db(BasebandEngine(made).render(0, made.samples), wanted) < TOLERANCE_DB
+
+
+def test_a_beacon_is_held_as_asked_without_a_warning() -> None:
+    tone = clsim.Signal.tone(40e3, 0.3, RATE, fade=0.1)
+    beacon = plan(1, tone, response_error_db=-80.0)
+    got = clsim.render(beacon.tracks.scene, beacon.tracks.paths, RATE, baseband=BAND, duration=SAMPLES / 6e3)
+    assert apart_db(got.samples, ReferenceEngine(beacon).render(0, SAMPLES)) < -80.0
+
+
+def test_layout_for_gpus_gives_the_same(made: Plan, wanted: np.ndarray) -> None:
+    assert apart_db(BasebandEngine(made, GPU_LAYOUT).render(0, made.samples), wanted) < TOLERANCE_DB
+
+
+def test_host_tracks_give_the_same(made: Plan, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = device_module.find_device
+
+    def without_float64(wanted_device):
+        info, handle = found(wanted_device)
+        return dataclasses.replace(info, fp64=False), handle
+
+    monkeypatch.setattr(opencl_module, "find_device", without_float64)
+    assert apart_db(BasebandEngine(made).render(0, made.samples), wanted) < TOLERANCE_DB
+
+
+@pytest.mark.parametrize("chunk", [1, 3000])
+def test_chunks_change_nothing(engine: str, chunk: int) -> None:
+    whole, parts = (
+        clsim.render(p.tracks.scene, p.tracks.paths, RATE, baseband=BAND, engine=engine, duration=0.49, chunk=c).samples
+        for p, c in [(plan(1), n) for n in (10**9, chunk)]
+    )
+    assert apart_db(parts, whole) < -120.0
+
+
+def test_silence_changes_nothing() -> None:
+    train = plan(signal=pulses())
+    engine = BasebandEngine(train)
+    sparse = engine.render(0, train.samples)
+    engine.skips_silence = False
+    assert np.array_equal(sparse, engine.render(0, train.samples))
+    assert apart_db(sparse, ReferenceEngine(train).render(0, train.samples)) < TOLERANCE_DB
+
+
+@pytest.mark.parametrize("transition", [5e-3, "gate"])
+@pytest.mark.parametrize("sparse", [False, True])
+@pytest.mark.filterwarnings("ignore:transition")
+def test_paths_that_begin_and_end(transition: float | str, sparse: bool) -> None:
+    edges = plan(partly=True, transition=transition, signal=pulses() if sparse else None)
+    got, exact = (e(edges).render(0, edges.samples) for e in (BasebandEngine, ReferenceEngine))
+    assert apart_db(got, exact) < TOLERANCE_DB + 3.0  # fewer paths at a time, errors relative to the strongest
+
+
+MUTANTS = {
+    "carrier's sign": ("baseband", "imaginary[j] * cosine - real[j] * sine", "imaginary[j] * cosine + real[j] * sine"),
+    "real part's sign": ("baseband", "real[j] * cosine + imaginary[j] * sine", "real[j] * cosine - imaginary[j] * sine"),
+    "whole turns": ("baseband", "half_turns_per_sample + begin", "half_turns_per_sample"),
+    "turn of a delay off by one": ("baseband", "begin = whole_turn(whole,", "begin = whole_turn(whole + 1,"),
+    "imaginary rows": ("baseband", "y = x + count * (long)stride", "y = x"),
+    "parity of half turns": ("baseband", "(nearest(x) & 1) << 31", "(nearest(x) & 2) << 30"),
+    "last term of the cosine": ("baseband", "(-1.331880173f + s * 0.2196968188f)", "(-1.331880173f)"),
+    "last term of the sine": ("baseband", "(-0.5980451734f + s * 0.07722012749f)", "(-0.5980451734f)"),
+    "a sample late": ("baseband", "lead + at - whole", "lead + at - 1 - whole"),
+    "a branch skipped": ("baseband", "for (int q = 1; q < count", "for (int q = 2; q < count"),
+    "gain's slope": ("baseband", "g0 + t[j] * (g1", "g0 - t[j] * (g1"),
+    "place in the block": ("baseband", "(float)(inside + j * LANES)", "(float)(inside + j)"),
+    "another block's row": ("baseband", "row = first_block + block;", "row = first_block;"),
+    "term of the delay dropped": ("baseband", "i = DELAY_TERMS - 2; i >= 0", "i = DELAY_TERMS - 2; i >= 1"),
+    "septic's centre": ("tracks", "13.0 * s3 - 162.0 * t1", "13.0 * s3 + 162.0 * t1"),
+    "septic's slope": ("tracks", "5.0 * d3 - 162.0 * u1", "5.0 * d3 + 162.0 * u1"),
+    "septic's cubic term": ("tracks", "19.0 / 1152.0 * u3", "19.0 / 1052.0 * u3"),
+    "septic's fourth term": ("tracks", "11.0 / 384.0 * t3", "11.0 / 284.0 * t3"),
+    "whole samples from the start": ("tracks", "return (int)(whole + more)", "return (int)whole"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_mutants_are_caught(name: str, made: Plan, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    program, old, new = MUTANTS[name]
+    original = device_module.kernel_source
+    assert original(program).count(old) == 1
+
+    def mutated(asked: str) -> str:
+        return original(asked).replace(old, new) if asked == program else original(asked)
+
+    monkeypatch.setattr(device_module, "kernel_source", mutated)
+    assert apart_db(BasebandEngine(made).render(0, made.samples), wanted) > TOLERANCE_DB + 6.0
