@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +39,8 @@ class MemberRow:
         Why it failed.
     warnings : tuple of str
         What it warned of.
+    device : str
+        OpenCL device that rendered it, by id and name.
     """
 
     member: int
@@ -47,6 +49,7 @@ class MemberRow:
     seconds: float = 0.0
     error: str = ""
     warnings: tuple[str, ...] = field(default=())
+    device: str = ""
 
 
 class Index:
@@ -72,7 +75,7 @@ class Index:
 
     def _take(self, row: dict[str, Any]) -> MemberRow:
         number = int(row["member"])
-        known = {name: row[name] for name in ("status", "seconds", "error") if name in row}
+        known = {name: row[name] for name in ("status", "seconds", "error", "device") if name in row}
         warned = tuple(row.get("warnings", ()))
         self.rows[number] = MemberRow(number, self.rows[number].parameters, **known, warnings=warned)
         return self.rows[number]
@@ -99,8 +102,7 @@ class Index:
 
 
 def _line(row: MemberRow) -> str:
-    content = {name: getattr(row, name) for name in ("member", "status", "seconds", "error", "warnings", "parameters")}
-    return json.dumps(content) + "\n"
+    return json.dumps(asdict(row)) + "\n"
 
 
 def create_store(folder: Path) -> None:

@@ -59,7 +59,7 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", ClsimWarning)
         try:
-            content = _computed(study, member, device)
+            content, row["device"] = _computed(study, member, device)
             row["seconds"] = round(time.perf_counter() - begun, 3)
             row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
             content.attrs["study_row"] = json.dumps(row)
@@ -171,8 +171,9 @@ def _module(name: str, file: Path, changed: int) -> Any:
     return module
 
 
-def _computed(study: Study, member: Member, device: str | None) -> Any:
-    """Return all that is kept of a member, an xarray Dataset."""
+def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, str]:
+    """Return all that is kept of a member, an xarray Dataset, and the device that made it."""
+    from clsim.opencl.device import find_device
     from clsim.paths.find_paths import find_paths
     from clsim.render.render import render
     from clsim.scene_file import build_scene
@@ -195,7 +196,10 @@ def _computed(study: Study, member: Member, device: str | None) -> Any:
     if study.metrics:
         function = metrics_function(study.metrics, study.folder)
         _add_metrics(content, function(recording, paths, dict(member.parameters)), {*TAKEN, *member.parameters})
-    return content
+    if file.render["engine"] != "opencl":
+        return content, ""
+    used, _ = find_device(file.render["device"])
+    return content, f"{used.id} {used.name}"
 
 
 def _described(file: SceneFile, recording: Recording, study: Study, member: Member) -> Any:

@@ -290,11 +290,15 @@ def _checked_workers(workers: int) -> int:
 
 
 def _devices() -> list[str]:
-    """Return the GPUs of this machine, if workers are to be spread over several."""
-    from clsim.opencl.device import list_devices
+    """Return the devices over which workers of this machine are to be spread: GPUs, else all of the usual platform."""
+    from clsim.opencl.device import find_device, list_devices
 
-    gpus = [info.id for info in list_devices() if info.kind == "GPU"]
-    return gpus if len(gpus) > 1 else []
+    found = list_devices()
+    gpus = [info.id for info in found if info.kind == "GPU"]
+    if gpus or not found:
+        return gpus
+    usual, _ = find_device(None)
+    return [info.id for info in found if info.platform == usual.platform and info.kind == usual.kind]
 
 
 def _worker_count() -> int:

@@ -183,6 +183,37 @@ def cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
 
 
 @pytest.mark.slow
+def test_a_worker_of_this_machine_that_dies_is_replaced(folder: Path) -> None:
+    seconds = [1.25 + 0.001 * i for i in range(12)]
+    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], seconds), "--workers", "2"]
+    study = subprocess.Popen(arguments, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while study.poll() is None and len(runs(folder)) < 4:
+        time.sleep(0.02)
+    first = {p for processes in runs(folder).values() for p in processes}
+    os.kill(min(first), signal.SIGKILL)
+    out, err = study.communicate(timeout=300)
+    assert study.returncode == 0, err
+    assert "12 of 12 members finished" in out
+    assert len({p for processes in runs(folder).values() for p in processes}) == 3
+
+
+@pytest.mark.slow
+def test_each_worker_has_a_device_of_its_own(folder: Path) -> None:
+    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], [1.25 + 0.001 * i for i in range(6)])]
+    two = ENVIRONMENT | {"POCL_DEVICES": "pthread pthread"}
+    done = subprocess.run([*arguments, "--workers", "2"], env=two, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    processes: dict[str, set[int]] = {}
+    for n, row in index(folder).items():
+        processes.setdefault(row["device"].split()[0], set()).update(runs(folder)[0, 1.25 + 0.001 * n])
+    listed = subprocess.run(
+        [sys.executable, "-m", "clsim.cli", "devices"], env=two, capture_output=True, text=True, check=True
+    )
+    assert sorted(processes) == [line.split()[0] for line in listed.stdout.splitlines() if "Portable" in line]
+    assert all(len(found) == 1 for found in processes.values())
+
+
+@pytest.mark.slow
 def test_a_killed_worker_loses_nothing(folder: Path, cluster) -> None:
     address, workers = cluster
     seconds = [1.25 + 0.001 * i for i in range(12)]
