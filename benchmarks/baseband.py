@@ -11,7 +11,7 @@ import clsim
 from clsim.render.plan import plan_render
 from clsim.render.render import render_chunks
 
-RATE, ORDER, DURATION = 192e3, 10, 10.0
+RATE, ORDER, DURATION = 192e3, 10, 30.0
 
 
 def scene(signal: clsim.Signal, trajectory: clsim.Trajectory) -> clsim.Scene:
@@ -38,8 +38,8 @@ def scenes() -> dict[str, tuple[clsim.Scene, float]]:
     slow = clsim.Trajectory.circle((4.0, 3.0, 1.5), 1.0, 2 * math.pi, DURATION)
     fast = clsim.Trajectory.circle((4.0, 3.0, 1.5), 1.0, 2 * math.pi / 6.0, DURATION)
     return {
-        "39 to 41 kHz chirp, 1 m/s": (scene(chirp, slow), 3e3),
-        "39 to 41 kHz chirp, 6 m/s": (scene(chirp, fast), 4e3),
+        "39 to 41 kHz chirp, 1 m/s": (scene(chirp, slow), 2.4e3),
+        "39 to 41 kHz chirp, 6 m/s": (scene(chirp, fast), 3.8e3),
         "40 kHz beacon, 1 m/s and 10 mm at 2 Hz": (scene(tone, shaking(0.01, 2.0)), 1e3),
         "40 kHz beacon, 1 m/s and 1 mm at 25 Hz": (scene(tone, shaking(0.001, 25.0)), 1e3),
     }

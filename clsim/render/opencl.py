@@ -131,7 +131,8 @@ class OpenclEngine:
         import pyopencl as cl
 
         plan = self._plan
-        length = -(-(stop - start) // plan.blocks[0]) * plan.blocks[0]
+        unit = math.lcm(*plan.blocks)
+        length = -(-(stop - start) // unit) * unit
         pressure = np.zeros((self.parts * plan.receiver_count, length), dtype=np.float32)
         on_device = self._upload(pressure)
         for source in range(len(plan.emissions)):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 ENGINES = ("opencl", "reference")
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
 BLOCKS = (768, 384, 192, 96)  # samples in a block, divisors of a segment, tried in this order
-NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
+NODE_BUDGET = 48 * 2**20
 _PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
 
 
@@ -248,7 +248,7 @@ def plan_tracks(
     )  # fmt: skip
     draft = Plan(tracks, emissions, interpolator, heard_at, samples, SEGMENT, engine, device, left_out, still)
     if wanted is not None:
-        segment, blocks = segmented(tracks, heard_at, draft.max_rate)
+        segment, blocks = segmented(tracks, heard_at, wanted.carrier, draft.max_rate)
         draft = replace(draft, segment=segment, blocks=blocks, baseband=wanted)
     return replace(draft, chunk=_chunk(draft, chunk))
 
