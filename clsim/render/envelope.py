@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from clsim.render.tracks import Tracks
     from clsim.scene.signal import Signal
 
-_MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
+_MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters, and responses are better than asked
+_LEAST_DB = -120.0  # of responses
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
 _ROWS = 2048  # samples of envelopes made at a time: what is mixed down then stays in cache
 
@@ -176,9 +177,10 @@ def design_envelope(
     spectrum = signal.energy_spectrum()
     half, removed_db = half_band(index, signal, spectrum, baseband, max_rate)
     low, high = baseband.carrier - half, baseband.carrier + half
-    basis = basis_of(
-        index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact, at_rest, least=low
-    )
+    asked = response_error_db
+    if not isinstance(asked, str):  # a narrow band asks little more, and errors of many paths add up as these do
+        asked = max(asked - _MARGIN_DB, _LEAST_DB)
+    basis = basis_of(index, signal, spectrum, high, tracks, until, sampling_rate, asked, exact, at_rest, least=low)
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
