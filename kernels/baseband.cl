@@ -1,7 +1,7 @@
 // Sum of all paths of one receiver as a complex envelope: each path's envelope, delayed, and turned by the carrier's
 // phase of the exact delay. Work-item: dimension 0 counts WIDTH = VECTORS * LANES samples, dimension 1 receivers.
 
-#define WIDTH (VECTORS * LANES)
+#define WIDTH (VECTORS * LANES)  // samples that share the whole part of a path's delay
 
 __kernel void baseband(__global const float* branches,  // [rows][stride], real rows of a function before imaginary ones
                        int stride,
@@ -23,7 +23,8 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
 {
     const int at = get_global_id(0) * WIDTH, receiver = get_global_id(1);
     const int block = at / block_samples, inside = at - block * block_samples;
-    const long row = first_block + block;
+    const int row = first_block + block;
+    const float middle = ((float)inside + 0.5f * (WIDTH - 1)) * (2.0f / (float)block_samples) - 1.0f;
     vec t[VECTORS], real_sum[VECTORS], imaginary_sum[VECTORS];
     for (int j = 0; j < VECTORS; j++) {
         t[j] = (RAMP + (float)(inside + j * LANES)) * (2.0f / (float)block_samples) - 1.0f;
@@ -31,21 +32,25 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
     }
     for (int slot = first_slot[receiver]; slot < first_slot[receiver + 1]; slot++) {
 #if SPARSE
-        const int heard = spans[row * slots + slot];
+        const int heard = spans[row * (long)slots + slot];
         if ((inside + WIDTH - 1) / GROUP < (heard & 0xffff) || inside / GROUP >= heard >> 16) continue;
 #endif
-        const int whole = delay[row * slots + slot];
+        __global const float* c = nodes + place_of(row, slot, FUNCTIONS, slots);
+        float moved = c[DELAY_TERMS - 1];  // whole samples from the block's middle to that of these samples
+#pragma unroll
+        for (int i = DELAY_TERMS - 2; i >= 0; i--) moved = moved * middle + c[i];
+        moved = (moved + ROUNDING) - ROUNDING;
+        const int whole = delay[row * (long)slots + slot] + (int)moved;
         const float begin = whole_turn(whole, turn_per_sample);
-        __global const float* c = nodes + row * coefficients(FUNCTIONS) * slots + slot;
         vec mu[VECTORS], real[VECTORS], imaginary[VECTORS];
 #pragma unroll
         for (int j = 0; j < VECTORS; j++) {
-            mu[j] = c[(DELAY_TERMS - 1) * slots];
+            mu[j] = c[DELAY_TERMS - 1];
             real[j] = imaginary[j] = 0.0f;
         }
 #pragma unroll
         for (int i = DELAY_TERMS - 2; i >= 0; i--) {
-            const float term = c[i * slots];
+            const float term = i > 0 ? c[i] : c[0] - moved;
 #pragma unroll
             for (int j = 0; j < VECTORS; j++) mu[j] = mu[j] * t[j] + term;
         }
@@ -53,8 +58,8 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
-            __global const float* g = c + coefficients(k) * slots;
-            const float g0 = g[0], g1 = g[slots], g2 = g[2 * slots], g3 = g[3 * slots];
+            __global const float* g = c + coefficients(k);
+            const float g0 = g[0], g1 = g[1], g2 = g[2], g3 = g[3];
             vec a[VECTORS], b[VECTORS];
 #pragma unroll
             for (int j = 0; j < VECTORS; j++) {

@@ -18,21 +18,22 @@ __kernel void baseband_edges(
     float real_sum = 0.0f, imaginary_sum = 0.0f;
     for (int e = first[place]; e < first[place + 1]; e++) {
         const int slot = slot_of[e];
-        const long node = first_block + block[place];
-        if (sparse && spans[node * slots + slot] == 0) continue;
-        __global const float* c = nodes + node * coefficients(FUNCTIONS) * slots + slot;
+        const int node = first_block + block[place];
+        if (sparse && spans[node * (long)slots + slot] == 0) continue;
+        __global const float* c = nodes + place_of(node, slot, FUNCTIONS, slots);
         float both = weight((float)n - start[e], per_ramp);
         both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[e], 0.0f) : weight(end[e] - (float)n, per_ramp);
         if (both == 0.0f) continue;
-        const int whole = delay[node * slots + slot];
-        float mu = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
-        for (int i = DELAY_TERMS - 1; i >= 0; i--) mu = mu * t + c[i * slots];
+        float late = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
+        for (int i = DELAY_TERMS - 1; i >= 0; i--) late = late * t + c[i];
+        const float rest = rounded(late), mu = late - rest;
+        const int whole = delay[node * (long)slots + slot] + (int)rest;
         for (int k = 0; k < FUNCTIONS; k++) {
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
-            __global const float* g = c + coefficients(k) * slots;
-            const float gain = g[0] + t * (g[slots] + t * (g[2 * slots] + t * g[3 * slots]));
+            __global const float* g = c + coefficients(k);
+            const float gain = g[0] + t * (g[1] + t * (g[2] + t * g[3]));
             float a = *x, b = *y;
             for (int q = 1; q < count; q++) {
                 a = a * mu + *(x -= stride);

@@ -3,5 +3,6 @@
 __kernel void mute(__global const int* slot, __global const int* block, int functions, __global float* nodes, int slots)
 {
     const int e = get_global_id(0), count = coefficients(functions);
-    for (int i = DELAY_TERMS; i < count; i++) nodes[((long)block[e] * count + i) * slots + slot[e]] = 0.0f;
+    __global float* c = nodes + place_of(block[e], slot[e], functions, slots);
+    for (int i = DELAY_TERMS; i < count; i++) c[i * APART(slots)] = 0.0f;
 }

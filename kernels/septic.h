@@ -5,7 +5,7 @@
 #define NEAREST 6755399441055744.0  // 1.5 * 2^52: adding and taking it away rounds to a whole number
 
 // Write eight coefficients, lowest power first, in samples less the whole delay, which is returned.
-static int write_septic(const double* delay, const double* rate, int slots, double sampling_rate, double late,
+static int write_septic(const double* delay, const double* rate, double sampling_rate, double late,
                         __global float* c)
 {
     const double first = delay[1] * sampling_rate + late, whole = (first + NEAREST) - NEAREST;
@@ -19,13 +19,13 @@ static int write_septic(const double* delay, const double* rate, int slots, doub
     const double centre = (243.0 * s1 + 13.0 * s3 - 162.0 * t1 - 6.0 * t3) / 256.0;
     const double more = (centre + NEAREST) - NEAREST;  // whole samples from the block's start to its middle
     c[0] = (float)(centre - more);
-    c[slots] = (float)((405.0 * d1 + 5.0 * d3 - 162.0 * u1 - 2.0 * u3) / 256.0);
-    c[2 * slots] = (float)((27.0 * (s1 - s3) + 198.0 * t1) / 256.0 + 19.0 / 384.0 * t3);
-    c[3 * slots] = (float)((198.0 * u1 - 171.0 * d1) / 256.0 - 281.0 / 6912.0 * d3 + 19.0 / 1152.0 * u3);
-    c[4 * slots] = (float)((15.0 * (s3 - s1) - 38.0 * t1) / 256.0 - 11.0 / 384.0 * t3);
-    c[5 * slots] = (float)((23.0 * d1 - 38.0 * u1) / 256.0 + 157.0 / 6912.0 * d3 - 11.0 / 1152.0 * u3);
-    c[6 * slots] = (float)((s1 - s3 + 2.0 * t1) / 256.0 + t3 / 384.0);
-    c[7 * slots] = (float)((2.0 * u1 - d1) / 256.0 - 11.0 / 6912.0 * d3 + u3 / 1152.0);
+    c[1] = (float)((405.0 * d1 + 5.0 * d3 - 162.0 * u1 - 2.0 * u3) / 256.0);
+    c[2] = (float)((27.0 * (s1 - s3) + 198.0 * t1) / 256.0 + 19.0 / 384.0 * t3);
+    c[3] = (float)((198.0 * u1 - 171.0 * d1) / 256.0 - 281.0 / 6912.0 * d3 + 19.0 / 1152.0 * u3);
+    c[4] = (float)((15.0 * (s3 - s1) - 38.0 * t1) / 256.0 - 11.0 / 384.0 * t3);
+    c[5] = (float)((23.0 * d1 - 38.0 * u1) / 256.0 + 157.0 / 6912.0 * d3 - 11.0 / 1152.0 * u3);
+    c[6] = (float)((s1 - s3 + 2.0 * t1) / 256.0 + t3 / 384.0);
+    c[7] = (float)((2.0 * u1 - d1) / 256.0 - 11.0 / 6912.0 * d3 + u3 / 1152.0);
     return (int)(whole + more);
 }
 

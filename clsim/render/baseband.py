@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
     from clsim.scene.signal import Signal
 
-_BLOCKS_IN_SEGMENT = 32
+_BLOCKS_IN_SEGMENT = 12  # of the longest; all others go into it a whole number of times, too
 GROUP = 8  # samples, the unit of blocks and of what is silent
+WIDEST_GROUP = 16  # samples that share the whole part of a delay at most
 _WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
 _CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
-_LONGEST, _SHORTEST = 48e-3, 0.5e-3  # s, of blocks
-_DRIFT = 1.25  # samples by which a delay may change in a block
+_LONGEST, _SHORTEST = 50e-3, 0.5e-3  # s, of blocks
+_DRIFT = 24.0  # cycles of the carrier by which a delay may change in a block: float32 terms are right to -110 dB
 _REFUSED_DB, _LOUD_DB = -40.0, -60.0  # shares of a signal's energy outside the band
 _RAMP = 6  # samples that a transition should take
 
@@ -154,12 +155,15 @@ def half_band(
     return half, outside_db
 
 
-def blocks_of(sampling_rate: float, max_rate: float) -> tuple[int, ...]:
-    """Return the lengths of blocks, in samples, from the longest: as long as motion and 48 ms allow."""
-    longest = max(GROUP, min(_LONGEST * sampling_rate, _DRIFT / max(max_rate, 1e-12)))
+def blocks_of(sampling_rate: float, carrier: float, max_rate: float) -> tuple[int, ...]:
+    """Return the lengths of blocks, in samples, from the longest: as long as motion and 50 ms allow.
+
+    Each is twice or three times a power of two of samples, so that they go down by a quarter or a third.
+    """
+    longest = max(GROUP, sampling_rate * min(_LONGEST, _DRIFT / (carrier * max(max_rate, 1e-12))))
     shortest = max(GROUP, min(_SHORTEST * sampling_rate, longest))
-    count = 1 + math.floor(math.log2(longest / GROUP))
-    blocks = [GROUP * 2**k for k in range(count)]
+    powers = [WIDEST_GROUP * 2**k for k in range(24)]
+    blocks = sorted(b for b in (GROUP, *powers, *(3 * p for p in powers)) if b <= longest)
     return tuple(b for b in reversed(blocks) if b >= shortest or b == blocks[-1])
 
 
@@ -186,7 +190,7 @@ def check_ends(scene: Scene) -> None:
             )
 
 
-def segmented(tracks: Tracks, sampling_rate: float, max_rate: float) -> tuple[int, tuple[int, ...]]:
+def segmented(tracks: Tracks, sampling_rate: float, carrier: float, max_rate: float) -> tuple[int, tuple[int, ...]]:
     """Return the lengths of segments and blocks, samples; warn where paths begin or end faster than envelopes can."""
     samples = tracks.transition * sampling_rate
     if samples < _RAMP and not all(group.always_heard for group in tracks.groups):
@@ -196,5 +200,5 @@ def segmented(tracks: Tracks, sampling_rate: float, max_rate: float) -> tuple[in
             ClsimWarning,
             stacklevel=5,
         )
-    blocks = blocks_of(sampling_rate, max_rate)
+    blocks = blocks_of(sampling_rate, carrier, max_rate)
     return _BLOCKS_IN_SEGMENT * blocks[0], blocks

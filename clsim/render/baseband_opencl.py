@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.render.baseband import WIDEST_GROUP
 from clsim.render.edges import find_edges
 from clsim.render.envelope import EnvelopeEmission
 from clsim.render.opencl import OpenclEngine, Run
@@ -14,8 +15,8 @@ from clsim.render.opencl import OpenclEngine, Run
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_VECTORS = 2  # of samples in a work-item, where blocks are long enough
-_MANY = 6  # segments, from which on it pays to look at three of them first
+_FEW = 4  # blocks that are looked at, at the beginning, the middle and the end, before any is rendered
+_FAR = 30.0  # times the tolerance: an error from which on the next shorter blocks will not do either
 
 
 class BasebandEngine(OpenclEngine):
@@ -48,29 +49,34 @@ class _Launch:
 class _BasebandRun(Run):
     """Renders one batch of receivers over some segments of a chunk."""
 
-    def render(self) -> None:
-        """Add what is heard to the envelopes on the device, beginning with blocks that may do."""
-        self._cover(self._first, self._last, self._first_level())
+    def _cover(self, first: int, last: int, level: int) -> None:
+        """Render segments `first` to `last` in blocks of a level or below, beginning with those that may do."""
+        super()._cover(first, last, self._promising(first, last, level))
 
-    def _first_level(self) -> int:
-        """Return the longest blocks that are short enough for one segment of three, where there are many."""
-        plan, count = self._plan, self._last - self._first
-        if count < _MANY:
-            return 0
-        looked_at = sorted({self._first, self._first + count // 2, self._last - 1})
-        for level, block in enumerate(plan.blocks[:-1]):
-            for at in looked_at:
-                begin, end = at * plan.segment, min((at + 1) * plan.segment, self._length)
-                nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
-                if nodes.error.max() <= self._tolerance:
-                    return level
-        return len(plan.blocks) - 1
+    def _promising(self, first: int, last: int, level: int) -> int:
+        """Return the longest blocks, from a level down, that are short enough for a few in at least half of places."""
+        plan = self._plan
+        lowest = len(plan.blocks) - 1
+        places = sorted({first, (first + last) // 2, last - 1})
+        while level < lowest:
+            errors, block = [], plan.blocks[level]
+            for at in places:
+                begin = at * plan.segment
+                few = min(_FEW, (self._length - begin) // block)
+                nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, few)
+                errors.append(float(nodes.error.max()))
+            usual = sorted(errors)[(len(errors) - 1) // 2]
+            if usual <= self._tolerance:
+                return level
+            small_step = plan.blocks[level + 1] > 0.7 * block
+            level += 2 if small_step and usual > _FAR * self._tolerance else 1
+        return min(level, lowest)
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, begin = self._engine, segment * self._plan.segment
         self._render_edges(nodes, segment, end, block, first_block)
         lanes = engine._layout.lanes
-        vectors = _VECTORS if lanes > 1 and block % (_VECTORS * lanes) == 0 else 1
+        vectors = min(block, WIDEST_GROUP) // lanes if lanes > 1 else 1
         size = ((end - begin) // (vectors * lanes), len(self._slots.groups))
         launch = self._launch(nodes, begin, block, first_block)
         kernel = engine._compiler.kernel(

@@ -34,6 +34,7 @@ def block_polynomials(
         Added to the delay, samples.
     terms : {4, 8}
         Coefficients of the delay: of Hermite's cubic through the block's ends, or his septic through all four nodes.
+        Gains are Catmull-Rom's cubic, or the one through all four nodes.
 
     Returns
     -------
@@ -50,6 +51,9 @@ def block_polynomials(
         delay_terms = _centred(p0, p1, e0, e1)
     gain_cubic = []
     for g in gain:
+        if terms == 8:
+            gain_cubic += _through(_nodes(g))
+            continue
         s0, s1 = 0.25 * (g[:, 2:-1] - g[:, :-3]), 0.25 * (g[:, 3:] - g[:, 1:-2])
         gain_cubic += _centred(g[:, 1:-2], g[:, 2:-1], s0, s1)
     whole = np.rint(delay_terms[0])
@@ -65,11 +69,11 @@ def block_error(
 
     Notes
     -----
-    The remainder of cubic Hermite interpolation is ``h^4 f'''' / 384``, with ``h^3 f''''`` the third difference of the
-    rate; that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used). With eight terms the
-    septic's distance at mid-block from the quintic through the middle nodes and all four rates is taken, times its
-    ratio to the cubic's, where that is below 1: as if the terms went on falling like this. Motion without higher
-    derivatives gains nothing.
+    The remainder of cubic Hermite interpolation is ``h^4 f / 384``, with ``h^3 f`` the third difference of the
+    rate; that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used), that of the cubic through
+    all four nodes 3/128 of the fourth (0.03 is used). With eight terms the septic's distance at mid-block from the
+    quintic through the middle nodes and all four rates is taken, times its ratio to the cubic's, where that is below 1:
+    as if the terms went on falling like this. Motion without higher derivatives gains nothing.
     """
     late = np.abs(np.diff(rate, 3, axis=1)) * block_time / 384.0
     if terms == 8:
@@ -78,13 +82,31 @@ def block_error(
         septic = (243.0 * (d1 + d2) + 13.0 * (d0 + d3) - 162.0 * (e2 - e1) - 6.0 * (e3 - e0)) / 512.0
         rest = np.abs(septic - quintic)
         late = rest * np.minimum(rest / np.maximum(late, 1e-20), 1.0)
-    change = 0.02 * np.abs(np.diff(gain, 3, axis=2)).sum(axis=0)
+    change = (0.03 * _fourth(gain) if terms == 8 else 0.02 * np.abs(np.diff(gain, 3, axis=2))).sum(axis=0)
     return np.asarray(np.hypot(angular_frequency * late * np.abs(gain[:, :, 1:-2]).sum(axis=0), change))
 
 
 def _nodes(values: Floats) -> list[Floats]:
-    """Return the four nodes about every block, each (paths, blocks), from (paths, blocks + 3)."""
-    return [values[:, i : values.shape[1] - 3 + i] for i in range(4)]
+    """Return the four nodes about every block, each (..., blocks), from (..., blocks + 3)."""
+    return [values[..., i : values.shape[-1] - 3 + i] for i in range(4)]
+
+
+def _through(nodes: list[Floats]) -> list[Floats]:
+    """Return the cubics on [-1, 1] with the values of nodes at -3, -1, 1 and 3."""
+    s1, s3 = 0.5 * (nodes[2] + nodes[1]), 0.5 * (nodes[3] + nodes[0])
+    d1, d3 = 0.5 * (nodes[2] - nodes[1]), 0.5 * (nodes[3] - nodes[0])
+    return [(9.0 * s1 - s3) / 8.0, (27.0 * d1 - d3) / 24.0, (s3 - s1) / 8.0, (d3 - 3.0 * d1) / 24.0]
+
+
+def _fourth(gain: Floats) -> Floats:
+    """Return the fourth differences of gains (K, paths, blocks + 3), estimated for each block from four nodes.
+
+    The third one, times by how much that is below the second, or the second below the first, whichever is less.
+    """
+    g0, g1, g2, g3 = _nodes(gain)
+    first, second, third = np.abs(g2 - g1), 0.5 * np.abs(g3 - g2 - g1 + g0), np.abs(np.diff(gain, 3, axis=2))
+    last, before = (np.minimum(a / np.maximum(b, 1e-30), 1.0) for a, b in ((third, second), (second, first)))
+    return np.asarray(third * np.minimum(last, before))
 
 
 def _septic(values: Floats, slopes: Floats) -> list[Floats]:

@@ -112,9 +112,10 @@ class DeviceTracks:
         receiver_of = np.repeat(np.arange(len(slots.groups), dtype=np.int32), np.diff(slots.first_slot))
         rate = plan.sampling_rate
         longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
+        spare = 0.05 + 2.0 * plan.blocks[0] / rate  # for nodes beside the run
         knots, knot_first = motion_knots(
-            scene.sources[source], start / rate - longest - 0.01 * abs(longest) - 0.05,
-            (start + length) / rate - shortest + 0.05,
+            scene.sources[source], start / rate - longest - 0.01 * abs(longest) - spare,
+            (start + length) / rate - shortest + spare,
             self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
         )  # fmt: skip
         columns = (paths.matrix.reshape(-1, 9).T, paths.offset.T, receiver_of, reflection, *around.bounces(paths))

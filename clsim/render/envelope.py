@@ -12,7 +12,7 @@ import numpy as np
 from clsim.acoustics.interpolation import design_bandlimited
 from clsim.errors import InputError
 from clsim.paths.impulse_response import ImpulseResponse
-from clsim.render.baseband import GROUP, blocks_of, half_band
+from clsim.render.baseband import GROUP, WIDEST_GROUP, half_band
 from clsim.render.emission import Emission, basis_of, check_response_error
 from clsim.render.interpolator import Bandlimited, Bank
 
@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from clsim.render.tracks import Tracks
     from clsim.scene.signal import Signal
 
-_MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
+_MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters, and responses are better than asked
+_LEAST_DB = -120.0  # of responses
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
-_ROWS = 8192  # samples of envelopes made at a time
+_ROWS = 2048  # samples of envelopes made at a time: what is mixed down then stays in cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,8 +45,8 @@ class Mixer:
         Part of a turn of the carrier in one sample of the envelope beyond whole ones.
     reach : int
         Samples of the envelope that are looked at to either side.
-    taps : ndarray (every, K 2 reach 2)
-        By filter, sample of the envelope, and real and imaginary part.
+    taps : ndarray (2 reach, K, 2, every)
+        By sample of the envelope, filter, real and imaginary part, and sample of the sound.
     """
 
     every: int
@@ -62,15 +63,16 @@ class Mixer:
         return np.concatenate(pieces, axis=1)
 
     def _made(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
-        count, span = last - first, 2 * self.reach
-        filters = self.taps.shape[1] // (2 * span)
+        count, (span, filters) = last - first, self.taps.shape[:2]
         sound = read((first - self.reach) * self.every, (last + self.reach) * self.every)
-        out = np.zeros((filters, count), dtype=np.complex128)
         if not np.any(sound):
-            return out
-        parts = (sound.reshape(-1, self.every) @ self.taps).view(np.complex128).reshape(-1, filters, span)
+            return np.zeros((filters, count), dtype=np.complex128)
+        parts = self.taps.reshape(-1, self.every) @ sound.reshape(-1, self.every).T
+        parts = parts.reshape(span, filters, 2, -1)
+        sums = np.zeros((filters, 2, count))
         for j in range(span):
-            out += parts[j : j + count, :, j].T
+            sums += parts[j, :, :, j : j + count]
+        out = sums[:, 0] + 1j * sums[:, 1]
         whole = first * self.turn % 1  # exact, however late
         cycles = float(whole) + float(self.turn) * np.arange(count)
         return np.asarray(out * np.exp(-2j * math.pi * cycles))
@@ -181,13 +183,14 @@ def design_envelope(
     spectrum = signal.energy_spectrum()
     half, removed_db = half_band(index, signal, spectrum, baseband, max_rate)
     low, high = baseband.carrier - half, baseband.carrier + half
-    basis = basis_of(
-        index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact, at_rest, least=low
-    )
+    asked = response_error_db
+    if not isinstance(asked, str):  # a narrow band asks little more, and errors of many paths add up as these do
+        asked = max(asked - _MARGIN_DB, _LEAST_DB)
+    basis = basis_of(index, signal, spectrum, high, tracks, until, sampling_rate, asked, exact, at_rest, least=low)
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
-    mu_max = math.ceil((0.52 + 0.5 * blocks_of(rate, max_rate)[0] * max_rate) * 32) / 32
+    mu_max = math.ceil((0.52 + 0.5 * WIDEST_GROUP * max_rate) * 32) / 32
     taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max)
     bank = Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, GROUP, reached)
     banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
@@ -219,6 +222,6 @@ def _mixer(rate: float, every: int, carrier: float, half: float, filters: Floats
     reach = most // every + 1
     padded = np.zeros((len(taps), 2 * reach * every), dtype=np.complex128)
     padded[:, reach * every - most : reach * every + most + 1] = taps
-    by_sample = padded.reshape(len(taps), 2 * reach, every).transpose(2, 0, 1)
+    by_sample = padded.reshape(len(taps), 2 * reach, every).transpose(1, 0, 2)
     turn = Fraction(carrier) * every / Fraction(rate) % 1
-    return Mixer(every, turn, reach, np.ascontiguousarray(by_sample).view(np.float64).reshape(every, -1))
+    return Mixer(every, turn, reach, np.stack([by_sample.real, by_sample.imag], axis=2))

@@ -86,6 +86,8 @@ class HostTracks:
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
         nothing = np.zeros(len(slots.groups))  # is noted of responses that are taken here
+        if plan.delay_terms == 8:  # as in nodes.h
+            cubics = cubics.transpose(0, 2, 1)
         return HostNodes(self._upload(whole), self._upload(cubics), None, error, nothing, nothing, shortest, longest)
 
     def _upload(self, array: NDArray[Any]) -> Any:

@@ -137,7 +137,8 @@ class OpenclEngine:
         import pyopencl as cl
 
         plan = self._plan
-        length = -(-(stop - start) // plan.blocks[0]) * plan.blocks[0]
+        unit = math.lcm(*plan.blocks)
+        length = -(-(stop - start) // unit) * unit
         pressure = np.empty((self.parts * plan.receiver_count, length), dtype=np.float32)
         on_device = self._scratch.take("pressure", pressure.nbytes)
         cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)

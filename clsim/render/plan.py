@@ -251,7 +251,7 @@ def plan_tracks(
         )  # fmt: skip
     draft = Plan(tracks, emissions, interpolator, heard_at, samples, SEGMENT, engine, device, left_out, still)
     if wanted is not None:
-        segment, blocks = segmented(tracks, heard_at, draft.max_rate)
+        segment, blocks = segmented(tracks, heard_at, wanted.carrier, draft.max_rate)
         draft = replace(draft, segment=segment, blocks=blocks, baseband=wanted)
     return replace(draft, chunk=_chunk(draft, chunk))
 

@@ -106,10 +106,13 @@ def test_sampling_rates(band: tuple[float, ...], rate: float, sampling_rate: flo
 
 
 def test_blocks_follow_motion() -> None:
-    assert blocks_of(6e3, 0.0) == (256, 128, 64, 32, 16, 8)
-    assert blocks_of(6e3, 0.02)[0] == 32
-    assert blocks_of(6e3, 0.5) == (8,)
-    assert blocks_of(96e3, 1e-4)[-1] >= 48
+    assert blocks_of(6e3, 40e3, 0.0) == (256, 192, 128, 96, 64, 48, 32, 16, 8)
+    assert blocks_of(6e3, 40e3, 0.02)[0] == 128  # 180 samples would be 24 cycles of the carrier
+    assert blocks_of(6e3, 40e3, 0.5) == (8,)
+    assert blocks_of(96e3, 40e3, 1e-4)[-1] >= 48
+    for rate, speed in [(6e3, 0.0), (6e3, 0.02), (2560.0, 1e-3), (1e5, 0.1)]:
+        blocks = blocks_of(rate, 40e3, speed)
+        assert all(12 * blocks[0] % b == 0 for b in blocks)
 
 
 def test_save_writes_two_channels(tmp_path: Path) -> None:
