@@ -12,7 +12,7 @@ import clsim
 from clsim.render.plan import Plan, plan_render
 from clsim.render.render import render_chunks
 
-RATE, ORDER, DURATION, CARRIER = 192e3, 10, 30.0, 40e3
+RATE, ORDER, DURATION, CARRIER = 192e3, 10, 20.0, 40e3
 
 
 def scene(signal: clsim.Signal, trajectory: clsim.Trajectory) -> clsim.Scene:
