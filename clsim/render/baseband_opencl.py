@@ -15,7 +15,8 @@ from clsim.render.opencl import OpenclEngine, Run
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_FEW = 4  # blocks that are looked at, at the beginning, the middle and the end, before any is rendered
+_PLACES = 8  # segments in which blocks are looked at before any is rendered
+_FEW = 2  # blocks that are looked at in each
 _FAR = 30.0  # times the tolerance: an error from which on the next shorter blocks will not do either
 
 
@@ -54,23 +55,25 @@ class _BasebandRun(Run):
         super()._cover(first, last, self._promising(first, last, level))
 
     def _promising(self, first: int, last: int, level: int) -> int:
-        """Return the longest blocks, from a level down, that are short enough for a few in at least half of places."""
+        """Return the blocks, from a level down, with which the fewest nodes are made, judged by a few of them."""
         plan = self._plan
-        lowest = len(plan.blocks) - 1
-        places = sorted({first, (first + last) // 2, last - 1})
-        while level < lowest:
-            errors, block = [], plan.blocks[level]
+        if last - first < _PLACES:
+            return level
+        places = [first + (last - first) * (2 * i + 1) // (2 * _PLACES) for i in range(_PLACES)]
+        while level < len(plan.blocks) - 1:
+            block, shorter = plan.blocks[level : level + 2]
+            errors = []
             for at in places:
                 begin = at * plan.segment
                 few = min(_FEW, (self._length - begin) // block)
                 nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, few)
                 errors.append(float(nodes.error.max()))
-            usual = sorted(errors)[(len(errors) - 1) // 2]
-            if usual <= self._tolerance:
+            # Where they are too long, shorter ones are made as well: one after the other 1 + share * block / shorter.
+            if np.mean(np.array(errors) > self._tolerance) <= 1.0 - shorter / block:
                 return level
-            small_step = plan.blocks[level + 1] > 0.7 * block
-            level += 2 if small_step and usual > _FAR * self._tolerance else 1
-        return min(level, lowest)
+            far = float(np.median(errors)) > _FAR * self._tolerance and shorter > 0.7 * block
+            level += 2 if far else 1
+        return min(level, len(plan.blocks) - 1)
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, begin = self._engine, segment * self._plan.segment
