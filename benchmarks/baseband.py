@@ -88,7 +88,7 @@ def row(name: str, one: clsim.Scene, bandwidth: float) -> str:
     wanted = mixed_down(first[0][1].astype(float), every, 0.5 * bandwidth)
     inside = slice(0, -round(0.1 * envelope.sampling_rate))  # the low-pass of this file reaches beyond the end
     apart_db = 20.0 * np.log10(np.linalg.norm((first[1][1] - wanted)[inside]) / np.linalg.norm(wanted[inside]))
-    built = [taken - usual for (taken, _), usual in zip(first, spent, strict=True)]
+    built = [max(taken - usual, 0.0) for (taken, _), usual in zip(first, spent, strict=True)]
     return (
         f"| {name} | {len(envelope.emissions[0].basis)} | {envelope.sampling_rate:g} Hz | {spent[0]:.2f} s | "
         f"{spent[1]:.2f} s | {ratio:.1f} | {planning[0]:.2f}, {planning[1]:.2f} s | {built[0]:.2f}, {built[1]:.2f} s | "

@@ -12,7 +12,7 @@ __kernel void anchors(__global const double* image_matrix, __global const double
     __global const double* row = receivers + ((long)receiver_of[slot] * ends + end) * 14;
     arrival a;
     settle(&path, turned_back(image_matrix, slots, slot, difference(at_row(row), offset)),
-           turned_back(image_matrix, slots, slot, at_row(row + 3)), start + end * walk_time + row[12], &a);
+           turned_back(image_matrix, slots, slot, at_row(row + 3)), start + end * walk_time + row[12], 1e-14, &a);
     anchor[2 * end * (long)slots + slot] = a.delay - row[12];
     anchor[(2 * end + 1) * (long)slots + slot] = a.rate * row[13] - (row[13] - 1.0);
 }

@@ -56,12 +56,12 @@ static double newton_step(const motion* path, triple receiver, triple receiver_v
 #endif
 }
 
-// From anywhere: Newton steps until the next one, of the order of the last one's square, vanishes.
-static void settle(const motion* path, triple receiver, triple receiver_velocity, double time, arrival* a)
+// From anywhere: Newton steps until one whose square, of the order of the next one, is as small as asked, s^2.
+static void settle(const motion* path, triple receiver, triple receiver_velocity, double time, double small, arrival* a)
 {
     a->delay = 0.0;
     for (int i = 0; i < 40; i++) {
         const double step = newton_step(path, receiver, receiver_velocity, time, a);
-        if (step * step < 1e-18) break;
+        if (step * step < small) break;
     }
 }

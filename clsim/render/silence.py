@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-CELL = 32  # samples
+CELL = 16  # samples
 _SPARSE = 0.5  # share of cells that sound, below which it pays to look
 
 

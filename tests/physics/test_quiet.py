@@ -36,9 +36,9 @@ def test_bounds_are_bounds(beam, rng: np.random.Generator) -> None:
 
 def test_what_is_lost_is_less_than_said(engine: str) -> None:
     world = scene()
-    paths = clsim.find_paths(world, 6)
+    paths = clsim.find_paths(world, 5)
     whole, part = (
-        clsim.render(world, paths, RATE, engine=engine, duration=0.2, response_error_db="centre", quietest_db=level)
+        clsim.render(world, paths, RATE, engine=engine, duration=0.1, response_error_db="centre", quietest_db=level)
         for level in (None, -60.0)
     )
     said = next(note for note in part.notes if "left out" in note)
@@ -46,7 +46,7 @@ def test_what_is_lost_is_less_than_said(engine: str) -> None:
     assert 100 < int(count) < len(paths)
     assert whole.pressure.shape == part.pressure.shape
     lost = np.abs(whole.pressure - part.pressure).max()
-    strongest = np.abs(paths.table(np.linspace(0.0, 0.2, 50)).gain).max()
+    strongest = np.abs(paths.table(np.linspace(0.0, 0.1, 50)).gain).max()
     assert 0.0 < lost < strongest * 10 ** (float(bound) / 20)
     assert not any("left out" in note for note in whole.notes)
 
