@@ -92,7 +92,6 @@ class Emission:
         pause = np.flatnonzero(np.diff(heard) > reach + 1)
         begins = np.maximum(heard[np.concatenate([[0], pause + 1])] - reach, 0)
         lengths = np.minimum(heard[np.concatenate([pause, [-1]])] + 1, last - first) - begins
-        begins, lengths = begins[lengths > 0], lengths[lengths > 0]
         places = _ranges(begins, lengths)
         if reach == 0:
             return places, signal[places] * self.basis.filters
