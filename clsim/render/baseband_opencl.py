@@ -107,12 +107,7 @@ class _BasebandRun(Run):
             *launch.envelope, np.int32(end - begin), np.int32(nodes.spans is not None),
             nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
-        at = engine._upload(edges.block + np.int32(first_block))
-        mute = engine._compiler.kernel("mute", {"DELAY_TERMS": self._plan.delay_terms})
-        mute(
-            engine._queue, (len(edges.slot),), None, slot, at, np.int32(self._functions), nodes.cubics,
-            np.int32(self._slots.count),
-        )  # fmt: skip
+        self._mute(nodes, slot, engine._upload(edges.block + np.int32(first_block)))
 
     def _launch(self, nodes: Any, begin: int, block: int, first_block: int) -> _Launch:
         emission = self._plan.emissions[self._source]

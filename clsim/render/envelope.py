@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -187,6 +187,8 @@ def design_envelope(
     if not isinstance(asked, str):  # a narrow band asks little more, and errors of many paths add up as these do
         asked = max(asked - _MARGIN_DB, _LEAST_DB)
     basis = basis_of(index, signal, spectrum, high, tracks, until, sampling_rate, asked, exact, at_rest, least=low)
+    if not isinstance(response_error_db, str) and math.isfinite(basis.asked_db):
+        basis = replace(basis, asked_db=response_error_db)  # of which a warning tells
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64

@@ -346,10 +346,14 @@ class Run:
             self._pressure, np.int32(self._length), np.int32(begin), np.int32(end - begin),
             np.int32(nodes.spans is not None), nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
-        mute = engine._compiler.kernel("mute", {})
-        mute(
-            engine._queue, (len(edges.slot),), None, slot, at, np.int32(self._functions), nodes.cubics,
-            np.int32(slots.count),
+        self._mute(nodes, slot, at)
+
+    def _mute(self, nodes: Any, slot: Any, at: Any) -> None:
+        """Take paths, by slot and block, out of the polynomials."""
+        kernel = self._engine._compiler.kernel("mute", {"DELAY_TERMS": self._plan.delay_terms})
+        kernel(
+            self._engine._queue, (slot.size // 4,), None, slot, at, np.int32(self._functions), nodes.cubics,
+            np.int32(self._slots.count),
         )  # fmt: skip
 
 
