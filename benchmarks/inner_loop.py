@@ -1,4 +1,4 @@
-"""What PoCL made of the inner loop of render.cl: prints it, and fails if it holds a call."""
+"""What PoCL made of the inner loops of render.cl, of a tone and of pulses: prints them, and fails if one holds a call."""
 
 import os
 import re
@@ -9,11 +9,13 @@ from pathlib import Path
 
 BUILD = """
 import clsim
-tone = clsim.Signal.tone(40e3, 0.02, 192e3, fade=0.005)
+tone = clsim.Signal.tone(40e3, 0.1, 192e3, fade=0.005)
+pulses = clsim.Signal.pulses(clsim.Signal.tone(40e3, 0.001, 192e3), 0.05, 2)
 room = clsim.Shoebox((8, 6, 3), clsim.Material.from_reflection(0.9))
-source = clsim.Source("s", tone, clsim.Trajectory.line((4, 3, 1), (4.1, 3, 1), 0.1))
-scene = clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("r", clsim.Trajectory.fixed((1, 1, 2)))])
-clsim.render(scene, clsim.find_paths(scene, 1), 192e3)
+for signal in (tone, pulses):
+    source = clsim.Source("s", signal, clsim.Trajectory.line((4, 3, 1), (4.1, 3, 1), 0.1))
+    scene = clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("r", clsim.Trajectory.fixed((1, 1, 2)))])
+    clsim.render(scene, clsim.find_paths(scene, 1), 192e3, duration=0.1, response_error_db="centre")
 """
 
 
@@ -41,15 +43,17 @@ def main() -> None:
         objects = list(Path(cache).rglob("render.so"))
         if not objects:
             sys.exit("no render.so in the cache: the default device is not PoCL on a CPU")
-        listing = subprocess.run(
-            ["objdump", "-d", "--no-show-raw-insn", str(objects[0])], capture_output=True, text=True, check=True
-        ).stdout
-    body = inner_loop(listing)
-    print("\n".join(body))
-    fused = sum("vfmadd" in line for line in body)
-    calls = sum(line.startswith("call") for line in body)
-    print(f"{len(body)} instructions, {fused} fused multiply-adds, {calls} calls")
-    sys.exit(1 if calls or not body else 0)
+        dump = ["objdump", "-d", "--no-show-raw-insn"]
+        listings = [subprocess.run([*dump, str(o)], capture_output=True, text=True, check=True).stdout for o in objects]
+    failed = False
+    for listing in listings:
+        body = inner_loop(listing)
+        print("\n".join(body))
+        fused = sum("vfmadd" in line for line in body)
+        calls = sum(line.startswith("call") for line in body)
+        print(f"{len(body)} instructions, {fused} fused multiply-adds, {calls} calls\n")
+        failed |= bool(calls) or not body
+    sys.exit(failed)
 
 
 if __name__ == "__main__":

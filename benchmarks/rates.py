@@ -104,7 +104,7 @@ class PlainLoop:
 
     def __init__(self, launch: tuple, folder: Path) -> None:
         self._kernel, self._queue, self._arguments = launch
-        (_, _, branches, stride, first_row, functions, _, _, lead, delay, cubics, first_slot, slots, block_groups,
+        (_, _, branches, stride, first_row, functions, _, lead, delay, cubics, first_slot, slots, block_groups,
          first_block, groups, _, pressure, width, begin, _) = self._arguments  # fmt: skip
         assert first_block == first_row == 0
         assert functions == 1

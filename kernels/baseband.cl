@@ -58,8 +58,8 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
-            __global const float* g = c + coefficients(k);
-            const float g0 = g[0], g1 = g[1], g2 = g[2], g3 = g[3];
+            __global const float* g = c + DELAY_TERMS + k;
+            const float g0 = g[0], g1 = g[FUNCTIONS], g2 = g[2 * FUNCTIONS], g3 = g[3 * FUNCTIONS];
             vec a[VECTORS], b[VECTORS];
 #pragma unroll
             for (int j = 0; j < VECTORS; j++) {
@@ -77,7 +77,7 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
             }
 #pragma unroll
             for (int j = 0; j < VECTORS; j++) {
-                const vec gain = g0 + t[j] * (g1 + t[j] * (g2 + t[j] * g3));
+                const vec gain = CUBIC(g0, g1, g2, g3, t[j]);
                 real[j] += gain * a[j];
                 imaginary[j] += gain * b[j];
             }

@@ -32,8 +32,8 @@ __kernel void baseband_edges(
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
-            __global const float* g = c + coefficients(k);
-            const float gain = g[0] + t * (g[1] + t * (g[2] + t * g[3]));
+            __global const float* g = c + DELAY_TERMS + k;
+            const float gain = CUBIC(g[0], g[FUNCTIONS], g[2 * FUNCTIONS], g[3 * FUNCTIONS], t);
             float a = *x, b = *y;
             for (int q = 1; q < count; q++) {
                 a = a * mu + *(x -= stride);

@@ -39,7 +39,7 @@ static double newton_step(const motion* path, triple receiver, triple receiver_v
     const double squared = inner(apart, apart), inverse = 1.0 / sqrt(squared);
     const triple departure = {apart.x * inverse, apart.y * inverse, apart.z * inverse};
     const double mach = path->rate * path->slowness * inner(departure, cubic_rate(a->knot, a->u));
-    const double receding = path->slowness * inner(departure, receiver_velocity);
+    const double receding = STILL ? 0.0 : path->slowness * inner(departure, receiver_velocity);
     const double quasi_static = squared * inverse * path->slowness;
     a->departure = departure;
 #if RETARDED

@@ -15,32 +15,35 @@ __kernel void edges(__global const float* branches,  // [rows][stride]
                     __global float* pressure, int pressure_stride,
                     int first_sample,                // of `pressure`, at the run's first sample
                     int samples,                     // in the run
-                    int sparse, __global const int* spans)  // as in render.cl, where signals pause
+                    __global const int* spans)       // as in render.cl
 {
     const int n = get_global_id(0), place = get_global_id(1), at = block[place] * block_samples + n;
     if (at >= samples) return;
+    const int apart = APART(slots), power = functions * apart;
     const float t = (float)(2 * n) / (float)block_samples - 1.0f;
     float sum = 0.0f;
     for (int e = first[place]; e < first[place + 1]; e++) {
         const int slot = slot_of[e];
         const int node = first_block + block[place];
-        if (sparse && spans[node * (long)slots + slot] == 0) continue;
-        __global const float* c = nodes + (long)node * coefficients(functions) * slots + slot;
+#if SPARSE
+        if (spans[node * (long)slots + slot] == 0) continue;
+#endif
+        __global const float* c = nodes + place_of(node, slot, functions, slots);
         float both = weight((float)n - start[e], per_ramp);
         both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[e], 0.0f) : weight(end[e] - (float)n, per_ramp);
         if (both == 0.0f) continue;
-        const float late = c[0] + t * (c[slots] + t * (c[2 * slots] + t * c[3 * slots]));
+        const float late = CUBIC(c[0], c[apart], c[2 * apart], c[3 * apart], t);
         const float rest = floor(late + 0.5f), mu = late - rest;
         const int whole = delay[node * slots + slot] + (int)rest;
         for (int k = 0; k < functions; k++) {
-            __global const float* g = c + coefficients(k) * slots;
+            __global const float* g = c + (DELAY_TERMS + k) * apart;
             __global const float* branch = branches + (first_row[k + 1] - 1) * (long)stride + lead + at - whole;
             float value = *branch;
             for (int q = first_row[k + 1] - 1; q > first_row[k]; q--) {
                 branch -= stride;
                 value = value * mu + *branch;
             }
-            sum += both * (g[0] + t * (g[slots] + t * (g[2 * slots] + t * g[3 * slots]))) * value;
+            sum += both * CUBIC(g[0], g[power], g[2 * power], g[3 * power], t) * value;
         }
     }
     pressure[(long)row[place] * pressure_stride + first_sample + at] += sum;

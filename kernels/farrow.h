@@ -1,34 +1,39 @@
-// The fractional delay as a Farrow bank: Horner's scheme in mu over the branch signals, for a batch of paths.
-// `branches` points at the group's first sample in the first row of one function of frequency.
+// The fractional delay as a Farrow bank: Horner's scheme in mu over the branch signals. What the runtime gives as
+// EACH_FUNCTION is ADD(0, rows) ADD(1, rows) ..., with the number of branches of every function of frequency.
 
-static void add_batch(__global const float* branches, int stride, const SHARED batch* paths, int worker, vec* sum)
+// Add one path's share of one function; `branches` points at the group's first sample in the first of its `rows` rows.
+static void add_function(__global const float* branches, int stride, const int rows, const vec* sample, const vec* mu,
+                         float gain, float slope, int worker, vec* sum)
 {
-    vec sample[VECTORS];
+    __global const float* row = branches + (rows - 1) * (long)stride;
+    vec value[VECTORS];
+#pragma unroll
+    for (int j = 0; j < VECTORS; j++) value[j] = LOAD(row + (worker * VECTORS + j) * LANES);
+#pragma unroll
+    for (int q = 1; q < MOST_ROWS; q++) {  // with a bound that is known before functions are put into one another
+        if (q >= rows) break;
+        row -= stride;
+#pragma unroll
+        for (int j = 0; j < VECTORS; j++) value[j] = value[j] * mu[j] + LOAD(row + (worker * VECTORS + j) * LANES);
+    }
+#pragma unroll
+    for (int j = 0; j < VECTORS; j++) sum[j] += (sample[j] * slope + gain) * value[j];
+}
+
+// Add one of the expanded paths; `branches` points at the group's first sample in the first row of the first function.
+static void add_path(__global const float* branches, int stride, const EXPANDED batch* paths, int p, int worker,
+                     vec sum[FUNCTIONS][VECTORS])
+{
+    vec sample[VECTORS], mu[VECTORS];
+#pragma unroll
     for (int j = 0; j < VECTORS; j++) {
         sample[j] = RAMP + ((float)((worker * VECTORS + j) * LANES) - 0.5f * (GROUP - 1));
+        mu[j] = (sample[j] * paths->curve[p] + paths->rate[p]) * sample[j] + paths->fraction[p];
     }
-    for (int p = 0; p < BATCH; p++) {
-#if SPARSE
-        if (!paths->heard[p]) continue;
-#endif
-        __global const float* row = branches + (BRANCHES - 1) * stride - paths->whole[p];
-        vec mu[VECTORS], value[VECTORS];
-#pragma unroll
-        for (int j = 0; j < VECTORS; j++) {
-            mu[j] = (sample[j] * paths->curve[p] + paths->rate[p]) * sample[j] + paths->fraction[p];
-            value[j] = LOAD(row + (worker * VECTORS + j) * LANES);
-        }
-#pragma unroll
-        for (int q = 1; q < BRANCHES; q++) {
-            row -= stride;
-#pragma unroll
-            for (int j = 0; j < VECTORS; j++) {
-                value[j] = value[j] * mu[j] + LOAD(row + (worker * VECTORS + j) * LANES);
-            }
-        }
-#pragma unroll
-        for (int j = 0; j < VECTORS; j++) {
-            sum[j] += (sample[j] * paths->slope[p] + paths->gain[p]) * value[j];
-        }
-    }
+    __global const float* row = branches - paths->whole[p];
+#define ADD(k, rows)                                                                                       \
+    add_function(row, stride, rows, sample, mu, paths->gain[k][p], paths->slope[k][p], worker, sum[k]); \
+    row += rows * (long)stride;
+    EACH_FUNCTION
+#undef ADD
 }

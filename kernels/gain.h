@@ -16,9 +16,11 @@ typedef float8 band;
 #if FUNCTIONS == 1
 typedef float chunk;  // gains of neighbouring functions side by side
 #define CHUNKS 1
+static float sum_of(chunk x) { return x; }
 #else
 typedef float8 chunk;
 #define CHUNKS ((FUNCTIONS + 7) / 8)
+static float sum_of(chunk x) { return ((x.s0 + x.s1) + (x.s2 + x.s3)) + ((x.s4 + x.s5) + (x.s6 + x.s7)); }
 #endif
 
 #define NONE 0
@@ -30,7 +32,7 @@ typedef struct {
     __global const chunk* projection;    // [PARTS][NODES][CHUNKS]
     __global const band* functions;      // [FUNCTIONS][PARTS][BANDS], weighted
     __global const band* weight;         // [BANDS]
-    __global const float* sizes;         // [FUNCTIONS], most that each adds to a path
+    __global const chunk* sizes;         // [CHUNKS], most that each adds to a path
     __global const band* reflection;     // [slots][PARTS][BANDS], of walls that are the same at every angle
     __global const band* walls;          // those that are not: [materials][CELLS][4][PARTS][BANDS]
     __global const int* wall_of;         // [ANGULAR][slots], -1 for none
@@ -132,6 +134,23 @@ static float total(band x)
 #endif
 }
 
+// Gains of functions: products with every node. Four sums at a time, so that none waits for the one before.
+static void project(const response* r, __global const chunk* projection, chunk* gain)
+{
+    const float* at = (const float*)r;
+    for (int k = 0; k < CHUNKS; k++) {
+#if NODES == 1
+        gain[k] = 0.0f;
+        for (int m = 0; m < PARTS; m++) gain[k] += projection[m * CHUNKS + k] * at[m];
+#else
+        chunk sum[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+#pragma unroll
+        for (int m = 0; m < PARTS * NODES; m++) sum[m % 4] += projection[m * CHUNKS + k] * at[m];
+        gain[k] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+#endif
+    }
+}
+
 // Returns the response's mean square over the nodes; `unheld` is that of what the functions do not hold of it.
 static float path_gains(const arrival* a, double speed_of_sound, const surroundings* s, int slots, int slot,
                         const triple* receiver_frame, chunk* gain, float* unheld)
@@ -176,22 +195,20 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
     apply_sphere(s->receiver_beam, -(float)inner(receiver_frame[0], a->departure),
                  -(float)inner(receiver_frame[1], a->departure), -(float)inner(receiver_frame[2], a->departure), &r);
 #endif
-    const float* at = (const float*)&r;
-    for (int k = 0; k < CHUNKS; k++) gain[k] = 0.0f;
-    for (int m = 0; m < PARTS * NODES; m++) {
-        for (int k = 0; k < CHUNKS; k++) gain[k] += s->projection[m * CHUNKS + k] * at[m];
+    project(&r, s->projection, gain);
+    // What is heard, and what of it the functions do not hold.
+    band heard[PARTS * BANDS], rest[PARTS * BANDS], whole = 0.0f, left = 0.0f;
+#pragma unroll
+    for (int b = 0; b < PARTS * BANDS; b++) rest[b] = heard[b] = s->weight[b % BANDS] * r.part[b / BANDS][b % BANDS];
+    for (int k = 0; k < FUNCTIONS; k++) {
+        const float held = ((const float*)gain)[k];
+#pragma unroll
+        for (int b = 0; b < PARTS * BANDS; b++) rest[b] -= s->functions[k * PARTS * BANDS + b] * held;
     }
-    band whole = 0.0f, left = 0.0f;
-    for (int part = 0; part < PARTS; part++) {
-        for (int b = 0; b < BANDS; b++) {
-            const band heard = s->weight[b] * r.part[part][b];
-            band rest = heard;
-            for (int k = 0; k < FUNCTIONS; k++) {
-                rest -= s->functions[(k * PARTS + part) * BANDS + b] * ((const float*)gain)[k];
-            }
-            whole += heard * heard;
-            left += rest * rest;
-        }
+#pragma unroll
+    for (int b = 0; b < PARTS * BANDS; b++) {
+        whole += heard[b] * heard[b];
+        left += rest[b] * rest[b];
     }
     *unheld = total(left) / NODES;
     return total(whole) / NODES;

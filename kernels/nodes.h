@@ -1,14 +1,15 @@
-// How the polynomials of a block and a path are laid out, lowest power first: a polynomial of the delay, and a cubic of
-// the gain of every function of frequency. Of sound they are [block][4 + 4 functions][slots], for neighbouring paths are
-// expanded together; of envelopes (DELAY_TERMS == 8) [block][slots][8 + 4 functions], for one path is at a time.
+// How the polynomials of a block and a path are laid out, lowest power first: one of the delay with DELAY_TERMS terms,
+// and cubics of the gains of all functions of frequency, the terms of equal power side by side. Where neighbouring paths
+// are expanded together they are [block][terms][slots]; where one path is at a time, because signals pause (SPARSE) or
+// for envelopes (DELAY_TERMS == 8), [block][slots][terms].
 
 #ifndef DELAY_TERMS
 #define DELAY_TERMS 4
 #endif
 
-static int coefficients(int functions) { return DELAY_TERMS + 4 * functions; }
+static int terms(int functions) { return DELAY_TERMS + 4 * functions; }
 
-#if DELAY_TERMS == 8
+#if DELAY_TERMS == 8 || SPARSE
 #define APART(slots) 1
 #else
 #define APART(slots) (slots)
@@ -17,9 +18,15 @@ static int coefficients(int functions) { return DELAY_TERMS + 4 * functions; }
 // Where the polynomials of a block and a path begin; their terms are APART(slots) from each other.
 static long place_of(int block, int slot, int functions, int slots)
 {
-#if DELAY_TERMS == 8
-    return ((long)block * slots + slot) * coefficients(functions);
+#if DELAY_TERMS == 8 || SPARSE
+    return ((long)block * slots + slot) * terms(functions);
 #else
-    return (long)block * coefficients(functions) * slots + slot;
+    return (long)block * terms(functions) * slots + slot;
 #endif
 }
+
+// Value at t in [-1, 1] of a cubic with coefficients a to d, its derivative, and half of its second one. So written that
+// there is one way only to fuse products with sums: vectors and single numbers give the same to the last bit.
+#define CUBIC(a, b, c, d, t) ((a) + (t) * ((b) + (t) * ((c) + (t) * (d))))
+#define CUBIC_SLOPE(b, c, d, t) ((b) + (t) * (((c) + (c)) + (t) * (3.0f * (d))))
+#define CUBIC_CURVE(c, d, t) ((c) + (t) * (3.0f * (d)))

@@ -1,31 +1,40 @@
-// The delay of a block as a polynomial of degree 7: Hermite through four neighbouring nodes, at t = -3, -1, 1 and 3, of
-// which the block lies between the middle two. Even and odd parts are solved by themselves.
+// Hermite's polynomial of degree 7 through four neighbouring nodes, at t = -3, -1, 1 and 3. Even and odd parts are solved
+// by themselves.
+
+// Write eight coefficients, lowest power first, for values and slopes at the nodes.
+static void septic(const double* value, const double* slope, double* c)
+{
+    const double s1 = 0.5 * (value[2] + value[1]), s3 = 0.5 * (value[3] + value[0]);
+    const double d1 = 0.5 * (value[2] - value[1]), d3 = 0.5 * (value[3] - value[0]);
+    const double t1 = 0.5 * (slope[2] - slope[1]), t3 = 0.5 * (slope[3] - slope[0]);
+    const double u1 = 0.5 * (slope[2] + slope[1]), u3 = 0.5 * (slope[3] + slope[0]);
+    c[0] = (243.0 * s1 + 13.0 * s3 - 162.0 * t1 - 6.0 * t3) / 256.0;
+    c[1] = (405.0 * d1 + 5.0 * d3 - 162.0 * u1 - 2.0 * u3) / 256.0;
+    c[2] = (27.0 * (s1 - s3) + 198.0 * t1) / 256.0 + 19.0 / 384.0 * t3;
+    c[3] = (198.0 * u1 - 171.0 * d1) / 256.0 - 281.0 / 6912.0 * d3 + 19.0 / 1152.0 * u3;
+    c[4] = (15.0 * (s3 - s1) - 38.0 * t1) / 256.0 - 11.0 / 384.0 * t3;
+    c[5] = (23.0 * d1 - 38.0 * u1) / 256.0 + 157.0 / 6912.0 * d3 - 11.0 / 1152.0 * u3;
+    c[6] = (s1 - s3 + 2.0 * t1) / 256.0 + t3 / 384.0;
+    c[7] = (2.0 * u1 - d1) / 256.0 - 11.0 / 6912.0 * d3 + u3 / 1152.0;
+}
 
 #if DELAY_TERMS == 8
 #define NEAREST 6755399441055744.0  // 1.5 * 2^52: adding and taking it away rounds to a whole number
 
-// Write eight coefficients, lowest power first, in samples less the whole delay, which is returned.
+// Write the delay of the block between the middle two nodes, in samples less the whole delay, which is returned.
 static int write_septic(const double* delay, const double* rate, double sampling_rate, double late,
                         __global float* c)
 {
     const double first = delay[1] * sampling_rate + late, whole = (first + NEAREST) - NEAREST;
-    double p[4], e[4];
+    double p[4], e[4], exact[8];
     for (int i = 0; i < 4; i++) {
         p[i] = delay[i] * sampling_rate + late - whole;
         e[i] = rate[i] * (0.5 * BLOCK);
     }
-    const double s1 = 0.5 * (p[2] + p[1]), s3 = 0.5 * (p[3] + p[0]), d1 = 0.5 * (p[2] - p[1]), d3 = 0.5 * (p[3] - p[0]);
-    const double t1 = 0.5 * (e[2] - e[1]), t3 = 0.5 * (e[3] - e[0]), u1 = 0.5 * (e[2] + e[1]), u3 = 0.5 * (e[3] + e[0]);
-    const double centre = (243.0 * s1 + 13.0 * s3 - 162.0 * t1 - 6.0 * t3) / 256.0;
-    const double more = (centre + NEAREST) - NEAREST;  // whole samples from the block's start to its middle
-    c[0] = (float)(centre - more);
-    c[1] = (float)((405.0 * d1 + 5.0 * d3 - 162.0 * u1 - 2.0 * u3) / 256.0);
-    c[2] = (float)((27.0 * (s1 - s3) + 198.0 * t1) / 256.0 + 19.0 / 384.0 * t3);
-    c[3] = (float)((198.0 * u1 - 171.0 * d1) / 256.0 - 281.0 / 6912.0 * d3 + 19.0 / 1152.0 * u3);
-    c[4] = (float)((15.0 * (s3 - s1) - 38.0 * t1) / 256.0 - 11.0 / 384.0 * t3);
-    c[5] = (float)((23.0 * d1 - 38.0 * u1) / 256.0 + 157.0 / 6912.0 * d3 - 11.0 / 1152.0 * u3);
-    c[6] = (float)((s1 - s3 + 2.0 * t1) / 256.0 + t3 / 384.0);
-    c[7] = (float)((2.0 * u1 - d1) / 256.0 - 11.0 / 6912.0 * d3 + u3 / 1152.0);
+    septic(p, e, exact);
+    const double more = (exact[0] + NEAREST) - NEAREST;  // whole samples from the block's start to its middle
+    c[0] = (float)(exact[0] - more);
+    for (int i = 1; i < 8; i++) c[i] = (float)exact[i];
     return (int)(whole + more);
 }
 
@@ -37,9 +46,9 @@ static float septic_error(const double* delay, const double* rate, double block_
     const double e2 = rate[2] * (0.5 * block_time), e3 = rate[3] * (0.5 * block_time);
     const double third = (e3 - e0 + 3.0 * (e1 - e2)) / 192.0;
     const double quintic = 0.5 * (delay[1] + delay[2]) + 17.0 / 64.0 * (e1 - e2) - (e0 - e3) / 192.0;
-    const double septic = (243.0 * (delay[1] + delay[2]) + 13.0 * (delay[0] + delay[3]) - 162.0 * (e2 - e1) -
+    const double centre = (243.0 * (delay[1] + delay[2]) + 13.0 * (delay[0] + delay[3]) - 162.0 * (e2 - e1) -
                            6.0 * (e3 - e0)) / 512.0;
-    const double rest = septic - quintic, ratio = rest * rest / (third * third + 1e-40);
+    const double rest = centre - quintic, ratio = rest * rest / (third * third + 1e-40);
     return (float)(ratio < 1.0 ? rest * sqrt(ratio) : rest);
 }
 #endif

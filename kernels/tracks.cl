@@ -1,5 +1,5 @@
 // Delay and gain of every path as cubics on every block, in float64. Work-item: dimension 0 counts slots (paths),
-// dimension 1 walks of WALK blocks. Delays at nodes are predicted from those at both ends of the walk, so that no node
+// dimension 1 walks of WALK blocks. Delays at nodes are predicted from those at four ends of walks, so that no node
 // depends on which others are solved: where signals pause (SPARSE), blocks in which nothing sounds are left out.
 // Node n is one block before the start of block n; the slope of a block's gain needs the node before and after its own.
 
@@ -13,15 +13,15 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const int* receiver_of,      // [slots]
                      __global const band* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
-                     __global const double* receivers,     // [receivers][nodes][14]: position, velocity, axes, clock
+                     __global const double* receivers,     // [receivers][nodes, 1 if STILL][14]: position, velocity, axes, clock
                      int nodes,                            // blocks + 3, the first one before the run
                      __global const double* anchors,       // [ends of walks][2][slots], of anchors.cl
-                     int first_anchor,                     // at the run's first sample
+                     int first_anchor,                     // one walk before the run's first sample
                      __global const double* knots, int knot_count, double knot_first, double knot_rate,
                      double start,                         // time of the run's first sample, s
                      double sampling_rate, double speed_of_sound,
                      __global const band* nepers, __global const chunk* projection, __global const band* functions,
-                     __global const band* weight, __global const float* sizes,
+                     __global const band* weight, __global const chunk* sizes,
                      double late,                          // added to the delay, samples
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
                      float angular_frequency,              // largest of the signal, rad/s
@@ -41,19 +41,29 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     const int first = walk * WALK, last = first + WALK < blocks ? first + WALK : blocks;
     const motion path = {knots, knot_count, knot_first, knot_rate, 1.0 / speed_of_sound};
     const triple offset = {image_offset[slot], image_offset[slots + slot], image_offset[2 * slots + slot]};
-    __global const double* rows = receivers + (long)receiver_of[slot] * nodes * 14;
+    __global const double* rows = receivers + (long)receiver_of[slot] * (STILL ? 1 : nodes) * 14;
     const surroundings around = {nepers,  projection, functions, weight,      sizes,
                                  reflection, walls,   wall_of,   normal,      source_beam,
                                  receiver_beams + beam_of[receiver_of[slot]]};
     const double block_time = (double)BLOCK / sampling_rate, walk_time = WALK * block_time;
     __global const double* anchor = anchors + 2 * (first_anchor + walk) * (long)slots + slot;
-    const double d0 = anchor[0], d1 = anchor[2 * slots];
-    const double e0 = anchor[slots] * walk_time, e1 = anchor[3 * slots] * walk_time;
-    const double c2 = 3.0 * (d1 - d0) - 2.0 * e0 - e1, c3 = e0 + e1 - 2.0 * (d1 - d0);
+    double ends[4], slopes[4], predicted[8];
+    for (int i = 0; i < 4; i++) {
+        ends[i] = anchor[2 * i * (long)slots];
+        slopes[i] = anchor[(2 * i + 1) * (long)slots] * (0.5 * walk_time);
+    }
+    septic(ends, slopes, predicted);
     const int from = heard_from[slot], until = heard_until[slot];
 #if SPARSE
     const sound signal = {next, previous, cells, origin};
 #endif
+    listener ear[STILL ? 1 : TOGETHER];
+#if STILL
+    ear[0] = listener_at(image_matrix, slots, slot, offset, rows);
+#endif
+    double times[TOGETHER];
+    arrival node[TOGETHER];
+    int ready = -TOGETHER;  // first of the nodes whose delays are solved
     window w;
     int solved = first - 1;  // last node in the window
     float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
@@ -63,7 +73,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         if (!heard) continue;
         const double since = (block - first) * block_time, left = walk_time - since;
         // Delays from here to the end of the walk, and of this block.
-        const double late0 = late + sampling_rate * d0, late1 = late + sampling_rate * d1;
+        const double late0 = late + sampling_rate * ends[1], late1 = late + sampling_rate * ends[2];
         const double drift = sampling_rate * max_rate, until_end = drift * left, of_block = drift * block_time;
         const double low_here = later(late0 - drift * since, late1 - until_end);
         const double high_here = sooner(late0 + drift * since, late1 + until_end);
@@ -76,35 +86,33 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         if (!sounds(&signal, block, low_here - of_block - 2.0, high_here + of_block + 2.0)) continue;
 #endif
         for (int n = solved < block ? block : solved + 1; n <= block + 3; n++) {
-            __global const double* row = rows + n * 14;
-            const triple position = turned_back(image_matrix, slots, slot, difference(at_row(row), offset));
-            const triple velocity = turned_back(image_matrix, slots, slot, at_row(row + 3));
-            triple frame[3];
-#if RECEIVER_BEAM != NONE
-            frame[0] = turned_back(image_matrix, slots, slot, at_row(row + 6));
+            if (n >= ready + TOGETHER) {
+                ready = n;
+                for (int i = 0; i < TOGETHER; i++) {
+                    const int at = n + i < last + 2 ? n + i : last + 2;
+#if !STILL
+                    ear[i] = listener_at(image_matrix, slots, slot, offset, rows + at * 14);
 #endif
-#if RECEIVER_BEAM == SPHERICAL
-            frame[1] = turned_back(image_matrix, slots, slot, at_row(row + 9));
-            frame[2] = turned_back(image_matrix, slots, slot, cross_product(at_row(row + 6), at_row(row + 9)));
-#endif
-            // The receiver's clock: its own time, how much later its samples are taken, and true seconds in one of it.
-            const double time = start + (double)(n - 1) * block_time, ahead = row[12], pace = row[13];
-            const double u = (n - 1 - first) * (1.0 / WALK);
-            arrival a;
-            a.delay = d0 + u * (e0 + u * (c2 + u * c3)) + ahead;
-            for (int i = 0; i < 4; i++) {
-                const double step = newton_step(&path, position, velocity, time + ahead, &a);
-                if (step * step < 1e-14) break;  // the next one would be of the order of its square
+                    const double u = (at - 1 - first) * (2.0 / WALK) - 1.0;
+                    double expected = predicted[7];
+#pragma unroll
+                    for (int k = 6; k >= 0; k--) expected = expected * u + predicted[k];
+                    times[i] = start + (double)(at - 1) * block_time + ear[STILL ? 0 : i].ahead;
+                    node[i].delay = expected + ear[STILL ? 0 : i].ahead;
+                }
+                settle_together(&path, ear, times, node);
             }
+            const arrival* a = node + (n - ready);
+            const listener* here = ear + (STILL ? 0 : n - ready);
             for (int i = 0; i < 3; i++) {
                 w.delay[i] = w.delay[i + 1];
                 w.rate[i] = w.rate[i + 1];
                 for (int k = 0; k < CHUNKS; k++) w.gain[i][k] = w.gain[i + 1][k];
                 w.strength[i] = w.strength[i + 1];
             }
-            w.delay[3] = a.delay - ahead;
-            w.rate[3] = a.rate * pace - (pace - 1.0);
-            w.strength[3] = path_gains(&a, speed_of_sound, &around, slots, slot, frame, w.gain[3], &left_over);
+            w.delay[3] = a->delay - here->ahead;
+            w.rate[3] = a->rate * here->pace - (here->pace - 1.0);
+            w.strength[3] = path_gains(a, speed_of_sound, &around, slots, slot, here->frame, w.gain[3], &left_over);
             const float delay_now = (float)w.delay[3];
             shortest = delay_now < shortest ? delay_now : shortest;
             longest = delay_now > longest ? delay_now : longest;

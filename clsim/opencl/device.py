@@ -15,6 +15,8 @@ from clsim.errors import DeviceError
 from clsim.opencl.kernel_source import kernel_source
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
 INSTALL = (
@@ -155,7 +157,7 @@ class Compiler:
         self._context = context
         self._kernels: dict[tuple[str, tuple[str, ...]], Any] = {}
 
-    def kernel(self, program: str, constants: dict[str, int]) -> Any:
+    def kernel(self, program: str, constants: Mapping[str, int | str]) -> Any:
         """Return the kernel of a program with compile-time constants.
 
         Raises

@@ -7,8 +7,11 @@ from pathlib import Path
 from clsim.errors import ClsimError
 
 PROGRAMS = {
+    "emit": ("emit.cl",),
     "branches": ("vector.h", "branches.cl"),
-    "tracks": ("motion.h", "delay.h", "gain.h", "nodes.h", "septic.h", "block.h", "silence.h", "tracks.cl"),
+    "tracks": (
+        "motion.h", "delay.h", "gain.h", "together.h", "nodes.h", "septic.h", "block.h", "silence.h", "tracks.cl",
+    ),
     "anchors": ("motion.h", "delay.h", "anchors.cl"),
     "intervals": ("motion.h", "delay.h", "walls.h", "validity.h", "intervals.cl"),
     "edges": ("nodes.h", "weight.h", "edges.cl"),
@@ -16,7 +19,7 @@ PROGRAMS = {
     "render": ("vector.h", "nodes.h", "group.h", "farrow.h", "render.cl"),
     "baseband": ("vector.h", "nodes.h", "carrier.h", "baseband.cl"),
     "baseband_edges": ("vector.h", "nodes.h", "carrier.h", "weight.h", "baseband_edges.cl"),
-}
+}  # fmt: skip
 
 
 def kernel_folder() -> Path:

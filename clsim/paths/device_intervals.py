@@ -81,7 +81,7 @@ class DeviceSearch:
 
         question, context, flags = self._question, self._queue.context, cl.mem_flags
         states = self._beginning(question.first[receiver], question.last[receiver])
-        constants = {"ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": 12, "RETARDED": 1}
+        constants = {"ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": 12, "RETARDED": 1, "STILL": 0}
         kernel = self._compiler.kernel("intervals", constants)
         columns = (np.append(sequence.ravel(), 0), receiver)
         rows = tuple(self._upload(column.astype(np.int32)) for column in columns)

@@ -41,7 +41,7 @@ def block_polynomials(
     whole : ndarray (blocks, paths) int32
         Samples.
     polynomials : ndarray (blocks, terms + 4 K, paths) float32
-        Lowest power first: `terms` for the delay in samples, four for each gain.
+        Lowest power first: `terms` for the delay in samples, then four for the gains, K at a time.
     """
     if terms == 8:
         delay_terms = _septic(delay * sampling_rate + late, rate * (0.5 * block))
@@ -49,16 +49,11 @@ def block_polynomials(
         p0, p1 = delay[:, 1:-2] * sampling_rate + late, delay[:, 2:-1] * sampling_rate + late
         e0, e1 = rate[:, 1:-2] * (0.5 * block), rate[:, 2:-1] * (0.5 * block)
         delay_terms = _centred(p0, p1, e0, e1)
-    gain_cubic = []
-    for g in gain:
-        if terms == 8:
-            gain_cubic += _through(_nodes(g))
-            continue
-        s0, s1 = 0.25 * (g[:, 2:-1] - g[:, :-3]), 0.25 * (g[:, 3:] - g[:, 1:-2])
-        gain_cubic += _centred(g[:, 1:-2], g[:, 2:-1], s0, s1)
+    g0, g1, g2, g3 = _nodes(gain)
+    gain_terms = _through(g0, g1, g2, g3) if terms == 8 else _centred(g1, g2, 0.25 * (g2 - g0), 0.25 * (g3 - g1))
     whole = np.rint(delay_terms[0])
     delay_terms[0] = delay_terms[0] - whole
-    polynomials = np.stack([*delay_terms, *gain_cubic]).astype(np.float32)
+    polynomials = np.concatenate([delay_terms, *gain_terms]).astype(np.float32)
     return whole.T.astype(np.int32), np.ascontiguousarray(polynomials.transpose(2, 0, 1))
 
 
@@ -91,10 +86,9 @@ def _nodes(values: Floats) -> list[Floats]:
     return [values[..., i : values.shape[-1] - 3 + i] for i in range(4)]
 
 
-def _through(nodes: list[Floats]) -> list[Floats]:
+def _through(g0: Floats, g1: Floats, g2: Floats, g3: Floats) -> list[Floats]:
     """Return the cubics on [-1, 1] with the values of nodes at -3, -1, 1 and 3."""
-    s1, s3 = 0.5 * (nodes[2] + nodes[1]), 0.5 * (nodes[3] + nodes[0])
-    d1, d3 = 0.5 * (nodes[2] - nodes[1]), 0.5 * (nodes[3] - nodes[0])
+    s1, s3, d1, d3 = 0.5 * (g2 + g1), 0.5 * (g3 + g0), 0.5 * (g2 - g1), 0.5 * (g3 - g0)
     return [(9.0 * s1 - s3) / 8.0, (27.0 * d1 - d3) / 24.0, (s3 - s1) / 8.0, (d3 - 3.0 * d1) / 24.0]
 
 

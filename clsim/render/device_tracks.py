@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from clsim.render.tracks import SceneTracks
     from clsim.scene.scene import Receiver, Scene
 
+_SIDE_BY_SIDE = 32  # slots to a work-group: left to itself a runtime builds kernels anew for many sizes
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceNodes:
@@ -64,8 +66,9 @@ class _Chunk:
 class DeviceTracks:
     """Makes block polynomials with ``tracks.cl``."""
 
-    def __init__(self, plan: Plan, tracks: SceneTracks, queue: Any, compiler: Compiler) -> None:
+    def __init__(self, plan: Plan, tracks: SceneTracks, queue: Any, compiler: Compiler, together: int) -> None:
         self._plan, self._tracks, self._queue, self._compiler = plan, tracks, queue, compiler
+        self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
         self._knot_rates = []
@@ -85,6 +88,7 @@ class DeviceTracks:
             for i, r in enumerate(scene.receivers)
             if math.isinf(r.trajectory.end) and r.electronics is None
         }
+        self._still = len(self._at_rest) == len(scene.receivers)
         for i, around in enumerate(self._surroundings):
             around.most_bounces(g for g in tracks.path_groups if g.source == i)
 
@@ -112,7 +116,7 @@ class DeviceTracks:
         receiver_of = np.repeat(np.arange(len(slots.groups), dtype=np.int32), np.diff(slots.first_slot))
         rate = plan.sampling_rate
         longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
-        spare = 0.05 + 2.0 * plan.blocks[0] / rate  # for nodes beside the run
+        spare = 0.05 + plan.segment / rate  # for nodes and anchors beside the run
         knots, knot_first = motion_knots(
             scene.sources[source], start / rate - longest - 0.01 * abs(longest) - spare,
             (start + length) / rate - shortest + spare,
@@ -123,7 +127,7 @@ class DeviceTracks:
         motion = (
             self._upload(knots), np.int32(len(knots)), np.float64(knot_first), np.float64(self._knot_rates[source]),
         )  # fmt: skip
-        anchors = self._anchors(source, slots, images, motion, start, -(-length // plan.segment) + 1)
+        anchors = self._anchors(source, slots, images, motion, start, -(-length // plan.segment) + 3)
         cells = None
         if sounding is not None:
             signal = (sounding.following, sounding.preceding)
@@ -138,17 +142,20 @@ class DeviceTracks:
 
         rate, segment = self._plan.sampling_rate, self._plan.segment
         out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * slots.count)
-        times = (start + segment * np.arange(ends, dtype=np.float64)) / rate
+        times = (start + segment * np.arange(-1.0, ends - 1)) / rate
         kernel = self._compiler.kernel("anchors", self._motion_constants(source))
         kernel(
-            self._queue, (slots.count, ends), None, *images[:3], self._upload(self._receivers_at(slots, times)),
-            np.int32(ends), *motion, np.float64(start / rate), np.float64(segment / rate),
+            self._queue, (slots.count, ends), (_SIDE_BY_SIDE, 1), *images[:3],
+            self._upload(self._receivers_at(slots, times)), np.int32(ends), *motion,
+            np.float64(start / rate), np.float64(segment / rate),
             np.float64(self._tracks.scene.air.sound_speed), out,
         )  # fmt: skip
         return out
 
-    def nodes(self, chunk: _Chunk, start: int, block: int, blocks: int) -> DeviceNodes:
-        """Make the polynomials of `blocks` blocks from a sample on."""
+    def nodes(
+        self, chunk: _Chunk, start: int, block: int, blocks: int, meanwhile: Callable[[], None] | None = None
+    ) -> DeviceNodes:
+        """Make the polynomials of `blocks` blocks from a sample on; something else can be done meanwhile."""
         import pyopencl as cl
 
         plan, scene, slots = self._plan, self._tracks.scene, chunk.slots
@@ -157,7 +164,7 @@ class DeviceTracks:
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(emission.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * slots.count)
-        cubics = self._scratch.take(("cubics", block), 4 * terms * blocks * slots.count)
+        cubics = self._scratch.take(("cubics", block), 4 * (terms * blocks * slots.count + 8))
         found = np.empty((walks, slots.count, 4), dtype=np.float32)
         unheld = np.empty((walks, slots.count), dtype=np.float32)
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
@@ -171,7 +178,7 @@ class DeviceTracks:
         constants = self._constants(chunk.source, block) | {"SPARSE": int(spans is not None)}
         kernel = self._compiler.kernel("tracks", constants)
         kernel(
-            self._queue, (slots.count, walks), None, *chunk.images,
+            self._queue, (slots.count, walks), (_SIDE_BY_SIDE, 1), *chunk.images,
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
             np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // plan.segment), *chunk.knots,
             np.float64(start / rate), np.float64(rate), np.float64(c),
@@ -181,6 +188,8 @@ class DeviceTracks:
             np.int32(blocks), delay, cubics, found_there, unheld_there, *cells, np.float64(start - chunk.first),
             np.float64(self._max_rates[chunk.source]), delay if spans is None else spans,
         )  # fmt: skip
+        if meanwhile is not None:
+            meanwhile()
         cl.enqueue_copy(self._queue, found, found_there)
         cl.enqueue_copy(self._queue, unheld, unheld_there)
         first = slots.first_slot[:-1]
@@ -196,12 +205,17 @@ class DeviceTracks:
 
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
-        return {"KNOT_COLUMNS": 36 if sideways else 24, "RETARDED": int(self._tracks.motion == "retarded")}
+        return {
+            "KNOT_COLUMNS": 36 if sideways else 24,
+            "RETARDED": int(self._tracks.motion == "retarded"),
+            "STILL": int(self._still),
+        }
 
     def _constants(self, source: int, block: int) -> dict[str, int]:
         retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
         return self._motion_constants(source) | {
             "BLOCK": block,
+            "TOGETHER": self._together,
             "GROUP": self._plan.emissions[source].bank.group,
             "CELL": CELL,
             "WALK": self._plan.segment // block,
@@ -218,7 +232,11 @@ class DeviceTracks:
         }
 
     def _receivers_at(self, slots: Slots, times: Floats) -> Floats:
-        """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes, 14)."""
+        """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes, 14).
+
+        Where all receivers are at rest, a single node is enough.
+        """
+        times = times[:1] if self._still else times
         out = np.empty((len(slots.groups), len(times), 14))
         for i, r in enumerate(slots.receiver):
             out[i] = self._at_rest[r] if r in self._at_rest else _receiver_at(self._tracks.scene.receivers[r], times)
@@ -249,7 +267,7 @@ class _Surroundings:
         padding = -len(basis) % 8 if len(basis) > 1 else 0  # of gains, which stand side by side
         columns = (
             self._responses.nepers, np.pad(basis.projection.T, ((0, 0), (0, padding))), basis.functions, basis.weight,
-            basis.sizes,
+            np.pad(basis.sizes, (0, padding)),
         )  # fmt: skip
         self.basis = tuple(put(column.astype(np.float32)) for column in columns)
         beams = [r.directivity for r in scene.receivers]

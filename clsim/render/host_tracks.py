@@ -13,6 +13,8 @@ from clsim.render.blocks import block_error, block_polynomials
 from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -54,8 +56,15 @@ class HostTracks:
         """Return what `nodes` needs; nothing is left out here."""
         return source, slots, bounds
 
-    def nodes(self, state: tuple[int, Slots, Boundaries], start: int, block: int, blocks: int) -> HostNodes:
-        """Make the polynomials of `blocks` blocks from a sample on."""
+    def nodes(
+        self,
+        state: tuple[int, Slots, Boundaries],
+        start: int,
+        block: int,
+        blocks: int,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> HostNodes:
+        """Make the polynomials of `blocks` blocks from a sample on; the host has no time for anything else."""
         source, slots, bounds = state
         plan, emission = self._plan, self._plan.emissions[source]
         rate = plan.sampling_rate

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import warnings
 from dataclasses import dataclass
@@ -12,11 +11,11 @@ import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError
 from clsim.opencl.device import Scratch, find_device, opened, upload
+from clsim.render.branches import Branches, BranchSignals
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
 from clsim.render.host_tracks import HostTracks
 from clsim.render.plan import NODE_BUDGET, Plan
-from clsim.render.silence import CELL, Sounding, sounding
 from clsim.render.slots import Active, Slots, fill_slots
 from clsim.render.tracks import SceneTracks
 
@@ -26,12 +25,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.render.interpolator import Bank
 
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
 _STRETCH = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
-_MARGIN = 64  # samples of branch signal beyond the bounds of the delays
+_TOGETHER = 8  # functions of frequency that are summed at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +39,7 @@ class Layout:
     lanes: int
     span: int  # groups to a work-item, or group of them
     sparse_span: int  # the same where signals pause
-    sparse_batch: int  # paths that are looked at together there; divides BATCH, and _TILE into at most 31
+    nodes: int  # of a path, whose delays are solved side by side
 
     def constants(self, group: int, *, sparse: bool) -> dict[str, int]:
         """Return the compile-time constants of the render kernel for a group length."""
@@ -50,15 +48,15 @@ class Layout:
             "LANES": self.lanes,
             "VECTORS": group // (workers * self.lanes),
             "WORKERS": workers,
-            "BATCH": self.sparse_batch if sparse else BATCH,
             "SPARSE": int(sparse),
+            **({} if sparse else {"BATCH": BATCH}),
             "TILE": _TILE,
             "SPAN": (self.sparse_span if sparse else self.span) * (32 // group),
         }
 
 
-CPU_LAYOUT = Layout(lanes=8, span=16, sparse_span=48, sparse_batch=8)
-GPU_LAYOUT = Layout(lanes=1, span=4, sparse_span=16, sparse_batch=32)
+CPU_LAYOUT = Layout(lanes=8, span=16, sparse_span=48, nodes=4)
+GPU_LAYOUT = Layout(lanes=1, span=4, sparse_span=16, nodes=1)
 
 
 class OpenclEngine:
@@ -88,13 +86,15 @@ class OpenclEngine:
         self._context, self._compiler = opened(device)
         self._queue = cl.CommandQueue(self._context)
         self._scratch = Scratch(self._context)
-        self._written: tuple[tuple[int, int], Sounding] | None = None  # branches kept in memory, silent elsewhere
+        self.branch_signals = BranchSignals(
+            plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts
+        )
         self.skips_silence = True
         shape = (len(plan.emissions), plan.receiver_count)
         self._strongest, self._unheld = np.zeros(shape), np.zeros(shape)  # arrivals, and what no function holds of any
         self._tracks: DeviceTracks | HostTracks
         if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
-            self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler)
+            self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler, self._layout.nodes)
         else:
             self._tracks = HostTracks(plan, self._queue)
 
@@ -136,17 +136,15 @@ class OpenclEngine:
     def _render(self, start: int, stop: int) -> NDArray[np.float32]:
         import pyopencl as cl
 
-        plan = self._plan
-        unit = math.lcm(*plan.blocks)
-        length = -(-(stop - start) // unit) * unit
+        plan, length = self._plan, self.branch_signals.whole_blocks(start, stop)
         pressure = np.empty((self.parts * plan.receiver_count, length), dtype=np.float32)
         on_device = self._scratch.take("pressure", pressure.nbytes)
         cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)
         for source in range(len(plan.emissions)):
-            active = self._active(source, start, length)
-            branches = self._branches(source, start, length, active) if active else None
-            if branches is None:
+            feed = self.branch_signals.take(source, start, length)
+            if feed is None:
                 continue
+            active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
             segments = -(-length // plan.segment)
             always = all(plan.tracks.groups[group.index].always_heard for group in active)
             step = segments if always else _STRETCH
@@ -163,87 +161,8 @@ class OpenclEngine:
         cl.enqueue_copy(self._queue, pressure, on_device)
         return pressure[:, : stop - start]
 
-    def _active(self, source: int, start: int, length: int) -> list[Active]:
-        """Return the paths of a source that are heard within a chunk."""
-        plan, found = self._plan, []
-        for i, group in enumerate(plan.tracks.groups):
-            if group.source == source and i not in plan.at_rest.groups:
-                low, high = plan.tracks.delay_range(i, *self._seconds(start, start + length))
-                found.append(Active(i, np.arange(len(group)), low, high).during(plan, start, start + length))
-        return [group for group in found if len(group.rows)]
-
-    def _seconds(self, first: int, last: int) -> tuple[float, float]:
-        return first / self._plan.sampling_rate, last / self._plan.sampling_rate
-
-    def _branches(self, source: int, start: int, length: int, active: list[Active]) -> Branches | None:
-        """Filter the part of a signal that can be heard in a chunk; None if it is silent."""
-        import pyopencl as cl
-
-        emission, rate = self._plan.emissions[source], self._plan.sampling_rate
-        late = emission.start * rate
-        least = int(np.floor(min(group.low.min() for group in active) * rate + late)) - _MARGIN
-        most = int(np.ceil(max(group.high.max() for group in active) * rate + late)) + _MARGIN
-        channel = 8 * self._layout.lanes
-        needed = length + most - least
-        step = max(64, 1 << needed.bit_length() - 5)  # little, but so much that chunk after chunk has the same width
-        width = -(-needed // step) * step
-        stride = width + 16  # whole pages apart, rows would fight for the same cache lines
-        first = start - most
-        before, after = (max(side(bank) for bank in emission.banks) for side in (_taps_before, _taps_after))
-        places, values = emission.sounding(first - before, first + width + after)
-        if not len(places):
-            return None
-        found = sounding(places, width, before, after)
-        sparse = self.skips_silence and found.pays
-        out, following = self._rows(self.parts * int(emission.rows[-1]), stride, found if sparse else None)
-        emitted = np.zeros((len(emission.banks), self.parts, before + width + after), dtype=np.float32)
-        for part, of in enumerate((values.real, values.imag)[: self.parts]):
-            emitted[:, part, places] = of
-        there = self._scratch.take("emitted", emitted.nbytes)
-        cl.enqueue_copy(self._queue, there, emitted)
-        for (k, bank), part in itertools.product(enumerate(emission.banks), range(self.parts)):
-            rows, taps = bank.taps.shape
-            constants = {"LANES": self._layout.lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(sparse)}
-            kernel = self._compiler.kernel("branches", constants)
-            kernel(
-                self._queue, (width // channel, rows), None, there,
-                np.int32((k * self.parts + part) * emitted.shape[2] + before - _taps_before(bank)),
-                self._upload(bank.taps.astype(np.float32)), np.int32(stride),
-                np.int32(self.parts * emission.rows[k] + part * rows), out,
-                following,
-            )  # fmt: skip
-        return Branches(out, stride, first, least, most, found if sparse else None)
-
-    def _rows(self, count: int, stride: int, found: Sounding | None) -> tuple[Any, Any]:
-        """Return memory for branch signals, and where they are to be written: where they sound, or did before."""
-        import pyopencl as cl
-
-        out, shape = self._scratch.take("rows", 4 * count * stride), (count, stride)
-        if found is None:
-            self._written = None
-            return out, out  # of no use: all is written
-        if self._written is None or self._written[0] != shape:
-            cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, 4 * count * stride)
-            write = found
-        else:
-            write = found | self._written[1]
-        self._written = shape, found
-        return out, self._upload(write.following)
-
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)
-
-
-@dataclass(frozen=True, slots=True)
-class Branches:
-    """Branch signals on the device, and which delays they cover."""
-
-    rows: Any
-    stride: int
-    first: int  # sample at which the rows begin
-    least: int  # samples
-    most: int
-    sounding: Sounding | None  # where it is worth leaving out what is silent
 
 
 class Run:
@@ -288,7 +207,10 @@ class Run:
         for at in range(first, last, step):
             upto = min(at + step, last)
             begin, end = at * segment, min(upto * segment, self._length)
-            nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, (end - begin) // block)
+            nodes = self._engine._tracks.nodes(
+                self._state, self._start + begin, block, (end - begin) // block,
+                lambda: self._engine.branch_signals.look_ahead(self._source, self._start),
+            )  # fmt: skip
             self._check(nodes.shortest, nodes.longest)
             self._engine.note(self._source, self._slots.receiver, nodes.strongest, nodes.unheld)
             coarse = nodes.error > self._tolerance
@@ -318,11 +240,15 @@ class Run:
         groups = (end - begin) // emission.bank.group
         size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
         counts = [len(bank.taps) for bank in emission.banks]
-        for k, upto in _runs(counts):
-            kernel = engine._compiler.kernel("render", constants | {"BRANCHES": counts[k]})
+        together = _TOGETHER if nodes.spans is not None else 1
+        for k in range(0, len(counts), together):
+            here = counts[k : k + together]
+            each = "".join(f"ADD({i},{count})" for i, count in enumerate(here))
+            functions: dict[str, int | str] = {"FUNCTIONS": len(here), "EACH_FUNCTION": each, "MOST_ROWS": max(here)}
+            kernel = engine._compiler.kernel("render", constants | functions)
             kernel(
                 engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
-                np.int32(emission.rows[k]), np.int32(self._functions), np.int32(k), np.int32(upto),
+                np.int32(emission.rows[k]), np.int32(self._functions), np.int32(k),
                 np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, self._first_slot,
                 np.int32(self._slots.count), np.int32(block // emission.bank.group), np.int32(first_block),
                 np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
@@ -336,7 +262,7 @@ class Run:
             return
         per_ramp, rows = self._bounds.ramp, self._plan.emissions[self._source].rows.astype(np.int32)
         slot, at = engine._upload(edges.slot), engine._upload(edges.block + np.int32(first_block))
-        kernel = engine._compiler.kernel("edges", {})
+        kernel = engine._compiler.kernel("edges", {"SPARSE": int(nodes.spans is not None)})
         kernel(
             engine._queue, (block, len(edges.row)), None, self._branches.rows, np.int32(self._branches.stride),
             np.int32(self._functions), engine._upload(rows), np.int32(self._start + begin - self._branches.first),
@@ -344,26 +270,19 @@ class Run:
             np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
             *(engine._upload(column) for column in (edges.start, edges.end, edges.first, edges.row, edges.at)),
             self._pressure, np.int32(self._length), np.int32(begin), np.int32(end - begin),
-            np.int32(nodes.spans is not None), nodes.delay if nodes.spans is None else nodes.spans,
+            nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
         self._mute(nodes, slot, at)
 
     def _mute(self, nodes: Any, slot: Any, at: Any) -> None:
         """Take paths, by slot and block, out of the polynomials."""
-        kernel = self._engine._compiler.kernel("mute", {"DELAY_TERMS": self._plan.delay_terms})
+        kernel = self._engine._compiler.kernel(
+            "mute", {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(nodes.spans is not None)}
+        )
         kernel(
             self._engine._queue, (slot.size // 4,), None, slot, at, np.int32(self._functions), nodes.cubics,
             np.int32(self._slots.count),
         )  # fmt: skip
-
-
-def _taps_before(bank: Bank) -> int:
-    """Return how many samples before the first one the branch filters read."""
-    return int(bank.taps.shape[1]) - 1 - bank.centre
-
-
-def _taps_after(bank: Bank) -> int:
-    return bank.centre + 1
 
 
 def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -136,7 +136,7 @@ MUTANTS = {
     "last term of the sine": ("baseband", "(-0.5980451734f + s * 0.07722012749f)", "(-0.5980451734f)"),
     "a sample late": ("baseband", "lead + at - whole", "lead + at - 1 - whole"),
     "a branch skipped": ("baseband", "for (int q = 1; q < count", "for (int q = 2; q < count"),
-    "gain's slope": ("baseband", "g0 + t[j] * (g1", "g0 - t[j] * (g1"),
+    "gain's slope": ("baseband", "CUBIC(g0, g1,", "CUBIC(g0, -g1,"),
     "place in the block": ("baseband", "(float)(inside + j * LANES)", "(float)(inside + j)"),
     "another block's row": ("baseband", "row = first_block + block;", "row = first_block;"),
     "first vector's place for all": ("baseband", "mu[j] = mu[j] * t[j] + term", "mu[j] = mu[j] * t[0] + term"),

@@ -6,7 +6,7 @@ from made_meshes import pillar_room
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.render import opencl as opencl_module
+from clsim.render import branches as branches_module
 from clsim.render.opencl import GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import SEGMENT, Plan, plan_render
 from clsim.render.silence import CELL, Sounding, sounding
@@ -67,7 +67,7 @@ def rendered(plan: Plan, skips_silence: bool, **options) -> np.ndarray:
 def test_not_a_bit_changes(name: str, layout, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = PLANS[name]()
     looked: list[bool] = []
-    monkeypatch.setattr(opencl_module, "sounding", lambda *a: looked.append(sounding(*a).pays) or sounding(*a))
+    monkeypatch.setattr(branches_module, "sounding", lambda *a: looked.append(sounding(*a).pays) or sounding(*a))
     with_silence = rendered(plan, False, layout=layout)
     assert np.abs(with_silence).max() > 0.0
     np.testing.assert_array_equal(rendered(plan, True, layout=layout), with_silence)
@@ -85,6 +85,7 @@ def test_memory_that_is_used_again_is_silent_again(monkeypatch: pytest.MonkeyPat
     # Two periods are 300 samples less than a chunk: what sounded in the last one lies right behind what sounds in this.
     plan = box_plan(pulses((2 * SEGMENT - 300) / 2 / RATE, 5), order=2)
     wanted = in_chunks(plan, False)
+    np.testing.assert_allclose(wanted, rendered(plan, False), atol=1e-6 * np.abs(wanted).max())
     np.testing.assert_array_equal(in_chunks(plan, True), wanted)
     monkeypatch.setattr(Sounding, "__or__", lambda now, before: now)  # what sounded before is left there
     assert not np.array_equal(in_chunks(plan, True), wanted)
@@ -132,12 +133,15 @@ MUTANTS = {
     "last group too early": ("tracks", "+ 1) * CELL - start + longest", "+ 1) * CELL - start + shortest - 40.0"),
     "cells before the origin": ("tracks", "s->origin + (double)block * BLOCK;\n    return", "(double)block * BLOCK;\n    return"),
     "last node forgotten": ("tracks", "solved = block + 3;", "solved = block + 4;"),
-    "group of another block": ("render", "g - block * block_groups, worker, &paths)", "g, worker, &paths)"),
-    "last group left out": ("render", "group < span >> 16", "group + 1 < span >> 16"),
-    "batch not looked at": ("render", "g < until; g += WORKERS", "g < until - 1; g += WORKERS"),
-    "batch beside the right one": ("render", "|= 1 << (slot - tile) / BATCH", "|= 1 << (slot - tile) / BATCH / 2"),
-    "paths that begin early": ("render", "begin < from ? begin", "begin > from ? begin"),
-    "tile taken for silent": ("render", "any = 1;", "any = slot == tile;"),
+    "first group left out": ("render", "+ (span & 0xffff), end", "+ (span & 0xffff) + 1, end"),
+    "last group left out": ("render", "g < until; g += WORKERS", "g < until - 1; g += WORKERS"),
+    "path left out": ("render", "if (!span) continue;", "if (!span || slot % 64 == 7) continue;"),
+    "last path left out": ("render", "i < count[g - first_group]; i++", "i < count[g - first_group] - 1; i++"),
+    "curve of another term": ("render", "CUBIC_CURVE(c[2], c[3], t)", "CUBIC_CURVE(c[2], c[2], t)"),
+    "slope of another term": ("render", "CUBIC_SLOPE(c[1], c[2], c[3], t)", "CUBIC_SLOPE(c[1], c[2], c[2], t)"),
+    "gains of other functions": ("render", "i * functions + first)", "i * functions + first + 1)"),
+    "gain's slope of another term": ("render", "CUBIC_SLOPE(g[1], g[2], g[3], t)", "CUBIC_SLOPE(g[1], g[2], g[2], t)"),
+    "another function's sum": ("render", "worker, sum[k]);", "worker, sum[k / 2]);"),
 }  # fmt: skip
 
 
