@@ -7,11 +7,12 @@
 __kernel void branches(__global const float* emitted,
                        int first_emitted,              // TAPS - 1 - centre samples before the first row's
                        __constant float* taps,         // [rows][TAPS]
-                       int stride, int first_row, __global float* rows,
+                       int width, int stride, int first_row, __global float* rows,
                        __global const int* next)        // as in silence.h
 {
     const int row = get_global_id(1);
     const int first = get_global_id(0) * CHANNEL;
+    if (first >= width) return;
 #if SPARSE
     if (next[first / CELL] > (first + CHANNEL - 1) / CELL) return;
 #endif

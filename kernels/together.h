@@ -31,7 +31,7 @@ static void settle_together(const motion* path, const listener* ear, const doubl
     int open[TOGETHER];
 #pragma unroll
     for (int i = 0; i < TOGETHER; i++) open[i] = 1;
-    for (int k = 0; k < 4; k++) {
+    for (int k = 0; k < 8; k++) {
         int any = 0;
 #pragma unroll
         for (int i = 0; i < TOGETHER; i++) {

@@ -114,6 +114,14 @@ def upload(context: Any, array: NDArray[Any]) -> Any:
     return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array))
 
 
+def work(count: int, *more: int, group: int = 32) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the size of a launch and of its work-groups: `group` items of the first dimension, rounded up to these.
+
+    Left to itself a runtime may choose groups by the divisors of each size, and build the kernel anew for every one.
+    """
+    return (-(-count // group) * group, *more), (group, *(1 for _ in more))
+
+
 class Scratch:
     """Buffers of a context that are used again, by name: fresh memory at every step of a run costs time."""
 

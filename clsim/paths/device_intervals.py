@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.device import find_device, opened, upload
+from clsim.opencl.device import find_device, opened, upload, work
 from clsim.paths.intervals import GRAZE, MOST_LOOKS, SMALLEST_MOVE, Intervals, Question, merged
 from clsim.scene.mesh_walls import INSIDE
 
@@ -94,7 +94,7 @@ class DeviceSearch:
             found = cl.Buffer(context, flags.READ_WRITE, _INTERVAL.itemsize * room)
             count = self._upload(np.zeros(1, dtype=np.int32))
             kernel(
-                self._queue, (-(-len(active) // 16) * 16,), (16,), *self._room, *self._ends, *rows,
+                self._queue, *work(len(active), group=16), *self._room, *self._ends, *rows,
                 self._upload(active), np.int32(len(active)), np.float64(question.resolution),
                 np.float64(SMALLEST_MOVE * question.walls.size), np.float64(GRAZE * question.walls.size),
                 np.int32(budget), on_device, found, count,

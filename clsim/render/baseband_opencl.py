@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.opencl.device import work
 from clsim.render.baseband import WIDEST_GROUP
 from clsim.render.edges import find_edges
 from clsim.render.envelope import EnvelopeEmission
@@ -80,14 +82,15 @@ class _BasebandRun(Run):
         self._render_edges(nodes, segment, end, block, first_block)
         lanes = engine._layout.lanes
         vectors = min(block, WIDEST_GROUP) // lanes if lanes > 1 else 1
-        size = ((end - begin) // (vectors * lanes), len(self._slots.groups))
+        spans = (end - begin) // (vectors * lanes)
+        size = work(spans, len(self._slots.groups), group=1 if lanes > 1 else math.gcd(spans, 32))
         launch = self._launch(nodes, begin, block, first_block)
         kernel = engine._compiler.kernel(
             "baseband",
             launch.constants | {"VECTORS": vectors, "SPARSE": int(nodes.spans is not None)},
         )
         kernel(
-            engine._queue, size, None, *launch.branches[:6], self._first_slot, *launch.branches[6:], self._row,
+            engine._queue, *size, *launch.branches[:6], self._first_slot, *launch.branches[6:], self._row,
             *launch.envelope, nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
 
@@ -102,7 +105,7 @@ class _BasebandRun(Run):
         columns = (edges.start, edges.end, edges.first, edges.row, edges.at)
         kernel = engine._compiler.kernel("baseband_edges", launch.constants | {"LANES": 1})
         kernel(
-            engine._queue, (block, len(edges.row)), None, *launch.branches,
+            engine._queue, *work(block, len(edges.row), group=math.gcd(block, 32)), *launch.branches,
             np.float32(1.0 / ramp if ramp else 0.0), slot, *(engine._upload(column) for column in columns),
             *launch.envelope, np.int32(end - begin), np.int32(nodes.spans is not None),
             nodes.delay if nodes.spans is None else nodes.spans,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.opencl.device import upload
+from clsim.opencl.device import upload, work
 from clsim.render.silence import CELL, Sounding, sounding
 from clsim.render.slots import Active
 
@@ -129,9 +129,9 @@ class BranchSignals:
             constants = {"LANES": self._lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(found is not None)}
             kernel = self._compiler.kernel("branches", constants)
             kernel(
-                self._queue, (feed.width // channel, rows), None, emitted,
+                self._queue, *work(feed.width // channel, rows), emitted,
                 np.int32((k * self._parts + part) * samples + feed.before - _taps_before(bank)),
-                self._upload(bank.taps.astype(np.float32)), np.int32(stride),
+                self._upload(bank.taps.astype(np.float32)), np.int32(feed.width), np.int32(stride),
                 np.int32(self._parts * emission.rows[k] + part * rows), out,
                 following,
             )  # fmt: skip
@@ -146,7 +146,8 @@ class BranchSignals:
 
         def emit(count: int, places: Any, values: Any, clear: bool) -> None:
             kernel = self._compiler.kernel("emit", {})
-            kernel(self._queue, (count, rows), None, places, values, np.int32(clear), np.int64(samples), out)
+            size = work(count, rows)
+            kernel(self._queue, *size, np.int32(count), places, values, np.int32(clear), np.int64(samples), out)
 
         if self._emitted is not None and self._emitted[0] == (rows, samples):
             emit(*self._emitted[1:], out, clear=True)

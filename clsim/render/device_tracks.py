@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.geometry import rotate
-from clsim.opencl.device import Scratch, upload
+from clsim.opencl.device import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT, PathGroup
 from clsim.paths.motion_knots import knot_rate, motion_knots
 from clsim.paths.responses import Responses
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from clsim.render.slots import Slots
     from clsim.render.tracks import SceneTracks
     from clsim.scene.scene import Receiver, Scene
-
-_SIDE_BY_SIDE = 32  # slots to a work-group: left to itself a runtime builds kernels anew for many sizes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,7 +143,7 @@ class DeviceTracks:
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
         kernel = self._compiler.kernel("anchors", self._motion_constants(source))
         kernel(
-            self._queue, (slots.count, ends), (_SIDE_BY_SIDE, 1), *images[:3],
+            self._queue, *work(slots.count, ends), *images[:3],
             self._upload(self._receivers_at(slots, times)), np.int32(ends), *motion,
             np.float64(start / rate), np.float64(segment / rate),
             np.float64(self._tracks.scene.air.sound_speed), out,
@@ -178,7 +176,7 @@ class DeviceTracks:
         constants = self._constants(chunk.source, block) | {"SPARSE": int(spans is not None)}
         kernel = self._compiler.kernel("tracks", constants)
         kernel(
-            self._queue, (slots.count, walks), (_SIDE_BY_SIDE, 1), *chunk.images,
+            self._queue, *work(slots.count, walks), *chunk.images,
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
             np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // plan.segment), *chunk.knots,
             np.float64(start / rate), np.float64(rate), np.float64(c),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError
-from clsim.opencl.device import Scratch, find_device, opened, upload
+from clsim.opencl.device import Scratch, find_device, opened, upload, work
 from clsim.render.branches import Branches, BranchSignals
 from clsim.render.device_tracks import DeviceTracks
 from clsim.render.edges import boundaries, find_edges
@@ -264,7 +264,8 @@ class Run:
         slot, at = engine._upload(edges.slot), engine._upload(edges.block + np.int32(first_block))
         kernel = engine._compiler.kernel("edges", {"SPARSE": int(nodes.spans is not None)})
         kernel(
-            engine._queue, (block, len(edges.row)), None, self._branches.rows, np.int32(self._branches.stride),
+            engine._queue, *work(block, len(edges.row), group=math.gcd(block, 32)), self._branches.rows,
+            np.int32(self._branches.stride),
             np.int32(self._functions), engine._upload(rows), np.int32(self._start + begin - self._branches.first),
             nodes.delay, nodes.cubics, np.int32(slots.count), np.int32(block), np.int32(first_block),
             np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
@@ -280,8 +281,8 @@ class Run:
             "mute", {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(nodes.spans is not None)}
         )
         kernel(
-            self._engine._queue, (slot.size // 4,), None, slot, at, np.int32(self._functions), nodes.cubics,
-            np.int32(self._slots.count),
+            self._engine._queue, *work(slot.size // 4), np.int32(slot.size // 4), slot, at, np.int32(self._functions),
+            nodes.cubics, np.int32(self._slots.count),
         )  # fmt: skip
 
 

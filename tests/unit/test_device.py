@@ -80,3 +80,11 @@ def test_poisoned_cache_is_built_around(device: None, tmp_path: Path) -> None:
     if not binaries:
         pytest.skip("this device's driver keeps its cache elsewhere")
     assert run() == first
+
+
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 1000])
+def test_work_is_whole_groups_of_one_size(count: int) -> None:
+    size, group = device_module.work(count, 3)
+    assert (group, size[1]) == ((32, 1), 3)
+    assert size[0] % 32 == 0
+    assert count <= size[0] < count + 32
