@@ -90,8 +90,7 @@ class OpenclEngine:
             plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts
         )
         self.skips_silence = True
-        shape = (len(plan.emissions), plan.receiver_count)
-        self._strongest, self._unheld = np.zeros(shape), np.zeros(shape)  # arrivals, and what no function holds of any
+        self._unheld = np.zeros(len(plan.emissions))  # largest part of what is heard that no function holds
         self._tracks: DeviceTracks | HostTracks
         if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
             self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler, self._layout.nodes)
@@ -112,9 +111,8 @@ class OpenclEngine:
 
     def warn(self) -> None:
         """Warn where responses came along that the functions of frequency hold worse than asked."""
-        unheld = (self._unheld / np.maximum(self._strongest, 1e-30)).max(axis=1)
         for i, emission in enumerate(self._plan.emissions):
-            reached = 20.0 * math.log10(max(float(unheld[i]), 1e-15))
+            reached = 20.0 * math.log10(max(float(self._unheld[i]), 1e-15))
             if reached > emission.basis.asked_db + 1.0 > -math.inf:
                 warnings.warn(
                     f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
@@ -123,10 +121,9 @@ class OpenclEngine:
                     stacklevel=3,
                 )
 
-    def note(self, source: int, receivers: NDArray[np.int32], strongest: Floats, unheld: Floats) -> None:
-        """Remember the strongest arrivals (n,) at receivers, and the largest part of any that no function holds."""
-        for seen, value in ((self._strongest, strongest), (self._unheld, unheld)):
-            seen[source, receivers] = np.maximum(seen[source, receivers], value)
+    def note(self, source: int, unheld: float) -> None:
+        """Remember the largest part of what is heard of a source that no function holds."""
+        self._unheld[source] = max(self._unheld[source], unheld)
 
     @property
     def run(self) -> type[Run]:
@@ -212,7 +209,7 @@ class Run:
                 lambda: self._engine.branch_signals.look_ahead(self._source, self._start),
             )  # fmt: skip
             self._check(nodes.shortest, nodes.longest)
-            self._engine.note(self._source, self._slots.receiver, nodes.strongest, nodes.unheld)
+            self._engine.note(self._source, float(nodes.unheld.max()))
             coarse = nodes.error > self._tolerance
             coarse &= level + 1 < len(plan.blocks)
             for a, b in _runs(coarse):
