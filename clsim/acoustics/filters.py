@@ -62,8 +62,8 @@ def band_filters(
     Notes
     -----
     Weighted least squares over all frequencies, of cosines for the real part and sines for the imaginary one: by
-    importance within the band, 1e-4 beyond it, where the values at the ends are continued, so that the filters are small
-    there too.
+    importance within the band, 1e-4 beyond it, where the values at the ends are continued, so that the filters are
+    small there too.
     """
     edges, count = 2.0 * math.pi * np.array([low, high]) / sampling_rate, len(importance)
     points = np.cos(math.pi * (np.arange(count) + 0.5) / count)
@@ -93,7 +93,8 @@ def band_filters(
 
 def _waves(w: Floats, half: int, *, odd: bool) -> Floats:
     """Return sines from 1, or cosines from 0, to `half` times w, (w, n)."""
-    return np.sin(np.outer(w, np.arange(1, half + 1))) if odd else np.cos(np.outer(w, np.arange(half + 1)))
+    angles = np.outer(w, np.arange(int(odd), half + 1))
+    return np.asarray(np.sin(angles) if odd else np.cos(angles))
 
 
 def _fitted(w: Floats, weight: Floats, target: Floats, half: int, *, odd: bool) -> Floats:

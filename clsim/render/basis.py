@@ -60,6 +60,8 @@ class Basis:
         Most that each function adds to what is heard at any instant, relative to that.
     strengths : ndarray (K,)
         Root mean square of each weighted function over the nodes.
+    loudness : ndarray (W,)
+        Inverse of the energy that is heard of each short window of the signal, as a mean over the run.
     asked_db, error_db : float
         Asked and reached bound of the error of the sum of all paths at a receiver, in the root mean square over the
         spectrum of what sounds within some 40 ms, relative to that sum, dB.
@@ -72,6 +74,7 @@ class Basis:
     filters: Floats
     sizes: Floats
     strengths: Floats
+    loudness: Floats
     asked_db: float
     error_db: float
 
@@ -139,7 +142,9 @@ def chebyshev_points(low: float, high: float, count: int) -> Floats:
 def flat_basis(frequency: float) -> Basis:
     """Return the basis that takes every response at one frequency; for real responses."""
     one = np.ones((1, 1))
-    return Basis(np.array([frequency]), one, one, np.ones(1), one, np.ones(1), np.ones(1), -math.inf, -math.inf)
+    return Basis(
+        np.array([frequency]), one, one, np.ones(1), one, np.ones(1), np.ones(1), np.ones(1), -math.inf, -math.inf
+    )
 
 
 def turning_basis(frequency: float, low: float, high: float, sampling_rate: float, error_db: float) -> Basis:
@@ -147,8 +152,8 @@ def turning_basis(frequency: float, low: float, high: float, sampling_rate: floa
     allowed = 10 ** (error_db / 20)
     filters = band_filters(np.array([[1.0], [1.0j]]), low, high, sampling_rate, np.ones(2), np.max, allowed)
     return Basis(
-        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters, np.ones(2), np.ones(2), -math.inf,
-        -math.inf,
+        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters, np.ones(2), np.ones(2), np.ones(1),
+        -math.inf, -math.inf,
     )  # fmt: skip
 
 
@@ -250,7 +255,9 @@ def _designed(found: _Functions, sample: _Sample, sampling_rate: float, error_db
     if found.parts == len(found.shapes) == 1 and flat:
         loudest = band.frequencies[int(np.argmax(band.energy.max(axis=0)))]
         one = np.ones((1, 1))
-        return Basis(np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), error_db, reached)
+        return Basis(
+            np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), sample.loudness(), error_db, reached
+        )
     together = sample.by_frame(found.gains(sample.responses))
     scale = np.sqrt(together.max(axis=0))[:, None]
     shapes = found.shapes * scale
@@ -267,7 +274,18 @@ def _designed(found: _Functions, sample: _Sample, sampling_rate: float, error_db
     weight = importance[nodes] / math.sqrt(float(np.mean(importance[nodes] ** 2)))
     functions = _in_parts(shapes[:, nodes] * weight, found.parts)
     strengths = np.sqrt(np.sum(functions**2, axis=1) / len(nodes))
-    return Basis(band.frequencies[nodes], projection, functions, weight, filters, sizes, strengths, error_db, reached)
+    return Basis(
+        band.frequencies[nodes],
+        projection,
+        functions,
+        weight,
+        filters,
+        sizes,
+        strengths,
+        sample.loudness(),
+        error_db,
+        reached,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,6 +308,10 @@ class _Sample:
         """Return the energy (frames, W) of what is heard of each window, and of what sounds about it."""
         return np.asarray(self.by_frame(self.responses) @ self.band.energy.T + self.band.rest)
 
+    def loudness(self) -> Floats:
+        """Return the inverse (W,) of the energy that is heard of each window, as a mean over the frames."""
+        return np.asarray(np.mean(1.0 / np.maximum(self.heard(), _FAINTEST), axis=0))
+
     def relative(self, left: Floats | Complexes) -> Floats:
         """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
         return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.heard()).max(axis=1)))
@@ -304,8 +326,7 @@ class _Sample:
     def importance(self) -> Floats:
         """Weight (F,) of errors at each frequency: what sounds there in any window, relative to what is heard of it."""
         energy, count = self.band.energy, len(self.band.frequencies)
-        faint = np.mean(1.0 / np.maximum(self.heard(), _FAINTEST), axis=0)
-        weight = np.sqrt(np.minimum(count * energy, 1.0) * faint[:, None]).max(axis=0)
+        weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
         return np.asarray(np.maximum(weight, _QUIETEST))
 
     def with_frames(self, other: _Sample, which: NDArray[np.int64]) -> _Sample:
@@ -370,7 +391,7 @@ class _Functions:
             if rows.parts == 2:
                 shapes = shapes + 1j * (found[:, frequencies:] / weight)
             weighted = _in_parts(shapes[:, nodes] * weight[nodes], rows.parts).T
-            projection = np.linalg.pinv(weighted) * np.tile(weight[nodes], rows.parts)
+            projection: Floats = np.asarray(np.linalg.pinv(weighted) * np.tile(weight[nodes], rows.parts))
             functions = _Functions(shapes, nodes, projection)
             wrong = functions.wrong(rows.sample)
             if not allowed < wrong.max() < _HOPELESS * allowed:

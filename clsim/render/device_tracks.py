@@ -215,7 +215,8 @@ class DeviceTracks:
         return self._motion_constants(source) | {
             "BLOCK": block,
             "TOGETHER": self._together,
-            "GROUP": self._plan.emissions[source].bank.group,
+            "GROUP": self._plan.group(source, block),
+            "FINE": int(self._plan.is_fine(block)),
             "CELL": CELL,
             "WALK": self._plan.segment // block,
             "DELAY_TERMS": self._plan.delay_terms,

@@ -16,7 +16,7 @@ from clsim.paths.known import check_known
 from clsim.paths.responses import is_complex
 from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
-from clsim.render.occupied import ShortTimeSpectra, share_above, shares
+from clsim.render.occupied import CELLS, ShortTimeSpectra, share_above, shares
 from clsim.render.tracks import SceneTracks, Tracks
 
 if TYPE_CHECKING:
@@ -198,9 +198,9 @@ def design_emission(
     check_response_error(response_error_db)
     signal = signal.at_rate(sampling_rate)
     sound = ShortTimeSpectra.of(signal)
-    high, removed_db, limit, bank = _delay_filters(index, signal, sound, interpolator, tracks, sampling_rate)
+    high, removed_db, limit = _band(index, signal, sound, interpolator, tracks.max_rate(index))
     basis = basis_of(index, signal, sound, high, tracks, until, sampling_rate, response_error_db, exact, at_rest)
-    banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
+    banks = _banks(index, basis, sound, high, interpolator, tracks.max_rate(index), sampling_rate)
     filters = np.stack([np.convolve(f, limit) for f in basis.filters])
     swiftness = min(sound.swiftness(), high) or high
     return Emission(signal, start, banks, basis, filters, limit, high, swiftness, removed_db)
@@ -215,33 +215,47 @@ def check_response_error(response_error_db: float | str) -> None:
     as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
 
 
-def _delay_filters(
-    index: int, signal: Signal, sound: ShortTimeSpectra, interpolator: Interpolator, tracks: Tracks, rate: float
-) -> tuple[float, float, Floats, Bank]:
-    """Return the end of the band that matters, the share above it in dB, the band limit, and the delay filters."""
-    field, max_rate = f"signals[{index}]", tracks.max_rate(index)
+def _band(
+    index: int, signal: Signal, sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float
+) -> tuple[float, float, Floats]:
+    """Return the end of the band that matters, Hz, the share above it in dB, and the band limit."""
+    rate = signal.sampling_rate
     widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
     floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
-    band, removed_db, limit = max(sound.bounds(10 ** ((floor_db - 6.0) / 10))[1], 0.05 * widest), -math.inf, np.ones(1)
-    if band > widest:
-        band, removed_db = widest, share_above(signal.energy_spectrum(), widest)
-        limit = _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate)
-
-    def importance(edge: float) -> tuple[float, ...]:
-        return tuple(sound.importance(edge * rate / (2.0 * math.pi)).tolist())
-
-    bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate, importance)
+    band = max(sound.bounds(10 ** ((floor_db - 6.0) / 10))[1], 0.05 * widest)
+    if band <= widest:
+        return band, -math.inf, np.ones(1)
+    removed_db = share_above(signal.energy_spectrum(), widest)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
-            f"{field}: {removed_db:.0f} dB of its energy lies above {band:.0f} Hz, the band of the delay filters "
-            "at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
+            f"signals[{index}]: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
+            "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
         )
-    if bank.error_db > _WEAK_ERROR_DB:
+    return widest, removed_db, _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate)
+
+
+def _banks(
+    index: int,
+    basis: Basis,
+    sound: ShortTimeSpectra,
+    high: float,
+    interpolator: Interpolator,
+    max_rate: float,
+    rate: float,
+) -> tuple[Bank, ...]:
+    """Return the delay filters for each function of the basis, by what it carries of the sound."""
+    edge = min(math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi)  # rounded up: designs are found again
+    importance = sound.importance(edge * rate / (2.0 * math.pi), basis.loudness)
+    fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
+    taps = np.arange(basis.filters.shape[1]) - basis.half
+    carried = np.abs(basis.filters @ np.exp(-1j * np.outer(taps, fine))).reshape(len(basis), CELLS, 8).max(axis=2)
+    banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist())) for row in carried)
+    if banks[0].error_db > _WEAK_ERROR_DB:
         _warn(
-            f"{field}: the delay filters are wrong by up to {bank.error_db:.0f} dB for content at {band:.0f} Hz; "
-            'sample faster or use the "bandlimited" interpolator'
+            f"signals[{index}]: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
+            f'{high:.0f} Hz; sample faster or use the "bandlimited" interpolator'
         )
-    return band, removed_db, limit, bank
+    return banks
 
 
 def _band_limit(main: float, stop: float, rate: float) -> Floats:

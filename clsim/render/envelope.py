@@ -190,9 +190,11 @@ def design_envelope(
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
     mu_max = math.ceil((0.52 + 0.5 * WIDEST_GROUP * max_rate) * 32) / 32
-    taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max)
-    bank = Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, GROUP, reached)
-    banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
+    banks = []
+    for size in basis.sizes.tolist():
+        importance = interpolator.rounded((min(size, 1.0),))
+        taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
+        banks.append(Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, GROUP, reached))
     every = round(sampling_rate / rate)
     mixer, plain = (
         _mixer(sampling_rate, every, baseband.carrier, half, filters, interpolator.error_db)
@@ -200,8 +202,8 @@ def design_envelope(
     )
     highest = baseband.carrier + 0.5 * baseband.bandwidth
     return EnvelopeEmission(
-        signal, start, banks, basis, basis.filters, np.ones(1), highest, highest, removed_db, baseband.carrier, half,
-        mixer, plain,
+        signal, start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, removed_db, baseband.carrier,
+        half, mixer, plain,
     )  # fmt: skip
 
 

@@ -80,9 +80,9 @@ class HostTracks:
             delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
             whole[:, here], made = block_polynomials(delay, change, gain, block, rate, late, plan.delay_terms)
             sized = gain * emission.basis.strengths[:, None, None]
-            wrong = block_error(
-                delay, change, sized, 2.0 * math.pi * emission.swiftness, block / rate, plan.delay_terms
-            )
+            part = 0.0 if plan.is_fine(block) else plan.group(source, block) / block
+            swiftness = 2.0 * math.pi * emission.swiftness
+            wrong = block_error(delay, change, sized, swiftness, block / rate, part, plan.delay_terms)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
             terms = plan.delay_terms
             made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
@@ -97,7 +97,9 @@ class HostTracks:
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
         if plan.delay_terms == 8:  # as in nodes.h
             cubics = cubics.transpose(0, 2, 1)
-        return HostNodes(self._upload(whole), self._upload(cubics), None, error, np.zeros(len(error)), shortest, longest)
+        return HostNodes(
+            self._upload(whole), self._upload(cubics), None, error, np.zeros(len(error)), shortest, longest
+        )
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)

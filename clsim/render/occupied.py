@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from clsim.scene.signal import Signal
 
 CELLS = 64  # of a band, in which a signal's importance is told
-_LEAST = 1e-3  # importance of frequencies at which there is next to nothing
-_STEP_DB = 6.0  # in which importance is told, so that designs are found again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,19 +64,19 @@ class ShortTimeSpectra:
         last = len(self.frequencies) - 1
         return float(self.frequencies[min(low, last)]), float(self.frequencies[max(high, 0)])
 
-    def importance(self, high: float) -> Floats:
-        """Return the weights (CELLS,) of the errors of equal cells from 0 Hz to `high` Hz, at most 1.
+    def importance(self, high: float, loudness: Floats) -> Floats:
+        """Return the weights (CELLS,) of errors in equal cells from 0 Hz to `high` Hz.
 
-        Where errors times weights stay below a bound, their root mean square over any window's spectrum is at most 3 dB
-        above it: whole for what sounds loudest, little for the skirts of an onset.
+        Where errors times weights stay below a bound, their root mean square over the spectrum of any window, relative
+        to what is heard of it, is at most 3 dB above it: whole for what sounds loudest, little for the skirts of an onset.
+        `loudness` (W,) is the inverse of the energy that is heard of each window.
         """
         cell = (self.frequencies * (CELLS / high)).astype(np.int64)
         bins = np.flatnonzero(cell < CELLS)
         energy = self._gathered(bins, cell[bins], np.ones(len(bins)), CELLS)
-        weight = np.sqrt(CELLS * energy.max(axis=0, initial=0.0))
-        wide = np.max([np.roll(np.pad(weight, 1), k)[1:-1] for k in (-1, 0, 1)], axis=0)  # filters bend between cells
-        step = _STEP_DB * np.ceil(20.0 * np.log10(np.maximum(wide, _LEAST)) / _STEP_DB)
-        return np.asarray(10.0 ** (np.clip(step, -60.0, 0.0) / 20.0))
+        weight = np.sqrt((np.minimum(CELLS * energy, 1.0) * loudness[:, None]).max(axis=0, initial=0.0))
+        # Filters bend between cells.
+        return np.asarray(np.max([np.roll(np.pad(weight, 1), k)[1:-1] for k in (-1, 0, 1)], axis=0))
 
     def swiftness(self) -> float:
         """Return the largest root mean square frequency of any window, Hz: that by which an error of delay is heard."""
