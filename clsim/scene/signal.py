@@ -84,13 +84,14 @@ class Signal:
         """
         length, hop = _SPECTRUM_LENGTH, _SPECTRUM_LENGTH // 2
         last = -(-self.count // hop)
-        picked = np.arange(-1, last)
-        if len(picked) > _ALL_SEGMENTS:
+        if last + 1 > _ALL_SEGMENTS:
             stretch = np.arange(_ALL_SEGMENTS // 2)
             # Anywhere in its stretch: an even step could always meet a train's pauses.
             place = (stretch + np.random.default_rng(0).random(len(stretch))) / len(stretch)
             inner = np.unique(8 + (place * (last - 16)).astype(np.int64))
             picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
+        else:
+            picked = np.arange(-1, last)
         weight = np.gradient(picked.astype(np.float64)) if len(picked) > _ALL_SEGMENTS // 2 else np.ones(len(picked))
         window = np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2
         energy = np.zeros(hop + 1)
