@@ -42,7 +42,9 @@ class Still:
 
     def position(self, time: Floats) -> Floats:
         """Return positions, m."""
-        return np.tile(self.point, (*time.shape, 1))
+        out: Floats = np.empty((*time.shape, 3))
+        out[...] = self.point
+        return out
 
     def velocity(self, time: Floats) -> Floats:
         """Return velocities, m/s."""

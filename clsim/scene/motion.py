@@ -97,7 +97,9 @@ class Motion:
                [1.5, 0. , 1. ]])
         """
         time = np.asarray(t, dtype=np.float64)
-        return self.curve.position(np.clip(time, self.start - CONTINUATION, self.end + CONTINUATION))
+        if self.end < np.inf:
+            time = np.clip(time, self.start - CONTINUATION, self.end + CONTINUATION)
+        return self.curve.position(time)
 
     def velocity(self, t: ArrayLike) -> Floats:
         """Return velocities, m/s, shaped as in `position`; at a break the one after it.
@@ -199,6 +201,8 @@ class Motion:
         start = as_number("start", start, unit="s")
         end = as_number("end", end, at_least=start, unit="s")
         instants = Instants(start, end, as_number("rate", rate, above=0.0, unit="Hz"))
+        if self.at_rest:
+            return 0.0, start
         best = (float(np.linalg.norm(self.velocity(start))), start)
 
         def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:

@@ -202,7 +202,7 @@ def _checked_ends(item: Source | Receiver) -> Floats | None:
         raise InputError("name", f"must be a text that is not empty, but is {item.name!r:.80}")
     if not isinstance(item.trajectory, Trajectory):
         raise InputError("trajectory", f"must be a Trajectory, but is {item.trajectory!r:.80}")
-    if not isinstance(item.directivity, Directivity | SphericalDirectivity):
+    if not isinstance(item.directivity, Omni | Directivity | SphericalDirectivity):
         raise InputError("directivity", f"must be a directivity, but is {item.directivity!r:.80}")
     if item.transducer is not None and not isinstance(item.transducer, Transducer):
         raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")
