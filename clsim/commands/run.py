@@ -18,6 +18,7 @@ from clsim.output.names import file_names
 from clsim.output.plots import echogram, history, spectrogram
 from clsim.output.stores import StoredSound, sound_store
 from clsim.output.table import write_table, write_truth
+from clsim.render.memory import within_memory
 from clsim.scene_file import completed_scene, load_scene
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ def execute(options: argparse.Namespace) -> int:
     identity = run_identity(file, paths, plan, {"store": options.store})
     with unfinished.opened() as place:
         store = sound_store(options.store, place, _stored(paths, plan, text), names)
-        unfinished.render(plan, store, identity)
+        with within_memory(plan.largest_field, "rendering", plan.memory_bytes):
+            unfinished.render(plan, store, identity)
         made = unfinished.move(store)
         if options.table != "none":
             made.append(folder / f"paths.{options.table}")

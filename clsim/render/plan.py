@@ -85,6 +85,17 @@ class Plan:
     @property
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
+        return int(sum(self._memory().values()))
+
+    @property
+    def largest_field(self) -> str:
+        """Field of a scene file that makes the memory large."""
+        memory = self._memory()
+        largest = max(memory, key=memory.__getitem__)
+        return "receivers" if largest == "render.chunk" and self.chunk == self.segment else largest
+
+    def _memory(self) -> dict[str, float]:
+        """Return the bytes that the fields of a scene file ask for."""
         middle, length = 0.5 * self.duration, 0.5 * min(self.chunk / self.sampling_rate, self.duration)
         span = self.tracks.longest_delay(middle - length, middle + length) * self.sampling_rate
         rows = max(int(e.rows[-1]) for e in self.emissions)
@@ -94,11 +105,11 @@ class Plan:
             * (self.segment // self.blocks[-1])
             * max((len(group) for group in self.tracks.groups), default=0)
         )
-        nodes = max(NODE_BUDGET, per_segment)
-        paths = self.path_count * 150
-        parts = 1 if self.baseband is None else 2
-        held = 4 * parts * ((rows + 1) * (self.chunk + span) + 2 * self.chunk * self.receiver_count)
-        return int(held + nodes + paths)
+        size = 4.0 if self.baseband is None else 8.0
+        return {
+            "render.chunk": size * ((rows + 1) * self.chunk + 2 * self.chunk * self.receiver_count),
+            "paths.max_order": size * (rows + 1) * span + max(NODE_BUDGET, per_segment) + self.path_count * 150,
+        }
 
     @property
     def receiver_count(self) -> int:
