@@ -24,7 +24,7 @@ MOTIONS: tuple[str, ...] = get_args(Motion)
 AMPLITUDES: tuple[str, ...] = get_args(Amplitude)
 MACH_EXPONENT = {"static": 0, "wave-equation": 1, "convective": 2}
 
-_TOGETHER = 65536  # arrivals of paths at times that are computed at a time, where they are many
+_TOGETHER = 16384  # arrivals of paths at times that are computed at a time, where they are many
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s
 

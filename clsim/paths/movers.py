@@ -171,17 +171,21 @@ def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:
 
 
 def _cubics(motion: Motion, length: float, count: int) -> tuple[Floats, float]:
-    """Return cubics (count, 12) of even lengths from 0 s on, and the largest error in their middles, m."""
-    cubics, largest = np.empty((count, 12)), 0.0
-    step = length / count
+    """Return cubics (count, 12) of even lengths from 0 s on, and the largest error that was met on any, m."""
+    cubics, largest, step = np.empty((count, 12)), 0.0, length / count
+    rng = np.random.default_rng(0)
     for first in range(0, count, _SLICE):
-        part = slice(first, min(first + _SLICE, count))
-        times = np.arange(2 * part.start, 2 * part.stop + 1) * (0.5 * step)
+        last = min(first + _SLICE, count)
+        times = np.arange(2 * first, 2 * last + 1) * (0.5 * step)
         position, velocity = motion.position(times), motion.velocity(times[::2]) * step
         found = cubics_between(position[::2], velocity)
         middle = sum(c * 0.5**power for power, c in enumerate(found))
         largest = max(largest, float(np.abs(middle - position[1::2]).max()))
-        cubics[part] = np.concatenate(found, axis=1)
+        if step * KNOT_RATES[0] > 1.0:  # so long that motions may repeat from knot to knot
+            u = rng.random((last - first, 1))
+            anywhere = sum(c * u**power for power, c in enumerate(found))
+            largest = max(largest, float(np.abs(anywhere - motion.position(times[:-1:2] + step * u[:, 0])).max()))
+        cubics[first:last] = np.concatenate(found, axis=1)
     return cubics, largest
 
 
