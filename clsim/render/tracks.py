@@ -309,7 +309,8 @@ def track(
         path_groups.append(group)
         path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
-    speeds = [1.02 * item.trajectory.peak_speed(*scene.span(item))[0] for _, item in scene.named_ends()]
+    ends = [item for _, item in scene.named_ends()]
+    speeds = [0.0 if e.trajectory.at_rest else 1.02 * e.trajectory.peak_speed(*scene.span(e))[0] for e in ends]
     count = len(scene.sources)
     return SceneTracks(
         paths,

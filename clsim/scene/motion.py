@@ -201,8 +201,6 @@ class Motion:
         start = as_number("start", start, unit="s")
         end = as_number("end", end, at_least=start, unit="s")
         instants = Instants(start, end, as_number("rate", rate, above=0.0, unit="Hz"))
-        if self.at_rest:
-            return 0.0, start
         best = (float(np.linalg.norm(self.velocity(start))), start)
 
         def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
