@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (ClsimError, OSError) as error:
         return _failed(f"clsim: error: {error}", error, 2)
     except MemoryError as error:
-        return _failed("clsim: error: not enough memory; choose a smaller [render] chunk or max_order", error, 2)
+        return _failed(f"clsim: error: not enough memory: {error}", error, 2)
     except KeyboardInterrupt as error:
         nothing = "" if getattr(error, "__notes__", None) else "; nothing half-written was left"
         return _failed(f"clsim: interrupted{nothing}", error, 130)

@@ -39,6 +39,8 @@ def found_paths(file: SceneFile, overrides: dict[str, Any]) -> PathSet:
             paths = find_paths(file.scene, **search, progress=shares(advance))
     except InputError as error:
         raise error.within("paths") from error
+    except MemoryError as error:
+        raise InputError("paths.max_order", "must be smaller: there is not enough memory for so many paths") from error
     for i in np.setdiff1d(np.arange(len(file.scene.receivers)), paths.receiver):
         name = file.scene.receivers[i].name
         warnings.warn(f"receivers[{i}]: no path reaches {name!r}; it will hear nothing", ClsimWarning, stacklevel=2)

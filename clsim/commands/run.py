@@ -18,6 +18,7 @@ from clsim.output.names import file_names
 from clsim.output.plots import echogram, history, spectrogram
 from clsim.output.stores import StoredSound, sound_store
 from clsim.output.table import write_table, write_truth
+from clsim.render.memory import within_memory
 from clsim.scene_file import completed_scene, load_scene
 
 if TYPE_CHECKING:
@@ -26,11 +27,11 @@ if TYPE_CHECKING:
 
     from clsim.output.levels import Readable
     from clsim.paths.path_set import PathSet
-    from clsim.paths.path_table import PathTable
     from clsim.render.plan import Plan
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
 _MOST_DRAWN = 16  # receivers
+_MOST_INSTANTS = 3000  # of lines in a picture, more than it has columns
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -40,7 +41,7 @@ def execute(options: argparse.Namespace) -> int:
     unfinished.check(options)
     file = load_scene(options.scene)
     paths, plan = planned(file, _overrides(options))
-    times = _table_times(plan, options.table_rate)
+    times = _table_times(plan, options)
     resolved = {**_overrides(options), "duration": plan.duration, "chunk": plan.chunk}
     text = completed_scene(file, folder, **resolved)
     if options.resume and unfinished.already_whole(text):
@@ -50,17 +51,17 @@ def execute(options: argparse.Namespace) -> int:
     identity = run_identity(file, paths, plan, {"store": options.store})
     with unfinished.opened() as place:
         store = sound_store(options.store, place, _stored(paths, plan, text), names)
-        unfinished.render(plan, store, identity)
+        with within_memory(plan.largest_field, "rendering", plan.memory_bytes):
+            unfinished.render(plan, store, identity)
         made = unfinished.move(store)
-        table = path_table(paths, plan, times)
         if options.table != "none":
             made.append(folder / f"paths.{options.table}")
-            write_table(table, made[-1])
+            write_table(path_table(paths, plan, times), made[-1])
         made.append(folder / "truth.npz")
         write_truth(paths, times, plan.tracks.motion, made[-1])  # type: ignore[attr-defined]
         if not options.no_plots:
             drawn = range(min(len(names), _MOST_DRAWN))
-            made += _draw(plan, table, [store.row(folder, r) for r in drawn], folder, names[: len(drawn)])
+            made += _draw(plan, paths, times, [store.row(folder, r) for r in drawn], folder, names[: len(drawn)])
             if len(drawn) < len(names):
                 print(f"pictures are of the first {_MOST_DRAWN} receivers of {len(names)}", file=sys.stderr)
         made.append(folder / "scene.toml")
@@ -88,10 +89,16 @@ def _overrides(options: argparse.Namespace) -> dict[str, Any]:
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 
 
-def _table_times(plan: Plan, rate: float) -> Any:
-    """Return the table's times; fewer than asked where the table would grow beyond all use."""
+def _table_times(plan: Plan, options: argparse.Namespace) -> Any:
+    """Return the times of table and truth; fewer than asked where the table would grow beyond all use."""
+    rate = options.table_rate
     if not 0.0 < rate <= plan.sampling_rate:
         raise InputError("--table-rate", f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
+    if options.table != "none" and 2 * plan.path_count > _LARGEST_TABLE:
+        raise InputError(
+            "--table",
+            f"must be none for more than {_LARGEST_TABLE // 2} paths, but is {options.table} for {plan.path_count}",
+        )
     count = int(plan.duration * rate) + 1
     most = max(2, _LARGEST_TABLE // max(plan.path_count, 1))
     if count > most:
@@ -104,23 +111,25 @@ def _table_times(plan: Plan, rate: float) -> Any:
     return np.linspace(0.0, (count - 1) / rate, min(count, most))
 
 
-def _draw(plan: Plan, table: PathTable, sounds: list[Readable], folder: Path, names: list[str]) -> list[Path]:
+def _draw(plan: Plan, paths: PathSet, times: Any, sounds: list[Readable], folder: Path, names: list[str]) -> list[Path]:
     """Draw a spectrogram and an echogram for each receiver; return their paths."""
     made: list[Path] = []
+    changing = bool(np.any((paths.start > times[0]) | (paths.end <= times[-1])))
+    drawn = times[np.linspace(0, len(times) - 1, min(len(times), _MOST_INSTANTS)).round().astype(int)]
     with progress("drawing", len(names)) as advance:
         for r, (sound, name) in enumerate(zip(sounds, names, strict=True)):
-            made += [folder / f"{name}_spectrogram.png", folder / f"{name}_echogram.png"]
-            if not bool(np.isfinite(table.delay).all()):
+            heard = paths.heard_by(r)
+            if changing:
                 made.append(folder / f"{name}_paths.png")
-                history(table, r, made[-1])
-                made[-3:] = made[-1:] + made[-3:-1]
+                history(path_table(heard, plan, drawn), r, made[-1])
+            made += [folder / f"{name}_spectrogram.png", folder / f"{name}_echogram.png"]
             title = plan.tracks.receiver_names[r]
             rate = plan.sampling_rate
             if plan.carrier is None:
                 spectrogram(sound, rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r])
             else:
                 envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, made[-2], title=title)
-            echogram(table, r, 0, made[-1])
+            echogram(path_table(heard, plan, times[:1]), r, 0, made[-1])
             advance(1)
     return made
 

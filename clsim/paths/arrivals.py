@@ -24,6 +24,7 @@ MOTIONS: tuple[str, ...] = get_args(Motion)
 AMPLITUDES: tuple[str, ...] = get_args(Amplitude)
 MACH_EXPONENT = {"static": 0, "wave-equation": 1, "convective": 2}
 
+_TOGETHER = 16384  # arrivals of paths at times that are computed at a time, where they are many
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s
 
@@ -138,6 +139,12 @@ def arrivals(
     found = Arrivals(delay, rate, np.empty(0), departure, arrival, distance, emitted, stretch)
     gain = Responses(scene, np.array([source.emitted.centre_frequency])).along(group, found, times)[..., 0]
     return replace(found, gain=gain)
+
+
+def slices_of(times: int, paths: int) -> list[slice]:
+    """Return slices of so many times that the arrivals of so many paths take little memory."""
+    step = max(1, _TOGETHER // max(paths, 1))
+    return [slice(i, i + step) for i in range(0, times, step)]
 
 
 def _solve_delay(trajectory: object, mirrored: Floats, times: Floats, c: float) -> Floats:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 LARGEST_ORDER = 60
 LARGEST_MESH_ORDER = 20
-DEFAULT_PATH_LIMIT = 20_000_000
+DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 ENGINES = ("opencl", "reference")
 
 
@@ -106,17 +106,17 @@ def _shoebox_paths(scene: Scene, room: Shoebox, order: int, path_limit: int) -> 
             f"for each of {pairs} pairs of source and receiver",
         )
     found = shoebox_images(room.size, order)
-    source, receiver = np.divmod(np.repeat(np.arange(pairs), images), len(scene.receivers))
+    source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
     return PathSet(
         scene=scene,
-        source=read_only(source.astype(np.int32)),
-        receiver=read_only(receiver.astype(np.int32)),
+        source=read_only(source.astype(np.int32, copy=False)),
+        receiver=read_only(receiver.astype(np.int32, copy=False)),
         order=read_only(np.tile(found.order, pairs)),
         walls=read_only(np.tile(found.walls, (pairs, 1))),
         image_matrix=read_only(np.tile(found.matrix, (pairs, 1, 1))),
         image_offset=read_only(np.tile(found.offset, (pairs, 1))),
-        start=read_only(np.full(images * pairs, -np.inf)),
-        end=read_only(np.full(images * pairs, np.inf)),
+        start=np.broadcast_to(-np.inf, images * pairs),
+        end=np.broadcast_to(np.inf, images * pairs),
     )
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import read_only
+from clsim.errors import InputError
 from clsim.paths.motion_knots import KNOT_RATES, cubics_between
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 
 NUDGES = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
 _TOLERANCE = 1e-8  # m, of a position between knots
+_WORST = 1e-3  # m, the same where a motion has corners, or knots are as many as they may be
 _MOST_KNOTS = 2_000_000
+_SLICE = 65536  # knots made at a time
 _MOST_STEPS = 1000
 
 
@@ -116,8 +119,15 @@ class Movers:
 
 
 def movers(source: Motion, receivers: Sequence[Motion]) -> Movers:
-    """Return the tables of one source and its receivers, from time 0 to the end of each."""
-    tables = [_knots(motion) for motion in (source, *receivers)]
+    """Return the tables of one source and its receivers, from time 0 to the end of each.
+
+    Raises
+    ------
+    InputError
+        If a motion is too long to be tabled.
+    """
+    tables = [_knots("sources.trajectory", source)]
+    tables += [_knots(f"receivers[{i}].trajectory", motion) for i, motion in enumerate(receivers)]
     levels = [_speeds(knots, rate) for knots, _, rate in tables]
     counts = np.array([len(knots) for knots, _, _ in tables])
     places = np.stack(
@@ -133,24 +143,50 @@ def movers(source: Motion, receivers: Sequence[Motion]) -> Movers:
     return Movers(read_only(places), read_only(scales), read_only(knots), read_only(np.concatenate(levels)))
 
 
-def _knots(motion: Motion) -> tuple[Floats, float, float]:
-    """Return cubics (n, 12), time of the first knot and knots per second."""
-    if math.isinf(motion.end):
+def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:
+    """Return cubics (n, 12), time of the first knot and knots per second.
+
+    Raises
+    ------
+    InputError
+        If a motion is too long for so many knots that it is known between them.
+    """
+    if motion.at_rest:
         still = np.zeros((1, 12))
         still[0, :3] = motion.position(0.0)
         return still, 0.0, 1.0
     length = max(motion.end, 1e-3)
     for rate in KNOT_RATES:
         count = min(max(1, math.ceil(length * rate)), _MOST_KNOTS)
-        times = np.linspace(0.0, length, 2 * count + 1)
-        position = motion.position(times)
-        velocity = motion.velocity(times[::2]) * (length / count)
-        cubics = cubics_between(position[::2], velocity)
-        middle = sum(c * 0.5**power for power, c in enumerate(cubics))
-        error = float(np.abs(middle - position[1::2]).max())
+        cubics, error = _cubics(motion, length, count)
         if error <= _TOLERANCE or count == _MOST_KNOTS:
             break
-    return np.concatenate(cubics, axis=1), 0.0, count / length
+    if error > _WORST and count == _MOST_KNOTS:
+        raise InputError(
+            field,
+            f"must be known within {_WORST:g} m from {_MOST_KNOTS} places for paths in a mesh, but {length:g} s of it "
+            f"are known within {error:.2g} m; make it shorter or smoother",
+        )
+    return cubics, 0.0, count / length
+
+
+def _cubics(motion: Motion, length: float, count: int) -> tuple[Floats, float]:
+    """Return cubics (count, 12) of even lengths from 0 s on, and the largest error that was met on any, m."""
+    cubics, largest, step = np.empty((count, 12)), 0.0, length / count
+    rng = np.random.default_rng(0)
+    for first in range(0, count, _SLICE):
+        last = min(first + _SLICE, count)
+        times = np.arange(2 * first, 2 * last + 1) * (0.5 * step)
+        position, velocity = motion.position(times), motion.velocity(times[::2]) * step
+        found = cubics_between(position[::2], velocity)
+        middle = sum(c * 0.5**power for power, c in enumerate(found))
+        largest = max(largest, float(np.abs(middle - position[1::2]).max()))
+        if step * KNOT_RATES[0] > 1.0:  # so long that motions may repeat from knot to knot
+            u = rng.random((last - first, 1))
+            anywhere = sum(c * u**power for power, c in enumerate(found))
+            largest = max(largest, float(np.abs(anywhere - motion.position(times[:-1:2] + step * u[:, 0])).max()))
+        cubics[first:last] = np.concatenate(found, axis=1)
+    return cubics, largest
 
 
 def _speeds(knots: Floats, rate: float) -> Floats:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals, slices_of
 from clsim.paths.corners import path_corners
 from clsim.paths.path_table import PathTable
 from clsim.paths.responses import is_complex
@@ -56,17 +56,26 @@ class PathSet:
     def groups(self) -> Iterator[tuple[NDArray[np.int64], PathGroup]]:
         """Yield the rows of every (source, receiver) that has paths, and what they are."""
         pair = self.source.astype(np.int64) * len(self.scene.receivers) + self.receiver
-        order = np.argsort(pair, kind="stable")
-        bounds = np.searchsorted(pair[order], np.arange(len(self.scene.sources) * len(self.scene.receivers) + 1))
+        in_order = bool(np.all(pair[1:] >= pair[:-1]))
+        order = np.arange(len(pair)) if in_order else np.argsort(pair, kind="stable")
+        bounds = np.searchsorted(
+            pair if in_order else pair[order], np.arange(len(self.scene.sources) * len(self.scene.receivers) + 1)
+        )
         for s in range(len(self.scene.sources)):
             for r in range(len(self.scene.receivers)):
                 first = s * len(self.scene.receivers) + r
-                rows = order[bounds[first] : bounds[first + 1]]
+                part = slice(bounds[first], bounds[first + 1])
+                rows = order[part]
                 if len(rows):
-                    yield (
-                        rows,
-                        PathGroup(s, r, self.image_matrix[rows], self.image_offset[rows], self.walls[rows]),
-                    )
+                    which = part if in_order else rows  # a slice is no copy
+                    group = PathGroup(s, r, self.image_matrix[which], self.image_offset[which], self.walls[which])
+                    yield rows, group
+
+    def heard_by(self, receiver: int) -> PathSet:
+        """Return the paths to one receiver."""
+        mine = self.receiver == receiver
+        columns = {f.name: getattr(self, f.name)[mine] for f in fields(self) if f.name != "scene"}
+        return PathSet(self.scene, **columns)
 
     def table(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> PathTable:
         """Return what every path does at the given times.
@@ -93,9 +102,14 @@ class PathSet:
         gain: Any = np.full(shape, np.nan, dtype=np.complex128 if is_complex(self.scene) else np.float64)
         departure, arrival = (np.full((*shape, 3), np.nan) for _ in range(2))
         for rows, group in self.groups():
-            found = arrivals(self.scene, group, times, motion, amplitude)
-            delay[rows], doppler[rows], gain[rows] = found.delay, 1.0 - found.delay_rate, found.gain
-            departure[rows], arrival[rows] = found.departure, found.arrival
+            for part in slices_of(len(times), len(rows)):
+                found = arrivals(self.scene, group, times[part], motion, amplitude)
+                delay[rows, part], doppler[rows, part], gain[rows, part] = (
+                    found.delay,
+                    1.0 - found.delay_rate,
+                    found.gain,
+                )
+                departure[rows, part], arrival[rows, part] = found.departure, found.arrival
         silent = (times[None, :] < self.start[:, None]) | (times[None, :] >= self.end[:, None])
         for column in (delay, doppler, gain, departure, arrival):
             column[silent] = np.nan

@@ -9,6 +9,7 @@ import numpy as np
 
 from clsim.errors import ClsimError
 from clsim.paths.beam_tree import Candidates
+from clsim.scene.instants import Instants
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 RAYS = 1_000_000  # from all positions of a source together, and at least the next number from each
 _LEAST_RAYS = 20_000
+_RATE = 200.0  # Hz, at which a source's way is measured
+_MOST = 2_000_000  # instants of a longer one
 _STEP = 0.25  # m between positions from which rays are shot
 _OFF_WALL = 1e-4  # of the size; Embree's float32 is no judge nearer than this
 
@@ -107,11 +110,12 @@ class ShotRays:
 
 def _positions(source: Motion) -> Floats:
     """Return positions along a trajectory, some decimetres apart, (n, 3) m."""
-    if math.isinf(source.end):
+    if source.at_rest:
         return np.atleast_2d(source.position(0.0))
-    places = source.position(np.linspace(0.0, source.end, max(2, math.ceil(source.end * 200.0))))
+    instants = Instants(0.0, source.end, min(_RATE, _MOST / source.end))
+    places = source.position(instants.times(np.arange(instants.count)))
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
-    stops = np.linspace(0.0, travelled[-1], max(2, math.ceil(travelled[-1] / _STEP) + 1))
+    stops = np.linspace(0.0, travelled[-1], max(2, min(math.ceil(travelled[-1] / _STEP), _MOST) + 1))
     return np.asarray(places[np.unique(np.searchsorted(travelled, stops).clip(max=len(places) - 1))])
 
 

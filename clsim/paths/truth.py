@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import as_floats
-from clsim.paths.arrivals import PathGroup, arrivals
+from clsim.paths.arrivals import PathGroup, arrivals, slices_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -72,8 +72,9 @@ def direct_truth(paths: PathSet, times: Floats, motion: str = "retarded") -> Dir
         for r in range(shape[1]):
             walls = np.empty((1, 0), dtype=np.int32)
             direct = PathGroup(s, r, np.eye(3)[None], np.zeros((1, 3)), walls)
-            found = arrivals(scene, direct, times, motion)
-            delay[s, r], rate[s, r] = found.delay[0], found.delay_rate[0]
+            for part in slices_of(len(times), 1):
+                found = arrivals(scene, direct, times[part], motion)
+                delay[s, r, part], rate[s, r, part] = found.delay[0], found.delay_rate[0]
     for row in np.flatnonzero(paths.order == 0):
         heard = (times >= paths.start[row]) & (times < paths.end[row])
         seen[paths.source[row], paths.receiver[row]] |= heard

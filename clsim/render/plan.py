@@ -100,7 +100,19 @@ class Plan:
     @property
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
-        span = max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
+        return int(sum(self._memory().values()))
+
+    @property
+    def largest_field(self) -> str:
+        """Field of a scene file that makes the memory large."""
+        memory = self._memory()
+        largest = max(memory, key=memory.__getitem__)
+        return "receivers" if largest == "render.chunk" and self.chunk == self.segment else largest
+
+    def _memory(self) -> dict[str, float]:
+        """Return the bytes that the fields of a scene file ask for."""
+        middle, length = 0.5 * self.duration, 0.5 * min(self.chunk / self.sampling_rate, self.duration)
+        span = self.tracks.longest_delay(middle - length, middle + length) * self.sampling_rate
         rows = max(e.oversampling * int(e.rows[-1]) for e in self.emissions)
         functions = max(len(e.basis) for e in self.emissions)
         per_segment = (
@@ -108,11 +120,11 @@ class Plan:
             * (self.segment // self.shortest_block)
             * max((len(group) for group in self.tracks.groups), default=0)
         )
-        nodes = max(NODE_BUDGET, per_segment)
-        paths = self.path_count * 150
-        parts = 1 if self.baseband is None else 2
-        held = 4 * parts * ((rows + 1) * (self.chunk + span) + 2 * self.chunk * self.receiver_count)
-        return int(held + nodes + paths)
+        size = 4.0 if self.baseband is None else 8.0
+        return {
+            "render.chunk": size * ((rows + 1) * self.chunk + 2 * self.chunk * self.receiver_count),
+            "paths.max_order": size * (rows + 1) * span + max(NODE_BUDGET, per_segment) + self.path_count * 150,
+        }
 
     def promised_db(self, source: int) -> float:
         """Return the bound on the error of what is rendered path by path, relative to what is heard at any moment, dB.
@@ -142,15 +154,6 @@ class Plan:
     def units(self) -> tuple[str, ...]:
         """Unit of each receiver's samples: Pa, or V."""
         return tuple(r.unit for r in self.receivers) or ("Pa",) * self.receiver_count
-
-    def longest_delay(self, source: int) -> float:
-        """Return a bound on the delays of a source over the whole run, s."""
-        bounds = [
-            self.tracks.delay_range(i, 0.0, self.duration)[1].max()
-            for i, group in enumerate(self.tracks.groups)
-            if group.source == source
-        ]
-        return float(max(bounds, default=0.0))
 
     def describe(self) -> list[str]:
         """Return what will be computed, a line each."""
@@ -209,8 +212,8 @@ def plan_render(
     if quietest_db is not None:
         below_db = as_number("quietest_db", quietest_db, at_least=-300.0, at_most=-20.0, unit="dB")
         end = min(max(source.start + source.emitted.duration for source in scene.sources), tracks.last_time())
-        tail = max((float(tracks.delay_range(i, end, end)[1].max()) for i in range(len(tracks.groups))), default=0.0)
-        tracks, left_out = without_quiet(tracks, below_db, min(duration or end + tail, tracks.last_time()))
+        until = min(duration or end + tracks.longest_delay(end, end), tracks.last_time())
+        tracks, left_out = without_quiet(tracks, below_db, until)
     return plan_tracks(
         [source.emitted for source in scene.sources],
         tracks,
@@ -316,10 +319,7 @@ def _samples(
     if duration is None:
         end = max(start + signal.duration for start, signal in zip(starts, signals, strict=True))
         known = end if math.isinf(last) else min(end, last)
-        tail = max(
-            (float(tracks.delay_range(i, known, known)[1].max()) for i in range(len(tracks.groups))), default=0.0
-        )
-        duration = min(last, end + tail + ringing)
+        duration = min(last, end + tracks.longest_delay(known, known) + ringing)
     else:
         duration = as_number("duration", duration, above=0.0, unit="s")
         if duration > last * (1 + 1e-12) + 0.5 / rate:
@@ -336,7 +336,7 @@ def _chunk(plan: Plan, chunk: int | None) -> int:
     whole = math.ceil(plan.samples / segment)
     if chunk is not None:
         return segment * min(whole, math.ceil(as_count("chunk", chunk, at_least=1) / segment))
-    span = max(plan.longest_delay(s) for s in range(len(plan.emissions))) * plan.sampling_rate
+    span = plan.tracks.longest_delay(0.0, plan.duration) * plan.sampling_rate
     wanted = math.ceil(4.0 * span / segment)
     affordable = _PRESSURE_BUDGET // (4 * segment * plan.receiver_count)
     least = 8 if plan.baseband is None else 48

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from clsim.scene.directivity import AnyDirectivity
 
 _STEP = 0.25  # s, over which distances are bounded
+_LEAST_MOVE = 0.05  # m, or for as long as motions take for it
 _DIRECTIONS = 2000  # in which a beam's largest gain is looked for
 _BETWEEN = 1.05  # by which it may be larger between them
 _FREQUENCIES = 9
@@ -42,9 +43,9 @@ def without_quiet(tracks: SceneTracks, below_db: float, until: float) -> tuple[S
     Notes
     -----
     The bound of a gain is the product of spreading and air over the shortest distance that peak speeds allow within
-    each quarter of a second, of the reflection factors (1 where they depend on the angle), and of the beams' largest
-    gains, at nine frequencies of the signal's band. What all paths that are left out add is at most the sum of their
-    bounds.
+    each quarter of a second (or 5 cm of motion, where that takes longer and no path comes or goes), of the reflection
+    factors (1 where they depend on the angle), and of the beams' largest gains, at nine frequencies of the signal's
+    band. What all paths that are left out add is at most the sum of their bounds.
     """
     kept, lost, count = [], 0.0, 0
     for i in range(len(tracks.groups)):
@@ -86,8 +87,11 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
     nepers = scene.air.absorption(frequencies) * NEPERS
     stretch = (1.0 - tracks.source_speed[paths.source] / c) ** -MACH_EXPONENT[tracks.amplitude]
     bound, strongest = np.zeros(len(paths.walls)), 0.0
-    edges = np.linspace(0.0, until, max(1, math.ceil(until / _STEP)) + 1)
-    member = tracks.groups[group]
+    speed = tracks.source_speed[paths.source] + tracks.receiver_speed[paths.receiver]
+    member, step = tracks.groups[group], _STEP
+    if member.always_heard:
+        step = max(_STEP, _LEAST_MOVE / speed) if speed > 0.0 else math.inf
+    edges = np.linspace(0.0, until, max(1, math.ceil(until / step)) + 1)
     for begin, end in pairwise(edges):
         heard = (member.start < end) & (member.end > begin)
         nearest = np.maximum(tracks.delay_range(group, begin, end)[0] * c, scene.min_distance)[:, None]

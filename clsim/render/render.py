@@ -12,6 +12,7 @@ from clsim.opencl.device import find_device
 from clsim.render.at_rest import Convolution
 from clsim.render.baseband_opencl import BasebandEngine
 from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
+from clsim.render.memory import within_memory
 from clsim.render.opencl import OpenclEngine
 from clsim.render.plan import Plan, plan_render, plan_tracks
 from clsim.render.receiving import Receiving
@@ -232,7 +233,9 @@ def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine | None:
 def _record(plan: Plan) -> Recording:
     from clsim.recording import Recording
 
-    samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)
+    size = plan.receiver_count * plan.samples * np.dtype(plan.sample_type).itemsize
+    with within_memory("duration", "a whole recording (see `render_chunks`)", size):
+        samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)
     receiving = Receiving(plan)
     for start, piece in _pieces(plan, receiving):
         samples[:, start : start + piece.shape[1]] = piece

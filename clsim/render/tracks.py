@@ -18,10 +18,14 @@ from clsim.render.transition import DEFAULT_TRANSITION, as_transition
 from clsim.scene.curves import CONTINUATION
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from clsim.scene.scene import Receiver, Scene
     from clsim.scene.trajectory import Trajectory
+
+_TOGETHER = 65536  # paths looked at at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +79,11 @@ class Tracks(ABC):
     @abstractmethod
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds (paths,) on the delays of a group between two times of reception, s."""
+
+    def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
+        """Return a bound on the delays, of one source or of all, between two times of reception, s; 0 without paths."""
+        groups = (i for i, group in enumerate(self.groups) if source in (None, group.source))
+        return max((float(self.delay_range(i, start, end)[1].max()) for i in groups), default=0.0)
 
     @abstractmethod
     def last_time(self) -> float:
@@ -200,6 +209,25 @@ class SceneTracks(Tracks):
         low, high = np.maximum(distance - slack, 0.0) / (c + v_s), (distance + slack) / (c - v_s)
         return low - ahead.max(), high - ahead.min()
 
+    def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
+        """Return the largest of the bounds of `delay_range`, of very many groups at once."""
+        scene, c, longest = self.scene, self.scene.air.sound_speed, 0.0
+        told = np.array([start, end])
+        ahead = np.stack([r.clock_ahead(told) for r in scene.receivers])
+        middle, reach = np.mean(told + ahead, axis=1), 0.5 * np.diff(told + ahead)[:, 0]
+        x_r = np.stack([r.trajectory.position(t) for r, t in zip(scene.receivers, middle, strict=True)])
+        for s in range(len(scene.sources)) if source is None else [source]:
+            v_s = self.source_speed[s]
+            slack, x_s = reach * (v_s + np.array(self.receiver_speed)), scene.sources[s].trajectory.position(middle)
+            mine = [rows for group, rows in zip(self.groups, self.path_rows, strict=True) if group.source == s]
+            for rows in _batches(mine):
+                r = self.paths.receiver[rows]
+                image = np.einsum("pij,pj->pi", self.paths.image_matrix[rows], x_s[r]) + self.paths.image_offset[rows]
+                distance = np.linalg.norm(image - x_r[r], axis=1)
+                bound = (distance + slack[r]) / (c - v_s) - ahead.min(axis=1)[r]
+                longest = max(longest, float(bound.max()))
+        return longest
+
     def last_time(self) -> float:
         """Return the end of the first moving receiver's trajectory, or infinity."""
         return float(min(_told(r, np.array([r.trajectory.end]))[0] for r in self.scene.receivers))
@@ -291,7 +319,8 @@ def track(
     groups, path_groups, path_rows = [], [], []
     for rows, group in paths.groups():
         receiver = scene.receivers[group.receiver]
-        interval = (read_only(_told(receiver, times[rows])) for times in (paths.start, paths.end))
+        own = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] + 1 == len(rows) else rows  # a slice is no copy
+        interval = (_told(receiver, times[own]) for times in (paths.start, paths.end))
         groups.append(TrackGroup(group.source, group.receiver, *interval))
         path_groups.append(group)
         path_rows.append(rows)
@@ -316,8 +345,24 @@ def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:
     return 0.0 if trajectory.at_rest else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
 
 
+def _batches(groups: list[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
+    """Yield the rows of neighbouring groups together, a bounded number or those of one group."""
+    batch: list[NDArray[np.int64]] = []
+    count = 0
+    for rows in groups:
+        if batch and count + len(rows) > _TOGETHER:
+            yield np.concatenate(batch)
+            batch, count = [], 0
+        batch.append(rows)
+        count += len(rows)
+    if count:
+        yield np.concatenate(batch)
+
+
 def _told(receiver: Receiver, times: Floats) -> Floats:
     """Return what the receiver's clock tells at true times (n,), s."""
+    if receiver.electronics is None:
+        return times
     return (times - receiver.clock_ahead(np.zeros(1))) / receiver.pace
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
@@ -11,8 +11,10 @@ from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from scipy.interpolate import PPoly
 
+_SLICE = 65536  # cubics looked at at a time
 CONTINUATION = 0.05  # s, by which a trajectory goes on before its start and after its end
 
 
@@ -27,6 +29,10 @@ class Curve(Protocol):
         """Return velocities, m/s."""
         ...
 
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return bounds of the speed between two times (n,), m/s, the nearer to it the nearer these are."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Still:
@@ -36,11 +42,17 @@ class Still:
 
     def position(self, time: Floats) -> Floats:
         """Return positions, m."""
-        return np.tile(self.point, (*time.shape, 1))
+        out: Floats = np.empty((*time.shape, 3))
+        out[...] = self.point
+        return out
 
     def velocity(self, time: Floats) -> Floats:
         """Return velocities, m/s."""
         return np.zeros((*time.shape, 3))
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return bounds of the speed between two times (n,), m/s."""
+        return np.zeros(len(begin))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +69,10 @@ class Straight:
     def velocity(self, time: Floats) -> Floats:
         """Return velocities, m/s."""
         return np.tile(self.speed, (*time.shape, 1))
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return bounds of the speed between two times (n,), m/s."""
+        return np.full(len(begin), np.linalg.norm(self.speed))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,10 +106,14 @@ class Circular:
         angle = (self.phase + self.rate * time)[..., None]
         return self.radius * self.rate * (np.cos(angle) * self.e2 - np.sin(angle) * self.e1)
 
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return bounds of the speed between two times (n,), m/s."""
+        return np.full(len(begin), abs(self.radius * self.rate))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piecewise:
-    """A piecewise polynomial; at a kink the velocity is the one after it.
+    """Cubics, one after the other; at a kink the velocity is the one after it.
 
     Parameters
     ----------
@@ -103,6 +123,13 @@ class Piecewise:
 
     polynomial: PPoly
     derivative: PPoly
+    _fastest: Floats = field(init=False, repr=False)  # bound of the speed on each cubic, m/s
+
+    def __post_init__(self) -> None:
+        knots = self.derivative.x
+        slices = np.split(np.arange(len(knots) - 1), range(_SLICE, len(knots) - 1, _SLICE))
+        fastest = [self._within(pieces, knots[pieces], knots[pieces + 1]) for pieces in slices]
+        object.__setattr__(self, "_fastest", read_only(np.concatenate(fastest)))
 
     def position(self, time: Floats) -> Floats:
         """Return positions, m."""
@@ -111,6 +138,25 @@ class Piecewise:
     def velocity(self, time: Floats) -> Floats:
         """Return velocities, m/s."""
         return np.asarray(self.derivative(time), dtype=np.float64)
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return bounds of the speed between two times (n,), m/s."""
+        knots = self.derivative.x
+        first, last = (np.clip(np.searchsorted(knots, t, "right") - 1, 0, len(knots) - 2) for t in (begin, end))
+        one = first == last
+        bound = np.empty(len(begin))
+        bound[one] = self._within(first[one], begin[one], end[one])
+        # Every second one of these ranges is between two others, and of no interest.
+        pairs = np.stack([first[~one], last[~one] + 1], axis=1).ravel()
+        bound[~one] = np.maximum.reduceat(np.append(self._fastest, 0.0), pairs)[::2] if len(pairs) else 0.0
+        return bound
+
+    def _within(self, piece: NDArray[np.int64], begin: Floats, end: Floats) -> Floats:
+        """Return bounds of the speed between two times (n,) on one cubic each: it stays within its Bézier points."""
+        u, v = ((t - self.derivative.x[piece])[:, None] for t in (begin, end))
+        c2, c1, c0 = (self.derivative.c[power, piece] for power in range(3))
+        points = (c0 + u * (c1 + u * c2), c0 + 0.5 * (u + v) * c1 + u * v * c2, c0 + v * (c1 + v * c2))
+        return np.asarray(np.max([np.linalg.norm(point, axis=1) for point in points], axis=0))
 
 
 def is_still(curve: Curve) -> bool:

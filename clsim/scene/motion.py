@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -10,13 +9,15 @@ import numpy as np
 
 from clsim.arrays import Floats, as_number, read_only
 from clsim.scene.curves import CONTINUATION, Curve, is_still
+from clsim.scene.instants import Instants
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
+    from clsim.scene.instants import Indices
     from clsim.scene.turning import Turning
 
-_SCAN_BLOCK = 65536  # instants looked at at a time
+_SAME = 1e-9  # relative difference of speeds that does not matter
 
 
 def _no_breaks() -> Floats:
@@ -96,7 +97,9 @@ class Motion:
                [1.5, 0. , 1. ]])
         """
         time = np.asarray(t, dtype=np.float64)
-        return self.curve.position(np.clip(time, self.start - CONTINUATION, self.end + CONTINUATION))
+        if self.end < np.inf:
+            time = np.clip(time, self.start - CONTINUATION, self.end + CONTINUATION)
+        return self.curve.position(time)
 
     def velocity(self, t: ArrayLike) -> Floats:
         """Return velocities, m/s, shaped as in `position`; at a break the one after it.
@@ -123,6 +126,26 @@ class Motion:
         velocity[(time < first) | (time > last)] = 0.0
         return velocity
 
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return bounds of the speed between two times (n,), m/s, the nearer to it the nearer these are.
+
+        Parameters
+        ----------
+        begin, end : ndarray (n,)
+            Times, s.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from clsim import Trajectory
+        >>> push = Trajectory.line((0, 0, 1), (2, 0, 1), duration=4.0)
+        >>> push.speed_over(np.array([1.0, 9.0]), np.array([1e6, 1e6]))
+        array([0.5, 0. ])
+        """
+        first, last = self.start - CONTINUATION, self.end + CONTINUATION
+        speed = self.curve.speed_over(np.clip(begin, first, last), np.clip(end, first, last))
+        return np.where((begin > last) | (end < first), 0.0, speed * (1.0 + 1e-12))
+
     def orientation(self, t: ArrayLike) -> Floats:
         """Return unit quaternions x y z w whose sign does not jump; identity without orientation.
 
@@ -148,7 +171,9 @@ class Motion:
         return self.turning.orientation(time)
 
     def peak_speed(self, start: float, end: float, rate: float = 1000.0) -> tuple[float, float]:
-        """Return the largest speed at evenly spaced instants, and when it is reached.
+        """Return the largest speed at evenly spaced instants to nine digits, and when it is reached.
+
+        Instants between which no speed can be larger are left out, so that long rests and even motions cost nothing.
 
         Parameters
         ----------
@@ -175,13 +200,18 @@ class Motion:
         """
         start = as_number("start", start, unit="s")
         end = as_number("end", end, at_least=start, unit="s")
-        count = math.ceil((end - start) * as_number("rate", rate, above=0.0, unit="Hz")) + 1
-        step = (end - start) / max(count - 1, 1)
-        best = (-1.0, start)
-        for first in range(0, count, _SCAN_BLOCK):
-            times = start + step * np.arange(first, min(first + _SCAN_BLOCK, count))
+        instants = Instants(start, end, as_number("rate", rate, above=0.0, unit="Hz"))
+        best = (float(np.linalg.norm(self.velocity(start))), start)
+
+        def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+            nonlocal best
+            times = instants.times(middle)
             speed = np.linalg.norm(self.velocity(times), axis=1)
             i = int(np.argmax(speed))
-            if speed[i] > best[0]:
+            if speed[i] > best[0] * (1.0 + _SAME):
                 best = (float(speed[i]), float(times[i]))
+            bound = self.speed_over(instants.times(first), instants.times(last))
+            return np.full(len(first), -1), bound > best[0] * (1.0 + _SAME)
+
+        instants.first(look)
         return best

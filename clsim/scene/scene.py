@@ -15,17 +15,20 @@ from clsim.errors import InputError
 from clsim.scene.air import Air
 from clsim.scene.directivity import AnyDirectivity, Directivity, Omni, SphericalDirectivity
 from clsim.scene.electronics import Electronics
+from clsim.scene.instants import Instants
 from clsim.scene.mesh_contact import NEAREST, first_contact
 from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.places import clearance, first_approach, first_refused, nearest_within
 from clsim.scene.room import Shoebox
 from clsim.scene.trajectory import Trajectory
+from clsim.scene.trajectory_checks import LONGEST
 from clsim.scene.transducer import Transducer
 
 if TYPE_CHECKING:
     from clsim.scene.signal import Signal
 
 _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
-_SCAN_BLOCK = 65536  # instants checked at a time
+_SCAN_BLOCK = 65536  # instants among which the nearest approach is told
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +48,7 @@ class Source:
     aim : array_like (3,), optional
         A fixed direction in which the axis points; for trajectories without orientations of their own.
     start : float
-        Time at which the signal begins, s, at least 0.
+        Time at which the signal begins, s, from 0 to 1e9.
     transducer : Transducer, optional
         Response on the axis, Pa at 1 m per V.
 
@@ -66,7 +69,7 @@ class Source:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_ends(self))
-        object.__setattr__(self, "start", as_number("start", self.start, at_least=0.0, unit="s"))
+        object.__setattr__(self, "start", as_number("start", self.start, at_least=0.0, at_most=LONGEST, unit="s"))
         emitted = self.signal if self.transducer is None else self.transducer.drive(self.signal)
         object.__setattr__(self, "emitted", emitted)
 
@@ -168,11 +171,9 @@ class Scene:
             raise InputError("room", f"must be a Shoebox or a MeshRoom, but is {self.room!r:.80}")
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
-        for field_name, item in self.named_ends():
-            _check_motion(self, field_name, item)
+        _check_motions(self)
         for i, source in enumerate(self.sources):
-            for receiver in self.receivers:
-                _check_distance(self, i, source, receiver)
+            _check_distances(self, i, source)
             if source.end > source.trajectory.end * (1 + 1e-12) + 1e-9:
                 raise InputError(
                     f"sources[{i}].trajectory",
@@ -195,22 +196,13 @@ class Scene:
         return 0.0, last
 
 
-def scan_times(start: float, end: float) -> list[Floats]:
-    """Return the instants (1 ms apart or closer) from `start` to `end`, in blocks of bounded size."""
-    count = max(2, math.ceil((end - start) * _SCAN_RATE) + 1)
-    step = (end - start) / (count - 1)
-    return [
-        start + step * np.arange(i, min(i + _SCAN_BLOCK, count), dtype=np.float64) for i in range(0, count, _SCAN_BLOCK)
-    ]
-
-
 def _checked_ends(item: Source | Receiver) -> Floats | None:
     """Check name, trajectory, directivity and aim of a source or receiver; return the aim as an array."""
     if not isinstance(item.name, str) or not item.name.strip():
         raise InputError("name", f"must be a text that is not empty, but is {item.name!r:.80}")
     if not isinstance(item.trajectory, Trajectory):
         raise InputError("trajectory", f"must be a Trajectory, but is {item.trajectory!r:.80}")
-    if not isinstance(item.directivity, Directivity | SphericalDirectivity):
+    if not isinstance(item.directivity, Omni | Directivity | SphericalDirectivity):
         raise InputError("directivity", f"must be a directivity, but is {item.directivity!r:.80}")
     if item.transducer is not None and not isinstance(item.transducer, Transducer):
         raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")
@@ -247,23 +239,38 @@ def _checked_list(name: str, values: Any, kind: type[Source] | type[Receiver]) -
     return tuple(values)
 
 
+def _check_motions(scene: Scene) -> None:
+    """Refuse trajectories that leave the room, meet a wall, or are as fast as sound, with time and place."""
+    ends = scene.named_ends()
+    still = [i for i, (_, item) in enumerate(ends) if item.trajectory.at_rest]
+    if still:  # one look at all of them: they may be very many
+        free = clearance(scene.room, _places([ends[i][1] for i in still])) > 0.0
+        ends = [ends[i] for i in sorted({*range(len(ends))} - {still[i] for i in np.flatnonzero(free)})]
+    for field_name, item in ends:
+        _check_motion(scene, field_name, item)
+
+
 def _check_motion(scene: Scene, field_name: str, item: Source | Receiver) -> None:
     """Refuse a trajectory that leaves the room, meets a wall, or is as fast as sound, with time and place."""
-    speed_of_sound = scene.air.sound_speed
-    before = np.empty((0, 3))
-    for times in scan_times(*scene.span(item)):
-        positions = item.trajectory.position(times)
+    speed_of_sound, (start, end) = scene.air.sound_speed, scene.span(item)
+    instants = Instants(start, end, _SCAN_RATE)
+    refused = first_refused(scene.room, item.trajectory, instants)
+    if refused is not None:
+        times = instants.times(np.arange(refused, min(refused + 2, instants.count)))
         check = _check_inside if isinstance(scene.room, Shoebox) else _check_walls
-        check(scene, field_name, item.name, np.concatenate([before, positions]), times)
-        before = positions[-1:]
-        speed = np.linalg.norm(item.trajectory.velocity(times), axis=1)
-        i = int(np.argmax(speed))
-        if speed[i] >= speed_of_sound:
-            raise InputError(
-                f"{field_name}.trajectory",
-                f"must stay below the speed of sound, {speed_of_sound:.6g} m/s, "
-                f"but {item.name!r} moves at {speed[i]:.6g} m/s at {times[i]:.6g} s",
-            )
+        check(scene, field_name, item.name, item.trajectory.position(times), times)
+    speed, time = item.trajectory.peak_speed(start, end, _SCAN_RATE)
+    if speed >= speed_of_sound:
+        raise InputError(
+            f"{field_name}.trajectory",
+            f"must stay below the speed of sound, {speed_of_sound:.6g} m/s, "
+            f"but {item.name!r} moves at {speed:.6g} m/s at {time:.6g} s",
+        )
+
+
+def _places(ends: Sequence[Source | Receiver]) -> Floats:
+    """Return the positions (n, 3) of ends that never move, m."""
+    return np.stack([end.trajectory.position(0.0) for end in ends])
 
 
 def _check_inside(scene: Scene, field_name: str, name: str, positions: Floats, times: Floats) -> None:
@@ -306,22 +313,34 @@ def _check_bands(scene: Scene) -> None:
                 raise error.within(f"receivers[{i}]") from error
 
 
-def _check_distance(scene: Scene, index: int, source: Source, receiver: Receiver) -> None:
+def _check_distances(scene: Scene, index: int, source: Source) -> None:
     """Refuse a source that comes closer to a receiver than the scene allows, with the time."""
-    last = min(scene.span(source)[1], receiver.trajectory.end)
-    for times in scan_times(0.0, last):
-        apart = receiver.trajectory.position(times) - source.trajectory.position(times)
-        moving = receiver.trajectory.velocity(times) - source.trajectory.velocity(times)
-        speed_squared = np.maximum(np.sum(moving**2, axis=1), 1e-300)
-        # Nearest point of straight relative motion within half a scan step of each instant.
-        half = 0.5 * (times[1] - times[0])
-        shift = np.clip(-np.sum(apart * moving, axis=1) / speed_squared, -half, half)
-        distance = np.linalg.norm(apart + shift[:, None] * moving, axis=1)
-        i = int(np.argmin(distance))
-        if distance[i] < scene.min_distance:
-            raise InputError(
-                f"sources[{index}].trajectory",
-                f"must stay at least {scene.min_distance:g} m away from every receiver (min_distance), "
-                f"but {source.name!r} comes within {distance[i]:.3g} m of {receiver.name!r} "
-                f"at {times[i] + shift[i]:.6g} s",
-            )
+    last, nearest = scene.span(source)[1], scene.min_distance
+    still = [r for r in scene.receivers if r.trajectory.at_rest]
+    if still:
+        instants = Instants(0.0, last, _SCAN_RATE)
+        met = first_approach(source.trajectory, _places(still), nearest, instants)
+        if met is not None:
+            raise _too_close(scene, index, still[met[1]], instants, met[0])
+    for receiver in scene.receivers:
+        if not receiver.trajectory.at_rest:
+            instants = Instants(0.0, min(last, receiver.trajectory.end), _SCAN_RATE)
+            met = first_approach(source.trajectory, receiver.trajectory, nearest, instants)
+            if met is not None:
+                raise _too_close(scene, index, receiver, instants, met[0])
+
+
+def _too_close(scene: Scene, index: int, receiver: Receiver, instants: Instants, first: int) -> InputError:
+    """Return the error of a source that is too close to a receiver at an instant, and perhaps closer soon after."""
+    source = scene.sources[index]
+    times = instants.times(np.arange(first, min(first + _SCAN_BLOCK, instants.count)))
+    apart = receiver.trajectory.position(times) - source.trajectory.position(times)
+    moving = receiver.trajectory.velocity(times) - source.trajectory.velocity(times)
+    distance, shift = nearest_within(apart, moving, 0.5 * instants.step)
+    i = int(np.argmin(distance))
+    return InputError(
+        f"sources[{index}].trajectory",
+        f"must stay at least {scene.min_distance:g} m away from every receiver (min_distance), "
+        f"but {source.name!r} comes within {distance[i]:.3g} m of {receiver.name!r} "
+        f"at {times[i] + shift[i]:.6g} s",
+    )

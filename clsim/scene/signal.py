@@ -402,9 +402,8 @@ def _picked_segments(count: int, hop: int) -> tuple[NDArray[np.int64], Floats]:
     Of many the first and the last are taken, and one each from equal stretches between them.
     """
     last = -(-count // hop)
-    picked = np.arange(-1, last)
-    if len(picked) <= _ALL_SEGMENTS:
-        return picked, np.ones(len(picked))
+    if last + 1 <= _ALL_SEGMENTS:
+        return np.arange(-1, last), np.ones(last + 1)
     stretch = np.arange(_ALL_SEGMENTS // 2)
     # Anywhere in its stretch: an even step could always meet a train's pauses.
     place = (stretch + np.random.default_rng(0).random(len(stretch))) / len(stretch)

@@ -1,0 +1,48 @@
+"""How much memory a machine has, and errors that name the field that asks for more."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@contextmanager
+def within_memory(field: str, what: str, wanted: float) -> Iterator[None]:
+    """Refuse what needs more memory than the machine has, and tell what needed it where less than that is free.
+
+    Parameters
+    ----------
+    field : str
+        What makes it large.
+    what : str
+        What needs it.
+    wanted : float
+        Bytes.
+
+    Raises
+    ------
+    InputError
+        Before the block, or instead of a MemoryError within.
+    """
+    rule = f"must ask for less memory: {what} needs about {wanted / 2**20:.0f} MiB"
+    there = machine_memory()
+    if wanted > there:
+        raise InputError(field, f"{rule}, but the machine has {there / 2**20:.0f} MiB")
+    try:
+        yield
+    except MemoryError as error:
+        raise InputError(field, f"{rule}, but there is not enough memory left") from error
+
+
+def machine_memory() -> float:
+    """Return the machine's memory, bytes; infinite where the system does not say."""
+    names = getattr(os, "sysconf_names", {})
+    if "SC_PHYS_PAGES" not in names or "SC_PAGE_SIZE" not in names:
+        return float("inf")
+    return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))

@@ -1,0 +1,123 @@
+"""Where a motion leaves a room, meets a wall, or comes too near to others: looked for only where that can be."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.scene.mesh_contact import NEAREST, first_contact
+from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.motion import Motion
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.instants import Indices, Instants
+    from clsim.scene.room import Shoebox
+
+_STRETCH = 64  # instants between which walls are looked for from one to the next
+_PAIRS = 500_000  # of positions and walls, or others, at a time
+_SPARE = 1.0 + 1e-9  # for the rounding of distances
+
+
+def clearance(room: Shoebox | MeshRoom, positions: Floats) -> Floats:
+    """Return how far positions (n, 3) surely are inside a shoebox, or away from every wall of a mesh, (n,) m.
+
+    It is 0 or less for those that are not; in a mesh for some others as well.
+    """
+    if not isinstance(room, MeshRoom):
+        return np.asarray(np.minimum(positions, room.size - positions).min(axis=1))
+    walls, found = room.walls, np.empty(len(positions))
+    for some in _slices(len(positions), len(walls.offset)):
+        beside = np.abs(positions[some] @ walls.normal.T - walls.offset)
+        away = np.linalg.norm(positions[some, None] - walls.centre, axis=2) - walls.radius
+        found[some] = np.maximum(beside, away).min(axis=1) - NEAREST
+    return found
+
+
+def first_refused(room: Shoebox | MeshRoom, motion: Motion, instants: Instants) -> int | None:
+    """Return the first instant at which a motion is outside a shoebox; in a mesh on a wall, or about to go through."""
+
+    def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+        after = np.minimum(last + 1, instants.count - 1)  # the way to the next instant belongs to each
+        free = clearance(room, motion.position(instants.times(middle)))
+        speed = motion.speed_over(instants.times(first), instants.times(after))
+        unsure = ~(free > _SPARE * speed * instants.reach(first, middle, after))
+        known = np.where(free > 0.0, -1, middle)
+        if isinstance(room, MeshRoom):
+            known = np.full(len(first), -1)
+            for i in np.flatnonzero(unsure & (last - first < _STRETCH)):
+                way = instants.times(np.arange(first[i], after[i] + 1))
+                contact = first_contact(room.walls, motion.position(way))
+                known[i], unsure[i] = -1 if contact is None else min(first[i] + contact[0], last[i]), False
+        return known, unsure
+
+    return instants.first(look)
+
+
+def first_approach(
+    motion: Motion, others: Motion | Floats, nearest: float, instants: Instants
+) -> tuple[int, int] | None:
+    """Return the first instant about which a motion comes nearer to others than allowed, and to which of them.
+
+    Parameters
+    ----------
+    motion : Motion
+        What moves.
+    others : Motion or ndarray (n, 3)
+        Another one, or places, m.
+    nearest : float
+        Distance that is allowed, m.
+    instants : Instants
+        Half a step before and after each, motion is taken to be straight.
+    """
+    to_whom: dict[int, int] = {}
+    half = 0.5 * instants.step
+
+    def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+        speed, times = motion.speed_over(instants.times(first), instants.times(last)), instants.times(middle)
+        at, velocity = motion.position(times)[:, None], motion.velocity(times)
+        if isinstance(others, Motion):
+            speed = speed + others.speed_over(instants.times(first), instants.times(last))
+            places, velocity = others.position(times)[:, None], others.velocity(times) - velocity
+        else:
+            places, velocity = others[None], -velocity
+        reach = _SPARE * speed * (instants.reach(first, middle, last) + half)
+        known, unsure = np.full(len(first), -1), np.empty(len(first), dtype=bool)
+        for some in _slices(len(first), places.shape[1]):
+            apart = (places[some] if len(places) > 1 else places) - at[some]
+            distance = np.linalg.norm(apart, axis=2)
+            unsure[some] = ~(distance.min(axis=1) - nearest > reach[some])
+            fast = np.linalg.norm(velocity[some], axis=1)
+            row, other = np.nonzero(distance < nearest + _SPARE * fast[:, None] * half)
+            approach = nearest_within(apart[row, other], velocity[some][row], half)[0]
+            for i, which in zip(row[approach < nearest], other[approach < nearest], strict=True):
+                known[some.start + i] = middle[some.start + i]
+                to_whom.setdefault(int(middle[some.start + i]), int(which))
+        return known, unsure
+
+    met = instants.first(look)
+    return None if met is None else (met, to_whom[met])
+
+
+def nearest_within(apart: Floats, velocity: Floats, half: float) -> tuple[Floats, Floats]:
+    """Return the least distances (n,), m, within a time before and after, s, and when from now, of straight motions.
+
+    Parameters
+    ----------
+    apart, velocity : ndarray (n, 3)
+        From one to the other, m, and how fast that changes, m/s.
+    half : float
+        s.
+    """
+    speed_squared = np.maximum(np.sum(velocity**2, axis=1), 1e-300)
+    shift = np.clip(-np.sum(apart * velocity, axis=1) / speed_squared, -half, half)
+    return np.linalg.norm(apart + shift[:, None] * velocity, axis=1), shift
+
+
+def _slices(count: int, others: int) -> list[slice]:
+    """Return slices of so many that each has a bounded number of pairs with the others."""
+    step = max(1, _PAIRS // max(others, 1))
+    return [slice(i, min(i + step, count)) for i in range(0, count, step)]
