@@ -35,6 +35,7 @@ class _Air(Model):
     relative_humidity: float = 0.5
     pressure: float = 101_325.0
     speed_of_sound: float | Literal["iso9613"] | None = None
+    absorption: bool = True
 
 
 class _Common(Model):

@@ -61,7 +61,7 @@ def test_path_table_of_a_moving_scene(rng) -> None:
     times = np.array([0.1, 0.2, 0.3])
     table = clsim.find_paths(scene, order).table(times)
     by_place = {tuple(d.round(9)): i for i, d in enumerate(table.delay)}
-    decibel = AIR.absorption(40e3)
+    decibel = AIR.absorption_at(40e3)
     h = 1e-5
     for walls in oracle.mirror_sequences(order):
 

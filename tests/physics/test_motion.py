@@ -46,7 +46,7 @@ def test_circle_about_the_receiver_changes_nothing(engine: str) -> None:
     middle = slice(2000, -2000)
     # Phase noise of -80 dB at either end of 200 samples, most of it from the analytic signal's own ends.
     assert np.abs(frequency[middle] - TONE).max() < 2 * 1e-4 * RATE / (2 * np.pi * 200)
-    expected = 10 ** (-AIR.absorption(TONE) / 20) / 2.0
+    expected = 10 ** (-AIR.absorption_at(TONE) / 20) / 2.0
     assert np.abs(level[middle] / expected - 1).max() < 1e-4
 
 
@@ -114,7 +114,7 @@ def test_amplitude_conventions(amplitude: str, exponent: int) -> None:
     )  # fmt: skip
     table = clsim.find_paths(scene, 0).table([0.05], amplitude=amplitude)
     distance = 343.0 * table.delay[0, 0]
-    free = 10 ** (-AIR.absorption(TONE) * (distance - 1) / 20) / distance
+    free = 10 ** (-AIR.absorption_at(TONE) * (distance - 1) / 20) / distance
     assert table.gain[0, 0] == pytest.approx(free * (1 - 20 / 343.0) ** -exponent, rel=1e-12)
 
 

@@ -339,3 +339,14 @@ def test_values_out_of_range_in_a_mesh_room_name_the_field(tmp_path: Path, path:
     assert str(caught.value).startswith(f"{written(path)}: "), str(caught.value)
     if path[-1] == "path":
         assert str(tmp_path / str(value)) in str(caught.value)
+
+
+def test_air_without_absorption_stays_so_in_the_completed_scene(tmp_path: Path) -> None:
+    file = build_scene(changed(("air", "absorption"), False), tmp_path)
+    assert not file.scene.air.absorption
+    completed = tomllib.loads(completed_scene(file, tmp_path))
+    assert completed["air"]["absorption"] is False
+    assert not build_scene(completed, tmp_path).scene.air.absorption
+    assert "absorption" in scene_schema()["$defs"]["_Air"]["properties"]
+    with pytest.raises(clsim.InputError, match=r"air\.absorption"):
+        build_scene(changed(("air", "absorption"), 0.0), tmp_path)
