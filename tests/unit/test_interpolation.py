@@ -33,7 +33,7 @@ def test_order_40_is_the_largest() -> None:
 
 def test_float32_renders_order_40_as_well_as_float64(engine: str) -> None:
     """60 kHz at 192 kHz and 20 m/s: -82.1 dB is the polynomial's own error, in both engines."""
-    tone = clsim.Signal.tone(60e3, 0.03, RATE)
+    tone = clsim.Signal.tone(60e3, 0.04, RATE, fade=0.004)
     source = clsim.Source("s", tone, clsim.Trajectory.line((2, 3, 1), (3, 3, 1), 0.05))
     room = clsim.Shoebox((10, 8, 6), clsim.Material.from_reflection(0.9))
     scene = clsim.Scene(
