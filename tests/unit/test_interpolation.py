@@ -40,11 +40,9 @@ def test_float32_renders_order_40_as_well_as_float64(engine: str) -> None:
         room, clsim.Air(speed_of_sound=343.0), [source], [clsim.Receiver("r", clsim.Trajectory.fixed((5, 5, 4)))]
     )
     paths = clsim.find_paths(scene, 0)
-    with pytest.warns(clsim.ClsimWarning, match="delay filters are wrong by up to"):
-        made = clsim.render(
-            scene, paths, RATE, interpolator=clsim.Lagrange(40), response_error_db="centre", engine=engine,
-            duration=0.03,
-        ).pressure[0]  # fmt: skip
+    made = clsim.render(
+        scene, paths, RATE, interpolator=clsim.Lagrange(40), response_error_db="centre", engine=engine, duration=0.03
+    ).pressure[0]
     some = np.arange(4000, 5700)
     table = paths.table(some / RATE)
     exact = table.gain[0] * np.sin(2 * np.pi * 60e3 * (some / RATE - table.delay[0]))
