@@ -94,7 +94,9 @@ def test_a_passing_source_is_heard_by_its_closed_form(engine: str) -> None:
     along = x0 + v * t
     delay = (-v * along + np.sqrt((v * along) ** 2 + (C**2 - v**2) * (along**2 + side**2))) / (C**2 - v**2)
     distance = C * delay
-    wanted = 10 ** (-AIR.absorption_at(CARRIER) * (distance - 1.0) / 20) / distance * np.exp(-2j * np.pi * CARRIER * delay)
+    wanted = (
+        10 ** (-AIR.absorption_at(CARRIER) * (distance - 1.0) / 20) / distance * np.exp(-2j * np.pi * CARRIER * delay)
+    )
     inside = (t - delay > 0.012) & (t - delay < 0.488)
     assert apart_db(made.pressure[0][inside], wanted[inside]) < -84.0
     # And its frequency: from c / (c - v cos) above the carrier to as much below.

@@ -61,7 +61,7 @@ def test_table_of_the_direct_path(scene: clsim.Scene) -> None:
     emitted = (340.0 * 0.25 - 5.0) / 338.0
     assert table.direct[0]
     assert table.delay[0, 0] == pytest.approx(0.25 - emitted, abs=1e-14)
-    assert table.doppler[0, 0] == pytest.approx(1.0 / (1.0 - 2.0 / 340.0), rel=1e-12)
+    assert table.doppler_factor[0, 0] == pytest.approx(1.0 / (1.0 - 2.0 / 340.0), rel=1e-12)
     distance = 340.0 * table.delay[0, 0]
     absorption = scene.air.absorption_at(40e3)
     expected = 10 ** (-absorption * (distance - 1) / 20) / distance / (1 - 2 / 340)
