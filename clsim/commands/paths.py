@@ -27,16 +27,16 @@ def execute(options: argparse.Namespace) -> int:
         return 0
     rows = np.argsort(table.delay[:, 0], kind="stable")
     rows = rows[np.isfinite(table.delay[rows, 0])]  # those that are there
-    print(
-        f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10} {'doppler factor':>14}  walls"
-    )
+    head = f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10}"
+    print(f"{head} {'doppler factor':>14}  walls")
     most = max(options.limit, 0)
     for p in rows[:most]:
         gain = f"{20 * np.log10(abs(table.gain[p, 0])):.1f}" if table.heard[p, 0] else "silent"
         walls = ", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct"
         print(
             f"{table.receiver_names[table.receiver[p]]:<16} {table.source_names[table.source[p]]:<16} "
-            f"{table.order[p]:>5} {table.delay[p, 0] * 1e3:>11.4f} {gain:>10} {table.doppler_factor[p, 0]:>14.6f}  {walls}"
+            f"{table.order[p]:>5} {table.delay[p, 0] * 1e3:>11.4f} {gain:>10} "
+            f"{table.doppler_factor[p, 0]:>14.6f}  {walls}"
         )
     if len(rows) > most:
         print(f"and {len(rows) - most} more (--limit)")

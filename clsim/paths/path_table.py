@@ -57,4 +57,4 @@ class PathTable:
     @property
     def heard(self) -> NDArray[np.bool_]:
         """Whether anything arrives (P, T): the path is there, and its gain is not 0."""
-        return np.isfinite(self.delay) & (self.gain != 0.0)
+        return np.asarray(np.isfinite(self.delay) & (self.gain != 0.0))

@@ -9,6 +9,7 @@ import numpy as np
 
 from clsim.scene.mesh_cleaning import clusters
 from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.placement import first_place
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,7 +67,7 @@ def diagnose_ends(scene: Scene) -> list[str]:
         return []
     lines = []
     for field, item in scene.named_ends():
-        inside = bool(room.contains(item.trajectory.position(0.0))[0])
+        inside = bool(room.contains(first_place(scene, item))[0])
         lines.append(f"{field}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")
     return lines
 

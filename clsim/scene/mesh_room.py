@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 
 Materials = Material | Mapping[str, Material] | Sequence[Material]
-_RAY = np.array([0.36, 0.48, 0.80])  # a direction that no wall is likely to lie along
+# Directions that no wall is likely to lie along; where one of them meets an edge, the two others outvote it.
+_RAYS = np.array([[0.3607, 0.4783, 0.8007], [-0.7321, 0.5519, -0.3991], [0.5297, -0.8081, 0.2577]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,18 +239,19 @@ class MeshRoom:
         return np.array([factors[id(m)] for m in self.wall_materials])
 
     def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) lie inside: a ray from them meets the walls an odd number of times.
+        """Return which positions (n, 3) lie inside: most rays from them meet the walls an odd number of times.
 
         Of use for watertight rooms only.
         """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        count = np.zeros(len(x), dtype=int)
+        count = np.zeros((len(_RAYS), len(x)), dtype=int)
         walls = self.walls
-        for w in range(len(walls)):
-            away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ _RAY)
-            ahead = np.flatnonzero(away > 0.0)
-            count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * _RAY)
-        return np.asarray(count % 2 == 1)
+        for met, ray in zip(count, _RAYS, strict=True):
+            for w in range(len(walls)):
+                away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
+                ahead = np.flatnonzero(away > 0.0)
+                met[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * ray)
+        return np.asarray((count % 2 == 1).sum(axis=0) >= 2)
 
 
 def _as_mesh(box: Shoebox) -> MeshRoom:

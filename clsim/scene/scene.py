@@ -15,17 +15,15 @@ from clsim.errors import InputError
 from clsim.scene.air import Air
 from clsim.scene.directivity import AnyDirectivity, Directivity, Omni, SphericalDirectivity
 from clsim.scene.electronics import Electronics
-from clsim.scene.mesh_contact import NEAREST, first_contact
+from clsim.scene.flush import checked_flush
 from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.placement import check_motion, check_sides, scan_times
 from clsim.scene.room import Shoebox
 from clsim.scene.trajectory import Trajectory
 from clsim.scene.transducer import Transducer
 
 if TYPE_CHECKING:
     from clsim.scene.signal import Signal
-
-_SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
-_SCAN_BLOCK = 65536  # instants checked at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +46,9 @@ class Source:
         Time at which the signal begins, s, at least 0.
     transducer : Transducer, optional
         Response on the axis, Pa at 1 m per V.
+    flush : bool or array_like (3,)
+        Whether it sits in a wall: True on the side of the room, or a direction off the wall to the side that it is on,
+        as a mesh that is open needs it.
 
     Attributes
     ----------
@@ -62,10 +63,12 @@ class Source:
     aim: Any = None
     start: float = 0.0
     transducer: Transducer | None = None
+    flush: Any = False
     emitted: Signal = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_ends(self))
+        object.__setattr__(self, "flush", checked_flush(self.flush))
         object.__setattr__(self, "start", as_number("start", self.start, at_least=0.0, unit="s"))
         emitted = self.signal if self.transducer is None else self.transducer.drive(self.signal)
         object.__setattr__(self, "emitted", emitted)
@@ -98,6 +101,8 @@ class Receiver:
         Response on the axis, V per Pa.
     electronics : Electronics, optional
         Noise, filters, amplifier, converter and clock.
+    flush : bool or array_like (3,)
+        Whether it sits in a wall; as of a `Source`.
     """
 
     name: str
@@ -106,9 +111,11 @@ class Receiver:
     aim: Any = None
     transducer: Transducer | None = None
     electronics: Electronics | None = None
+    flush: Any = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_ends(self))
+        object.__setattr__(self, "flush", checked_flush(self.flush))
         if self.electronics is not None and not isinstance(self.electronics, Electronics):
             raise InputError("electronics", f"must be Electronics, but is {self.electronics!r:.80}")
 
@@ -150,7 +157,7 @@ class Scene:
     ------
     InputError
         If a name is used twice, or a trajectory leaves the room, comes too close to another one or reaches
-        the speed of sound; the message gives time and place.
+        the speed of sound, or an end is outside a watertight mesh that others are in; the message gives time and place.
     """
 
     room: Shoebox | MeshRoom
@@ -169,7 +176,8 @@ class Scene:
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
         for field_name, item in self.named_ends():
-            _check_motion(self, field_name, item)
+            check_motion(self, field_name, item)
+        check_sides(self)
         for i, source in enumerate(self.sources):
             for receiver in self.receivers:
                 _check_distance(self, i, source, receiver)
@@ -193,15 +201,6 @@ class Scene:
         if math.isinf(last):
             last = item.end if isinstance(item, Source) else 0.0
         return 0.0, last
-
-
-def scan_times(start: float, end: float) -> list[Floats]:
-    """Return the instants (1 ms apart or closer) from `start` to `end`, in blocks of bounded size."""
-    count = max(2, math.ceil((end - start) * _SCAN_RATE) + 1)
-    step = (end - start) / (count - 1)
-    return [
-        start + step * np.arange(i, min(i + _SCAN_BLOCK, count), dtype=np.float64) for i in range(0, count, _SCAN_BLOCK)
-    ]
 
 
 def _checked_ends(item: Source | Receiver) -> Floats | None:
@@ -245,53 +244,6 @@ def _checked_list(name: str, values: Any, kind: type[Source] | type[Receiver]) -
             raise InputError(f"{name}[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
         seen[value.name] = i
     return tuple(values)
-
-
-def _check_motion(scene: Scene, field_name: str, item: Source | Receiver) -> None:
-    """Refuse a trajectory that leaves the room, meets a wall, or is as fast as sound, with time and place."""
-    speed_of_sound = scene.air.sound_speed
-    before = np.empty((0, 3))
-    for times in scan_times(*scene.span(item)):
-        positions = item.trajectory.position(times)
-        check = _check_inside if isinstance(scene.room, Shoebox) else _check_walls
-        check(scene, field_name, item.name, np.concatenate([before, positions]), times)
-        before = positions[-1:]
-        speed = np.linalg.norm(item.trajectory.velocity(times), axis=1)
-        i = int(np.argmax(speed))
-        if speed[i] >= speed_of_sound:
-            raise InputError(
-                f"{field_name}.trajectory",
-                f"must stay below the speed of sound, {speed_of_sound:.6g} m/s, "
-                f"but {item.name!r} moves at {speed[i]:.6g} m/s at {times[i]:.6g} s",
-            )
-
-
-def _check_inside(scene: Scene, field_name: str, name: str, positions: Floats, times: Floats) -> None:
-    """Refuse positions outside a shoebox; the last ones are those at `times`."""
-    outside = np.flatnonzero(~scene.room.contains(positions))
-    if len(outside):
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay inside the room, but {name!r} is at {_place(positions, times, int(outside[0]))}",
-        )
-
-
-def _check_walls(scene: Scene, field_name: str, name: str, positions: Floats, times: Floats) -> None:
-    """Refuse positions on a wall of a mesh, and motions through one; the last positions are those at `times`."""
-    assert isinstance(scene.room, MeshRoom)
-    contact = first_contact(scene.room.walls, positions)
-    if contact is not None:
-        i, wall = contact
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay {NEAREST:g} m away from every wall and walk through none, but {name!r} meets the wall "
-            f"{scene.room.wall_names[wall]!r} at {_place(positions, times, i)}",
-        )
-
-
-def _place(positions: Floats, times: Floats, i: int) -> str:
-    where = ", ".join(f"{x:.6g}" for x in positions[i])
-    return f"({where}) m at {times[max(i - len(positions) + len(times), 0)]:.6g} s"
 
 
 def _check_bands(scene: Scene) -> None:

@@ -43,6 +43,7 @@ class _Common(Model):
     directivity: DirectivityModel = OmniModel()
     aim: Vector | None = None
     transducer: TransducerModel | None = None
+    flush: bool | Vector = False
 
     def parts(self, base: Path) -> dict[str, Any]:
         """Return the arguments that sources, receivers and arrays of them share."""
@@ -51,6 +52,7 @@ class _Common(Model):
             "name": self.name,
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
+            "flush": self.flush,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
 
