@@ -8,9 +8,9 @@ A path is a sequence of walls. Leg k runs from wall k to wall k + 1 (0 is the so
 straight line from the source mirrored k times to the receiver mirrored back, which meets wall k at the share tau_k. It
 is valid if every wall is met from one side to the other, inside its outline, in order, and no other wall crosses a leg.
 If neither end moves farther than `reach`, no point of that line at a fixed share moves farther, and tau_k changes by at
-most ``reach / |distance of one mirrored end to wall k - that of the other|``. Heights over a wall's plane change by what
-each end moves across that plane: by nothing if it stands still, or sits in a wall of this plane and slides along it.
-Hence
+most ``reach / |distance of one mirrored end to wall k - that of the other|``. Heights over a wall's plane change by
+what each end moves across that plane: by nothing if it stands still, or sits in a wall of this plane and slides along
+it. Hence
 
 - a valid path stays valid if every edge of the room is farther than `reach` from every leg, drawn out at its ends by
   what these can move: a path can become invalid only by touching an edge (ends that touch a wall are refused before);

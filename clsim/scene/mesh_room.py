@@ -45,6 +45,10 @@ class MeshRoom:
         Neighbours of one material whose corners lie this near to each other's planes are one wall, m.
     labels : sequence of str, optional
         What each triangle belongs to; walls are called after it.
+    notes : sequence of str
+        What was repaired before.
+    scale : float, optional
+        Metres per unit of the files that it is from; None without files, or where they differ.
 
     Attributes
     ----------
@@ -74,6 +78,7 @@ class MeshRoom:
     flatness: float = FLATNESS
     labels: Sequence[str] | None = None
     notes: tuple[str, ...] = ()
+    scale: float | None = None
     walls: Walls = field(init=False)
     wall_names: tuple[str, ...] = field(init=False)
     shape: MeshShape = field(init=False)
@@ -144,7 +149,9 @@ class MeshRoom:
         stem = Path(path).stem
         names = [mesh.groups[g] for g in mesh.group]
         labels = [f"{stem} {name}".strip() for name in names]
-        return MeshRoom(mesh.vertices, mesh.triangles, [by_group[n] for n in names], flatness, labels, mesh.notes)
+        return MeshRoom(
+            mesh.vertices, mesh.triangles, [by_group[n] for n in names], flatness, labels, mesh.notes, float(scale)
+        )
 
     @staticmethod
     def from_plan(
@@ -210,6 +217,7 @@ class MeshRoom:
         vertices, triangles, labels, notes = [], [], [], []
         materials: list[Material] = []
         flatness, count = 0.0, 0
+        scales: set[float | None] = set()
         for i, part in enumerate(parts):
             if isinstance(part, Shoebox):
                 part = _as_mesh(part)
@@ -220,8 +228,12 @@ class MeshRoom:
             materials += part.materials  # type: ignore[arg-type]
             labels += list(part.labels or ())
             notes += list(part.notes)
+            scales.add(part.scale)
             flatness, count = max(flatness, part.flatness), count + len(part.vertices)
-        return MeshRoom(np.concatenate(vertices), np.concatenate(triangles), materials, flatness, labels, tuple(notes))
+        scale = scales.pop() if len(scales) == 1 else None
+        return MeshRoom(
+            np.concatenate(vertices), np.concatenate(triangles), materials, flatness, labels, tuple(notes), scale
+        )
 
     @property
     def extent(self) -> tuple[Floats, Floats]:

@@ -18,6 +18,7 @@ from clsim.scene.electronics import Electronics
 from clsim.scene.flush import checked_flush
 from clsim.scene.mesh_room import MeshRoom
 from clsim.scene.placement import check_motion, check_sides, scan_times
+from clsim.scene.plausibility import warn_of_units
 from clsim.scene.room import Shoebox
 from clsim.scene.trajectory import Trajectory
 from clsim.scene.transducer import Transducer
@@ -158,6 +159,11 @@ class Scene:
     InputError
         If a name is used twice, or a trajectory leaves the room, comes too close to another one or reaches
         the speed of sound, or an end is outside a watertight mesh that others are in; the message gives time and place.
+
+    Warns
+    -----
+    ClsimWarning
+        If all ends are outside a watertight mesh, or the room's size or a signal's frequency look like another unit.
     """
 
     room: Shoebox | MeshRoom
@@ -178,6 +184,7 @@ class Scene:
         for field_name, item in self.named_ends():
             check_motion(self, field_name, item)
         check_sides(self)
+        warn_of_units(self)
         for i, source in enumerate(self.sources):
             for receiver in self.receivers:
                 _check_distance(self, i, source, receiver)

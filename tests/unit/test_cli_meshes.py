@@ -124,8 +124,9 @@ def test_check_says_which_scale_to_try_before_the_search_gives_up(mesh_scene: Pa
     mesh_scene.write_text(text.replace("scale = 0.001", "").replace("max_order = 1", "max_order = 1\npath_limit = 1"))
     assert main(["check", str(mesh_scene)]) == 2
     printed = capsys.readouterr()
-    assert "room: 8000 m is large for a room; for a file in millimetres, try scale = 0.001" in printed.out.splitlines()
-    assert printed.err.startswith("clsim: error: paths.max_order: must give at most 1 paths")
+    warned, error = printed.err.splitlines()
+    assert warned == "clsim: warning: room: 8000 m is large for a room; for a file in millimetres, try scale = 0.001"
+    assert error.startswith("clsim: error: paths.max_order: must give at most 1 paths")
 
 
 def test_paths_of_a_mesh_are_those_heard_at_a_time(mesh_scene: Path, tmp_path: Path, capsys) -> None:
