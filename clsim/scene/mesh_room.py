@@ -217,7 +217,7 @@ class MeshRoom:
         vertices, triangles, labels, notes = [], [], [], []
         materials: list[Material] = []
         flatness, count = 0.0, 0
-        scales: set[float | None] = set()
+        scales = {part.scale for part in parts if isinstance(part, MeshRoom) and part.scale is not None}
         for i, part in enumerate(parts):
             if isinstance(part, Shoebox):
                 part = _as_mesh(part)
@@ -228,7 +228,6 @@ class MeshRoom:
             materials += part.materials  # type: ignore[arg-type]
             labels += list(part.labels or ())
             notes += list(part.notes)
-            scales.add(part.scale)
             flatness, count = max(flatness, part.flatness), count + len(part.vertices)
         scale = scales.pop() if len(scales) == 1 else None
         return MeshRoom(
