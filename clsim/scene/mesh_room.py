@@ -255,14 +255,20 @@ class MeshRoom:
         Of use for watertight rooms only.
         """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        count = np.zeros((len(_RAYS), len(x)), dtype=int)
-        walls = self.walls
-        for met, ray in zip(count, _RAYS, strict=True):
-            for w in range(len(walls)):
-                away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
-                ahead = np.flatnonzero(away > 0.0)
-                met[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * ray)
-        return np.asarray((count % 2 == 1).sum(axis=0) >= 2)
+        inside, other = (self._odd(x, ray) for ray in _RAYS[:2])
+        unsure = np.flatnonzero(inside != other)
+        inside[unsure] = self._odd(x[unsure], _RAYS[2])
+        return inside
+
+    def _odd(self, x: Floats, ray: Floats) -> NDArray[np.bool_]:
+        """Return whether rays from positions (n, 3) meet the walls an odd number of times."""
+        count, walls = np.zeros(len(x), dtype=int), self.walls
+        for w in range(len(walls)):
+            away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
+            ahead = np.flatnonzero(away > 0.0)
+            if len(ahead):
+                count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * ray)
+        return np.asarray(count % 2 == 1)
 
 
 def _as_mesh(box: Shoebox) -> MeshRoom:
