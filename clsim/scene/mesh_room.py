@@ -255,20 +255,25 @@ class MeshRoom:
         Of use for watertight rooms only.
         """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        inside, other = (self._odd(x, ray) for ray in _RAYS[:2])
+        inside, other = (self._met(x, ray) % 2 == 1 for ray in _RAYS[:2])
         unsure = np.flatnonzero(inside != other)
-        inside[unsure] = self._odd(x[unsure], _RAYS[2])
-        return inside
+        inside[unsure] = self._met(x[unsure], _RAYS[2]) % 2 == 1
+        return np.asarray(inside)
 
-    def _odd(self, x: Floats, ray: Floats) -> NDArray[np.bool_]:
-        """Return whether rays from positions (n, 3) meet the walls an odd number of times."""
+    def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) have walls to all sides, as in a room whose walls are solids: six rays look."""
+        x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        return np.asarray(np.all([self._met(x, sign * ray) > 0 for ray in _RAYS for sign in (1.0, -1.0)], axis=0))
+
+    def _met(self, x: Floats, ray: Floats) -> NDArray[np.int64]:
+        """Return how often rays from positions (n, 3) meet the walls."""
         count, walls = np.zeros(len(x), dtype=int), self.walls
         for w in range(len(walls)):
             away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
             ahead = np.flatnonzero(away > 0.0)
             if len(ahead):
                 count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * ray)
-        return np.asarray(count % 2 == 1)
+        return count
 
 
 def _as_mesh(box: Shoebox) -> MeshRoom:

@@ -56,7 +56,7 @@ def check_motion(scene: Scene, field_name: str, item: Source | Receiver) -> None
 
 
 def check_sides(scene: Scene) -> None:
-    """Refuse ends outside a watertight mesh that others are inside of; warn where all are outside.
+    """Refuse ends that the walls of a watertight mesh part from the others; warn where all are outside.
 
     An open mesh has no inside, and a shoebox is left by nobody.
 
@@ -68,16 +68,19 @@ def check_sides(scene: Scene) -> None:
     room = scene.room
     if not isinstance(room, MeshRoom) or not room.shape.watertight:
         return
-    places = np.array([first_place(scene, item) for _, item in scene.named_ends()])
+    ends = scene.named_ends()
+    places = np.array([first_place(scene, item) for _, item in ends])
     inside = room.contains(places)
-    if inside.all():
+    if inside.all() or (not inside.any() and room.surrounds(places).all()):  # walls may be solids around the room
         return
-    field, item = scene.named_ends()[int(np.argmin(inside))]
-    where = ", ".join(f"{x:.6g}" for x in places[int(np.argmin(inside))])
+    apart = inside if 0 < 2 * inside.sum() < len(ends) else ~inside
+    field, item = ends[int(np.argmax(apart))]
+    where = ", ".join(f"{x:.6g}" for x in places[int(np.argmax(apart))])
     low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in room.extent)
+    side = "inside the mesh, and others are not" if apart is inside else "outside the room or inside a closed obstacle"
     told = (
-        f"{item.name!r} at ({where}) m is outside the room or inside a closed obstacle; "
-        f"the mesh is watertight and reaches from ({low}) to ({high}) m: check its scale and up, and the position"
+        f"{item.name!r} at ({where}) m is {side}; the mesh is watertight and reaches from ({low}) to ({high}) m: "
+        "check its scale and up, and the position"
     )
     if inside.any():
         raise InputError(f"{field}.trajectory", f"must be where other ends can be heard, but {told}")

@@ -81,6 +81,24 @@ def test_an_end_outside_a_watertight_mesh_is_refused_by_name() -> None:
         scene(clsim.MeshRoom(*cupboard, WALL), ((1, 1, 1), (2.5, 2.5, 2.5)))
 
 
+def test_a_room_whose_walls_are_solids_is_a_room() -> None:
+    """Between an inner and an outer shell is the wall: the room inside is not within the mesh."""
+    vertices, triangles = box((8, 6, 3))
+    outer = np.asarray(vertices) * [8.4 / 8, 6.4 / 6, 3.4 / 3] - 0.2
+    house = clsim.MeshRoom(*joined((vertices, triangles), (outer, triangles)), WALL)
+    assert house.shape.watertight
+    scene(house)
+    for places, name in ((((1, 1, 1), (3, 2, 3.1)), "sources"), (((1, 1, 3.1), (3, 2, 1)), "receivers")):
+        with pytest.raises(clsim.InputError, match="must be where other ends can be heard") as error:
+            scene(house, places)
+        assert error.value.field == f"{name}[0].trajectory"
+    two = [clsim.Receiver(n, clsim.Trajectory.fixed(p)) for n, p in (("a", (3, 2, 1)), ("b", (4, 2, 3.1)))]
+    with pytest.raises(clsim.InputError, match=r"'b' at .* is inside the mesh, and others are not"):
+        clsim.Scene(house, clsim.Air(), scene(house).sources, two)
+    with pytest.warns(clsim.ClsimWarning, match="no source or receiver is inside"):
+        scene(house, ((1, 1, 4), (3, 2, 4)))
+
+
 def test_open_meshes_have_no_outside() -> None:
     vertices, triangles = box((8, 6, 3))
     scene(clsim.MeshRoom(vertices, triangles[1:], WALL), ((1, 1, 1), (3, 2, 4)))
