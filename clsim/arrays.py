@@ -111,6 +111,19 @@ def as_count(field: str, value: Any, *, at_least: int = 0, at_most: int | None =
     return int(value)
 
 
+def as_flag(field: str, value: Any) -> bool:
+    """Return a bool; numbers and words are refused.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(field, f"must be True or False, but is {value!r:.80}")
+    return bool(value)
+
+
 def as_choice(field: str, value: Any, choices: tuple[str, ...]) -> str:
     """Return the value if it is one of the choices.
 

@@ -29,13 +29,13 @@ def main() -> None:
     table = paths.table(times, motion=file.render["motion"])
     heard = [p for p in range(len(paths)) if table.gain[p, 0] != 0.0]
     names = ["direct" if table.direct[p] else table.wall_names[table.walls[p, 0]] for p in heard]
-    overlay = [(times, 40e3 * table.doppler[p], name) for p, name in zip(heard, names, strict=True)]
+    overlay = [(times, 40e3 * table.doppler_factor[p], name) for p, name in zip(heard, names, strict=True)]
     spectrogram(
         recording.pressure[0], recording.sampling_rate, folder / "paper_circle.png",
         title="40 kHz source on a circle, 1 turn/s: theory dashed, crossings at 0, 0.5, 1, 1.5, 2 s",
         band=(39.4e3, 40.6e3), overlay=overlay,
     )  # fmt: skip
-    crossing = np.ptp(40e3 * table.doppler[heard][:, ::100], axis=0)
+    crossing = np.ptp(40e3 * table.doppler_factor[heard][:, ::100], axis=0)
     print(f"spread of the lines at 0, 0.5, 1, 1.5, 2 s: {np.round(crossing, 1)} Hz")
     print(folder / "paper_circle.png")
 

@@ -24,7 +24,15 @@ typedef struct {
     motion path;
     __global const double* speeds;
     double fastest;  // m/s
+    double4 mount;   // unit normal of the wall that it sits in, and offset of the plane a step in front; 0 in the open
 } mover;
+
+// Where validity takes an end to be: one in a wall a step in front of it.
+static triple lifted(const mover* end, triple x)
+{
+    const triple normal = {end->mount.x, end->mount.y, end->mount.z};
+    return difference(x, times(height(end->mount, x), normal));
+}
 
 static double speed_over(const mover* end, double begin, double until)
 {
@@ -37,10 +45,11 @@ static double speed_over(const mover* end, double begin, double until)
 }
 
 static mover mover_at(__global const long* places, __global const double* scales, __global const double* knots,
-                      __global const double* speeds, double speed_of_sound, int row)
+                      __global const double* speeds, __global const double4* mounts, double speed_of_sound, int row)
 {
     const mover out = {{knots + places[3 * row] * KNOT_COLUMNS, (int)places[3 * row + 2], scales[3 * row],
-                        scales[3 * row + 1], 1.0 / speed_of_sound}, speeds + places[3 * row + 1], scales[3 * row + 2]};
+                        scales[3 * row + 1], 1.0 / speed_of_sound}, speeds + places[3 * row + 1], scales[3 * row + 2],
+                        mounts[row]};
     return out;
 }
 
@@ -64,10 +73,13 @@ static int look(const search* s, double time, double within, double* clear, doub
     locate(&s->source.path, emitted, &a);
     const double slowness = s->source.path.slowness;
     const double stretch = (1.0 + s->receiver.fastest * slowness) / (1.0 - s->source.fastest * slowness);
-    *reach = within * fmax(stretch * speed_over(&s->source, emitted - stretch * within, emitted + stretch * within),
-                         speed_over(&s->receiver, time - within, time + within));
-    return path_status(&s->walls, s->sequence, sum(cubic(a.knot, a.u), nudge), sum(receiver, other_nudge), *reach,
-                       clear);
+    const double source_reach =
+        within * stretch * speed_over(&s->source, emitted - stretch * within, emitted + stretch * within);
+    const double receiver_reach = within * speed_over(&s->receiver, time - within, time + within);
+    *reach = fmax(source_reach, receiver_reach);
+    return path_status(&s->walls, s->sequence, lifted(&s->source, sum(cubic(a.knot, a.u), nudge)),
+                       lifted(&s->receiver, sum(receiver, other_nudge)), source_reach, receiver_reach, s->source.mount,
+                       s->receiver.mount, clear);
 }
 
 static void push(__global progress* p, double begin, double end, int known, int valid)
@@ -99,7 +111,9 @@ __kernel void intervals(int walls, double tolerance, double thickness, __global 
                         __global const double4* line, __global const int* twin,
                         __global const long* places,    // [ends][3]: first knot, first speed, knots; the source first
                         __global const double* scales,  // [ends][3]: time of the first knot, knots per second, speed
-                        __global const double* knots, __global const double* speeds, double speed_of_sound,
+                        __global const double* knots, __global const double* speeds,
+                        __global const double4* mounts,  // [ends]: normal and offset, see `mover`
+                        double speed_of_sound,
                         __global const int* sequences, __global const int* receiver_of,  // [paths][ORDER], [paths]
                         __global const int* active, int active_count,  // paths that are not done
                         double resolution,              // s, to which ends are found
@@ -112,8 +126,8 @@ __kernel void intervals(int walls, double tolerance, double thickness, __global 
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
     const search s = {{walls, tolerance, thickness, plane, ball, same, first_edge, first_piece, first_line, first_twin, edge,
-                       line, twin}, mover_at(places, scales, knots, speeds, speed_of_sound, 0),
-                      mover_at(places, scales, knots, speeds, speed_of_sound, 1 + receiver_of[path]),
+                       line, twin}, mover_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
+                      mover_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
                       sequences + ORDER * path};
     __global progress* p = states + path;
     int looks = 0;

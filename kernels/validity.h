@@ -8,12 +8,25 @@ typedef struct {
     triple from[ORDER + 1], to[ORDER + 1];  // ends of the unfolded line in the real space of each leg
     double tau[ORDER + 2];
     double slack[ORDER + 2];                // how far tau can move while the ends move by `reach`
+    double source_reach, receiver_reach;
+    triple from_facing[ORDER + 1], to_facing[ORDER + 1];  // mirrored normals of walls that the ends sit in, or 0
 } unfolded;
 
 static triple along(const unfolded* path, int leg, double tau)
 {
     return sum(path->from[leg], times(tau, difference(path->to[leg], path->from[leg])));
 }
+
+// How far a point at a share of a leg's line may move across planes of a normal: ends in a wall slide along it.
+static double across(const unfolded* path, int leg, double tau, double4 plane)
+{
+    const triple normal = {plane.x, plane.y, plane.z};
+    const double start = inner(path->from_facing[leg], normal), stop = inner(path->to_facing[leg], normal);
+    return (1.0 - tau) * path->source_reach * sqrt(fmax(1.0 - start * start, 0.0)) +
+           tau * path->receiver_reach * sqrt(fmax(1.0 - stop * stop, 0.0));
+}
+
+static double ratio(double height, double move) { return move > 0.0 ? height / move : EVER; }
 
 // The reflections: on their walls, and in order. Returns whether all are; `clear` is that of the surest that is not.
 static int reflects(const room* walls, __global const int* sequence, double reach, unfolded* path, double* clear)
@@ -28,7 +41,7 @@ static int reflects(const room* walls, __global const int* sequence, double reac
         const double inverse = crosses ? 1.0 / fabs(before - behind) : 0.0;
         double sure = -1.0;
         if (!crosses) {
-            sure = fmin(fabs(before), fabs(behind));
+            sure = reach * fmin(ratio(fabs(before), across(path, k, 0.0, plane)), ratio(fabs(behind), across(path, k, 1.0, plane)));
         } else {
             path->tau[k] = before / (before - behind);
             path->slack[k] = reach * inverse;
@@ -79,7 +92,9 @@ static double end_clearance(double4 plane, int leg, triple a, triple b, double r
 {
     const double high = fabs(height(plane, a)), low = fabs(height(plane, b));
     const double slope = (high + low) / (path->tau[leg + 1] - path->tau[leg]);
-    return reach * fmin(high / (reach + path->slack[leg] * slope), low / (reach + path->slack[leg + 1] * slope));
+    const double first = across(path, leg, path->tau[leg], plane) + path->slack[leg] * slope;
+    const double last = across(path, leg, path->tau[leg + 1], plane) + path->slack[leg + 1] * slope;
+    return reach * fmin(ratio(high, first), ratio(low, last));
 }
 
 // The legs: crossed by no other wall. Returns whether all are free; `clear` is that of the surest obstacle.
@@ -96,7 +111,9 @@ static int passes(const room* walls, __global const int* sequence, double reach,
             const double before = height(walls->plane[wall], from), behind = height(walls->plane[wall], to);
             if (first < last && before * behind < 0.0) {
                 const double apart = sqrt(edges_apart(walls, wall, from, to, *clear * *clear, EVER));
-                *clear = fmax(*clear, fmin(apart, fmin(fabs(before), fabs(behind))));
+                const double surely = fmin(ratio(fabs(before), across(path, leg, first, walls->plane[wall])),
+                                           ratio(fabs(behind), across(path, leg, last, walls->plane[wall])));
+                *clear = fmax(*clear, fmin(apart, reach * surely));
                 if (*clear > reach) return 0;
             } else {  // nearer to an end of the leg than that can move: sure only while both ends move less
                 const double apart = sqrt(edges_apart(walls, wall, a, b, *clear * *clear, EVER));
@@ -128,14 +145,35 @@ static double edge_clearance(const room* walls, double reach, const unfolded* pa
     return clear;
 }
 
-static int path_status(const room* walls, __global const int* sequence, triple source, triple receiver, double reach,
+static triple turned(double4 plane, triple direction)
+{
+    plane.w = 0.0;
+    return mirrored(plane, direction);
+}
+
+// Ends are a step in front of the walls that they sit in, whose planes are `source_mount` and `receiver_mount`, or 0.
+static int path_status(const room* walls, __global const int* sequence, triple source, triple receiver,
+                       double source_reach, double receiver_reach, double4 source_mount, double4 receiver_mount,
                        double* clear)
 {
+    const triple source_facing = {source_mount.x, source_mount.y, source_mount.z};
+    const triple receiver_facing = {receiver_mount.x, receiver_mount.y, receiver_mount.z};
+    const double reach = fmax(source_reach, receiver_reach);
     unfolded path;
     path.from[0] = source;
     path.to[ORDER] = receiver;
-    for (int k = 0; k < ORDER; k++) path.from[k + 1] = mirrored(walls->plane[sequence[k]], path.from[k]);
-    for (int k = ORDER; k > 0; k--) path.to[k - 1] = mirrored(walls->plane[sequence[k - 1]], path.to[k]);
+    path.from_facing[0] = source_facing;
+    path.to_facing[ORDER] = receiver_facing;
+    path.source_reach = source_reach;
+    path.receiver_reach = receiver_reach;
+    for (int k = 0; k < ORDER; k++) {
+        path.from[k + 1] = mirrored(walls->plane[sequence[k]], path.from[k]);
+        path.from_facing[k + 1] = turned(walls->plane[sequence[k]], path.from_facing[k]);
+    }
+    for (int k = ORDER; k > 0; k--) {
+        path.to[k - 1] = mirrored(walls->plane[sequence[k - 1]], path.to[k]);
+        path.to_facing[k - 1] = turned(walls->plane[sequence[k - 1]], path.to_facing[k]);
+    }
     path.tau[0] = path.slack[0] = path.slack[ORDER + 1] = 0.0;
     path.tau[ORDER + 1] = 1.0;
     *clear = 0.0;

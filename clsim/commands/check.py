@@ -22,7 +22,7 @@ def execute(options: argparse.Namespace) -> int:
     file = load_scene(options.scene)
     room = file.scene.room
     if isinstance(room, MeshRoom):  # before the search, which may take long or give up
-        for line in [*diagnose(room, file.model.room.common_scale()), *diagnose_ends(file.scene)]:
+        for line in [*diagnose(room), *diagnose_ends(file.scene)]:
             print(line, flush=True)
     paths, plan = planned(file, {})
     for line in [*([_comings_and_goings(paths)] if isinstance(room, MeshRoom) else []), *plan.describe()]:

@@ -26,15 +26,17 @@ def execute(options: argparse.Namespace) -> int:
         print(options.output)
         return 0
     rows = np.argsort(table.delay[:, 0], kind="stable")
-    rows = rows[np.isfinite(table.delay[rows, 0])]  # those that are heard
-    print(f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10} {'doppler':>9}  walls")
+    rows = rows[np.isfinite(table.delay[rows, 0])]  # those that are there
+    head = f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10}"
+    print(f"{head} {'doppler factor':>14}  walls")
     most = max(options.limit, 0)
     for p in rows[:most]:
-        gain = 20 * np.log10(max(abs(table.gain[p, 0]), 1e-30))
+        gain = f"{20 * np.log10(abs(table.gain[p, 0])):.1f}" if table.heard[p, 0] else "silent"
         walls = ", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct"
         print(
             f"{table.receiver_names[table.receiver[p]]:<16} {table.source_names[table.source[p]]:<16} "
-            f"{table.order[p]:>5} {table.delay[p, 0] * 1e3:>11.4f} {gain:>10.1f} {table.doppler[p, 0]:>9.6f}  {walls}"
+            f"{table.order[p]:>5} {table.delay[p, 0] * 1e3:>11.4f} {gain:>10} "
+            f"{table.doppler_factor[p, 0]:>14.6f}  {walls}"
         )
     if len(rows) > most:
         print(f"and {len(rows) - most} more (--limit)")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.air import absorption_iso9613
+from clsim.errors import InputError
 from clsim.output.atomic import atomic_path
 
 if TYPE_CHECKING:
@@ -119,10 +120,18 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
         Of one temperature and pressure: a curve for each by frequency.
     path : path-like
         Of the PNG.
+
+    Raises
+    ------
+    InputError
+        If one does not absorb.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
+    for i, air in enumerate(airs):
+        if not air.absorption:
+            raise InputError(f"airs[{i}].absorption", "must be True to be drawn, but is False")
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     temperature, pressure = airs[0].temperature_celsius, airs[0].pressure
@@ -131,7 +140,7 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(airs)))
     for air, colour in zip(airs, colours, strict=True):
         left.loglog(
-            frequencies / 1e3, air.absorption(frequencies), color=colour, label=f"{100 * air.relative_humidity:g} %"
+            frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.relative_humidity:g} %"
         )
     left.set(xlabel="frequency (kHz)", ylabel="absorption (dB/m)", title="by frequency", xlim=(1.0, 200.0))
     left.legend(title="relative humidity", fontsize=9)

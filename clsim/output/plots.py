@@ -107,8 +107,8 @@ def echogram(table: PathTable, receiver: int, index: int, path: str | os.PathLik
     path : path-like
         Of the PNG.
     """
-    heard = np.flatnonzero((table.receiver == receiver) & np.isfinite(table.delay[:, index]))
-    level = 20.0 * np.log10(np.maximum(np.abs(table.gain[heard, index]), 1e-15))
+    heard = np.flatnonzero((table.receiver == receiver) & table.heard[:, index])
+    level = 20.0 * np.log10(np.abs(table.gain[heard, index]))
     top = float(level.max(initial=-300.0))
     shown = level > top - _RANGE_DB
     rows, level = heard[shown], level[shown]

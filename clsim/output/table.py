@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _NAMES = ("source_names", "receiver_names", "wall_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more
-_REPEATING = ["time", "path", "source", "receiver", "order", "walls"]  # columns worth a dictionary
+_REPEATING = ["times", "path", "source", "receiver", "order", "walls"]  # columns worth a dictionary
 
 
 def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
@@ -142,7 +142,7 @@ def _long(table: PathTable, rows: range, walls: list[str]) -> dict[str, Any]:
         return pa.array(texts, pa.string()).take(pa.array(per_path(which), pa.int64()))
 
     columns = {
-        "time": np.tile(table.times, len(rows))[heard],
+        "times": np.tile(table.times, len(rows))[heard],
         "path": per_path(np.arange(rows.start, rows.stop)),
         "source": words(table.source_names, table.source[part]),
         "receiver": words(table.receiver_names, table.receiver[part]),
@@ -150,7 +150,7 @@ def _long(table: PathTable, rows: range, walls: list[str]) -> dict[str, Any]:
         "walls": words(walls[part], np.arange(len(rows))),
         "direct": per_path(table.direct[part]),
     }
-    for name in ("delay", "doppler", "gain"):
+    for name in ("delay", "doppler_factor", "gain"):
         columns[name] = getattr(table, name)[part].ravel()[heard]
     if np.iscomplexobj(table.gain):  # a type that Parquet does not know
         columns |= {"gain": np.abs(columns["gain"]), "gain_phase": np.angle(columns["gain"])}

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 _TRAIL = 400  # points of a drawn trajectory
 _SEEN = 1e-4  # m, to which the page rounds
-_FAINTEST = 1e-15  # gain, in place of zero
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,9 +115,9 @@ def _same(one: ViewedPaths, other: ViewedPaths) -> bool:
 def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
     """Return the strongest paths that are heard at a time."""
     table = paths.table(np.array([time]), motion, amplitude)
-    heard = np.flatnonzero(np.isfinite(table.delay[:, 0]))
-    gain = np.maximum(np.abs(table.gain[heard, 0]), _FAINTEST)
-    level = 20.0 * np.log10(gain / gain.max(initial=_FAINTEST))
+    heard = np.flatnonzero(table.heard[:, 0])
+    gain = np.abs(table.gain[heard, 0])
+    level = 20.0 * np.log10(gain / gain.max(initial=0.0))
     strongest = np.argsort(-level, kind="stable")[:limit]
     heard, level = heard[strongest], level[strongest]
     corners = paths.corners(time, motion)[heard]

@@ -52,6 +52,7 @@ def path_corners(
         near = np.einsum("pi,pi->p", at[rows], normal[wall]) - offset[wall]
         far = np.einsum("pi,pi->p", image[rows, k], normal[wall]) - offset[wall]
         with np.errstate(divide="ignore", invalid="ignore"):
-            at[rows] += (near / (near - far))[:, None] * (image[rows, k] - at[rows])
+            share = np.where(near == far, 0.5, near / (near - far))  # both in the wall: along it
+        at[rows] += share[:, None] * (image[rows, k] - at[rows])
         corners[rows, k] = at[rows]
     return corners

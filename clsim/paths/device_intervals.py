@@ -57,6 +57,7 @@ class DeviceSearch:
         )  # fmt: skip
         self._ends = (
             self._upload(ends.places), self._upload(ends.scales), self._upload(ends.knots), self._upload(ends.speeds),
+            self._upload(ends.mounts),
             np.float64(question.speed_of_sound),
         )  # fmt: skip
 

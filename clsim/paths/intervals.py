@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.movers import NUDGES, Movers
-from clsim.paths.validity import mirrored, path_status
+from clsim.paths.validity import Reach, mirrored, path_status
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -147,12 +147,15 @@ def look(
         image = mirrored(walls, sequence[:, k], image)
     emitted = time - ends.delay(image, time, c)
     late = question.stretch[receiver]
-    reach = half * np.maximum(
-        late * ends.speed_over(source, emitted - late * half, emitted + late * half),
-        ends.speed_over(row, time - half, time + half),
+    reach = Reach(
+        half * late * ends.speed_over(source, emitted - late * half, emitted + late * half),
+        half * ends.speed_over(row, time - half, time + half),
+        ends.mounts[source, :3],
+        ends.mounts[row, :3],
     )
-    valid, clear = path_status(walls, sequence, ends.position(source, emitted) + NUDGES[0], at + NUDGES[1], reach)
-    return valid, clear, reach
+    origin = ends.lifted(source, ends.position(source, emitted) + NUDGES[0])
+    valid, clear = path_status(walls, sequence, origin, ends.lifted(row, at + NUDGES[1]), reach)
+    return valid, clear, reach.most
 
 
 def merged(path: NDArray[np.int64], begin: Floats, end: Floats, looks: int) -> Intervals:

@@ -17,6 +17,7 @@ from clsim.paths.device_intervals import DeviceSearch
 from clsim.paths.intervals import Question, find_intervals
 from clsim.paths.movers import Balls, movers
 from clsim.paths.shooting import ShotRays
+from clsim.scene.flush import find_mount
 from clsim.scene.mesh_room import MeshRoom
 
 if TYPE_CHECKING:
@@ -101,7 +102,8 @@ class MeshSearch:
         room, c = scene.room, scene.air.sound_speed
         assert isinstance(room, MeshRoom)
         trajectories = [r.trajectory for r in scene.receivers]
-        ends = movers(source.trajectory, trajectories)
+        mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
+        ends = movers(source.trajectory, trajectories, mounts)
         longest = (self.max_order + 1) * _diameter(room, ends) / c
         last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
         fastest = float(ends.scales[0, 2])
@@ -122,7 +124,7 @@ class MeshSearch:
             centre, radius = ends.ball(0, begin - longest, end)
             finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
             if shoot:
-                finder = ShotRays(room, source.trajectory, receivers)
+                finder = ShotRays(room, source.trajectory, receivers, mounts[0])
             part = partial(report, progress, begin / last.max(), end / last.max())
             try:
                 parts.append(self._heard(question.during(begin, end), finder, source.name, part))

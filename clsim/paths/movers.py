@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.scene.flush import Mount
     from clsim.scene.motion import Motion
 
 NUDGES = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
@@ -55,12 +56,15 @@ class Movers:
         Coefficients [power][xyz] of the cubic from each knot to the next, m.
     speeds : ndarray (speeds,)
         Bounds of the speed from each knot to the next, of pairs of them, and so on, m/s.
+    mounts : ndarray (rows, 4)
+        Unit normal of the wall that each sits in, and offset of the plane a step in front of it, m; zero in the open.
     """
 
     places: NDArray[np.int64]
     scales: Floats
     knots: Floats
     speeds: Floats
+    mounts: Floats
 
     def position(self, row: NDArray[np.int64], time: Floats) -> Floats:
         """Return positions (n, 3) at times (n,), m; before the first and after the last knot those at them."""
@@ -70,6 +74,11 @@ class Movers:
         u = np.clip(place - knot, 0.0, 1.0)[:, None]
         c = self.knots[first + knot].reshape(-1, 4, 3)
         return np.asarray(c[:, 0] + u * (c[:, 1] + u * (c[:, 2] + u * c[:, 3])))
+
+    def lifted(self, row: NDArray[np.int64], positions: Floats) -> Floats:
+        """Return positions (n, 3) of ends as validity takes them: those in a wall a step in front of it, m."""
+        normal, offset = self.mounts[row, :3], self.mounts[row, 3]
+        return np.asarray(positions + (offset - np.sum(positions * normal, axis=1))[:, None] * normal)
 
     def speed_over(self, row: NDArray[np.int64], begin: Floats, end: Floats) -> Floats:
         """Return a bound of the speed between two times (n,), m/s."""
@@ -98,7 +107,12 @@ class Movers:
             if np.linalg.norm(hull - better, axis=1).max() >= distance[i]:
                 break
             centre = better
-        return centre, float(np.linalg.norm(hull - centre, axis=1).max())
+        return centre, float(np.linalg.norm(hull - centre, axis=1).max()) + self._lift(row, hull)
+
+    def _lift(self, row: int, hull: Floats) -> float:
+        """Return how far an end may be lifted off its wall, m."""
+        normal, offset = self.mounts[row, :3], self.mounts[row, 3]
+        return float(np.abs(offset - hull @ normal).max())
 
     def receiver_balls(self, begin: float = 0.0, end: float = math.inf) -> Balls:
         """Return the balls of all receivers."""
@@ -118,8 +132,8 @@ class Movers:
         return delay
 
 
-def movers(source: Motion, receivers: Sequence[Motion]) -> Movers:
-    """Return the tables of one source and its receivers, from time 0 to the end of each.
+def movers(source: Motion, receivers: Sequence[Motion], mounts: Sequence[Mount | None] = ()) -> Movers:
+    """Return the tables of one source and its receivers, from time 0 to the end of each; no mounts when left out.
 
     Raises
     ------
@@ -140,7 +154,12 @@ def movers(source: Motion, receivers: Sequence[Motion]) -> Movers:
     ).astype(np.int64)
     scales = np.array([[first, rate, level.max()] for (_, first, rate), level in zip(tables, levels, strict=True)])
     knots = np.concatenate([knots for knots, _, _ in tables])
-    return Movers(read_only(places), read_only(scales), read_only(knots), read_only(np.concatenate(levels)))
+    planes = np.zeros((len(tables), 4))
+    for plane, mount in zip(planes, mounts, strict=False):
+        if mount is not None:
+            plane[:] = [*mount.normal, mount.offset + mount.step]
+    columns = (places, scales, knots, np.concatenate(levels), planes)
+    return Movers(*(read_only(column) for column in columns))
 
 
 def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:

@@ -98,24 +98,21 @@ class PathSet:
         as_choice("motion", motion, MOTIONS)
         as_choice("amplitude", amplitude, AMPLITUDES)
         shape = (len(self), len(times))
-        delay, doppler = (np.full(shape, np.nan) for _ in range(2))
+        delay, doppler_factor = (np.full(shape, np.nan) for _ in range(2))
         gain: Any = np.full(shape, np.nan, dtype=np.complex128 if is_complex(self.scene) else np.float64)
         departure, arrival = (np.full((*shape, 3), np.nan) for _ in range(2))
         for rows, group in self.groups():
             for part in slices_of(len(times), len(rows)):
                 found = arrivals(self.scene, group, times[part], motion, amplitude)
-                delay[rows, part], doppler[rows, part], gain[rows, part] = (
-                    found.delay,
-                    1.0 - found.delay_rate,
-                    found.gain,
-                )
+                delay[rows, part], gain[rows, part] = found.delay, found.gain
+                doppler_factor[rows, part] = 1.0 - found.delay_rate
                 departure[rows, part], arrival[rows, part] = found.departure, found.arrival
         silent = (times[None, :] < self.start[:, None]) | (times[None, :] >= self.end[:, None])
-        for column in (delay, doppler, gain, departure, arrival):
+        for column in (delay, doppler_factor, gain, departure, arrival):
             column[silent] = np.nan
         return PathTable(
             times, self.source, self.receiver, self.order, self.walls, self.order == 0,
-            delay, doppler, gain, departure, arrival,
+            delay, doppler_factor, gain, departure, arrival,
             tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers),
             self.scene.room.wall_names,
         )  # fmt: skip

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
@@ -28,7 +29,7 @@ class PathTable:
         Whether it is the direct path.
     delay : ndarray (P, T)
         From emission to reception, s; NaN while the path is not heard.
-    doppler : ndarray (P, T)
+    doppler_factor : ndarray (P, T)
         Received over emitted frequency.
     gain : ndarray (P, T)
         Received over emitted pressure at the signal's centre frequency, signed; complex where a wall or beam is.
@@ -45,10 +46,15 @@ class PathTable:
     walls: NDArray[np.signedinteger[Any]]
     direct: NDArray[np.bool_]
     delay: Floats
-    doppler: Floats
+    doppler_factor: Floats
     gain: Floats | Complexes
     departure: Floats
     arrival: Floats
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
     wall_names: tuple[str, ...]
+
+    @property
+    def heard(self) -> NDArray[np.bool_]:
+        """Whether anything arrives (P, T): the path is there, and its gain is not 0."""
+        return np.asarray(np.isfinite(self.delay) & (self.gain != 0.0))

@@ -50,7 +50,7 @@ class Responses:
     def __init__(self, scene: Scene, frequencies: Floats) -> None:
         self._scene, self._frequencies = scene, frequencies
         materials = scene.room.wall_materials
-        self.nepers: Floats = scene.air.absorption(frequencies) * NEPERS
+        self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
         self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
         self._factors = np.ones((len(materials) + 1, len(frequencies)), dtype=self.dtype)

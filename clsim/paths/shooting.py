@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.movers import Balls
+    from clsim.scene.flush import Mount
     from clsim.scene.mesh_room import MeshRoom
     from clsim.scene.motion import Motion
 
@@ -40,6 +41,8 @@ class ShotRays:
         Where rays start.
     receivers : Balls
         Each of which every sequence is a candidate for.
+    mount : Mount, optional
+        The wall that the source sits in: rays start in front of it.
 
     Attributes
     ----------
@@ -52,9 +55,11 @@ class ShotRays:
         If embreex is not installed.
     """
 
-    def __init__(self, room: MeshRoom, source: Motion, receivers: Balls) -> None:
+    def __init__(self, room: MeshRoom, source: Motion, receivers: Balls, mount: Mount | None = None) -> None:
         self._room, self._receivers = room, receivers
         self._positions = _positions(source)
+        if mount is not None:
+            self._positions = self._positions + _OFF_WALL * room.walls.size * mount.normal
         self.share = 0.0
         try:
             from trimesh import Trimesh

@@ -25,17 +25,18 @@ class DirectTruth:
     ----------
     times : ndarray (T,)
         Times of reception, s.
-    delay : ndarray
-        From emission to reception, s, also where a wall is in the way.
+    delay, doppler_factor : ndarray
+        As in `PathTable`, but also where a wall is in the way.
     line_of_sight : ndarray of bool
         Whether it is heard.
     radial_speed : ndarray
-        Speed of sound times the change of the delay by time of reception, m/s; positive where they part. The Doppler
-        factor is 1 less the radial speed over the speed of sound.
+        Speed of sound times the change of the delay by time of reception, ``c (1 - doppler_factor)``, m/s; positive
+        where they part.
     """
 
     times: Floats
     delay: Floats
+    doppler_factor: Floats
     line_of_sight: NDArray[np.bool_]
     radial_speed: Floats
 
@@ -78,4 +79,4 @@ def direct_truth(paths: PathSet, times: Floats, motion: str = "retarded") -> Dir
     for row in np.flatnonzero(paths.order == 0):
         heard = (times >= paths.start[row]) & (times < paths.end[row])
         seen[paths.source[row], paths.receiver[row]] |= heard
-    return DirectTruth(times, delay, seen, scene.air.sound_speed * rate)
+    return DirectTruth(times, delay, 1.0 - rate, seen, scene.air.sound_speed * rate)

@@ -15,7 +15,7 @@ from clsim.errors import InputError
 GROUP = 32  # neighbouring samples that share the whole part of a path's delay
 SMALL_GROUP = 8  # for fast motion, and for filters that are only good near the middle of their range
 _LARGEST_MU = 1.6  # beyond which smaller groups are cheaper than more branches
-_LARGEST_ORDER = 30
+_LARGEST_ORDER = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,7 @@ class Lagrange:
     Parameters
     ----------
     order : int
-        From 1 to 30; it has one tap more.
+        From 1 to 40; it has one tap more.
 
     Notes
     -----
@@ -106,7 +106,7 @@ class TruncatedLagrange:
     Parameters
     ----------
     order : int
-        Order of the prototype, up to 30.
+        Order of the prototype, up to 40.
     length : int
         Taps that are kept; ``order + 1 - length`` must be even.
     """

@@ -84,7 +84,7 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
             factors[w] = np.abs(material.reflection_at(known(frequencies, material), 1.0, c))
     beams = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
     reflected = np.prod(factors[paths.walls], axis=1) * beams
-    nepers = scene.air.absorption(frequencies) * NEPERS
+    nepers = scene.air.absorption_at(frequencies) * NEPERS
     stretch = (1.0 - tracks.source_speed[paths.source] / c) ** -MACH_EXPONENT[tracks.amplitude]
     bound, strongest = np.zeros(len(paths.walls)), 0.0
     speed = tracks.source_speed[paths.source] + tracks.receiver_speed[paths.receiver]

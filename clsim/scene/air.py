@@ -15,7 +15,7 @@ from clsim.acoustics.air import (
     vapour_fraction_giacomo,
     vapour_percent_iso9613,
 )
-from clsim.arrays import Floats, as_choice, as_number
+from clsim.arrays import Floats, as_choice, as_flag, as_number
 from clsim.errors import ClsimWarning, InputError
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ class Air:
         Static pressure, 10 kPa to 1 MPa, Pa.
     speed_of_sound : float or "iso9613" or None
         A speed, m/s; ISO 9613-1's formula by name; or None for Cramer's formula (1993, 314 ppm CO2).
+    absorption : bool
+        Whether the air absorbs sound, by ISO 9613-1; without it closed forms of walls and spreading hold exactly.
 
     Raises
     ------
@@ -55,7 +57,7 @@ class Air:
     Examples
     --------
     >>> air = Air(temperature_celsius=20.0, relative_humidity=0.5)
-    >>> round(air.sound_speed, 3), round(float(air.absorption(40e3)), 3)
+    >>> round(air.sound_speed, 3), round(float(air.absorption_at(40e3)), 3)
     (343.994, 1.318)
     """
 
@@ -63,6 +65,7 @@ class Air:
     relative_humidity: float = 0.5
     pressure: float = 101_325.0
     speed_of_sound: float | str | None = None
+    absorption: bool = True
 
     def __post_init__(self) -> None:
         for name, value in (
@@ -82,6 +85,7 @@ class Air:
                 as_number("pressure", self.pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa"),
             ),
             ("speed_of_sound", _checked_speed(self.speed_of_sound)),
+            ("absorption", as_flag("absorption", self.absorption)),
         ):
             object.__setattr__(self, name, value)
         vapour = vapour_fraction_giacomo(self.temperature_celsius, self.relative_humidity, self.pressure)
@@ -104,8 +108,8 @@ class Air:
             return speed_of_sound_iso9613(self.temperature_celsius)
         return self.speed_of_sound
 
-    def absorption(self, frequency: ArrayLike) -> Floats:
-        """Return the absorption of pure tones by ISO 9613-1, dB/m.
+    def absorption_at(self, frequency: ArrayLike) -> Floats:
+        """Return the absorption of pure tones by ISO 9613-1, dB/m; zero in air without.
 
         Parameters
         ----------
@@ -130,6 +134,8 @@ class Air:
         f = np.asarray(frequency, dtype=np.float64)
         if not np.all((f >= 0.0) & np.isfinite(f)):
             raise InputError("frequency", "must be finite and at least 0 Hz")
+        if not self.absorption:
+            return np.zeros(f.shape)
         if np.any(f > 10.0 * self.pressure):
             warnings.warn(
                 f"the absorption of air is asked for at {np.max(f):g} Hz, but ISO 9613-1 states its accuracy "
@@ -172,7 +178,8 @@ def _doubt_in_speed(air: Air, vapour: float) -> str:
 def _doubt_in_absorption(air: Air) -> str:
     """Return a sentence if ISO 9613-1 is less sure of the absorption than within 20 %."""
     vapour = vapour_percent_iso9613(air.temperature_celsius, air.relative_humidity, air.pressure)
-    if -20.0 <= air.temperature_celsius <= 50.0 and air.pressure < 200e3 and vapour >= 0.005:
+    inside = -20.0 <= air.temperature_celsius <= 50.0 and air.pressure < 200e3 and vapour >= 0.005
+    if not air.absorption or inside:
         return ""
     return (
         f"ISO 9613-1 gives the absorption of air within 20 % from -20 to 50 °C, below 200 kPa and from "

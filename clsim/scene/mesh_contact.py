@@ -45,6 +45,20 @@ def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:
     return None
 
 
+def walls_at(walls: Walls, position: Floats) -> NDArray[np.int64]:
+    """Return the walls that a position (3,) is on."""
+    near = np.flatnonzero(np.abs(walls.normal @ position - walls.offset) < NEAREST)
+    return near[[bool(_near(walls, int(w), position[None])[0]) for w in near]]
+
+
+def first_off(walls: Walls, wall: int, positions: Floats) -> int | None:
+    """Return the first of positions (n, 3) in the plane of a wall that is on no wall of this plane."""
+    held = np.zeros(len(positions), dtype=bool)
+    for twin in np.flatnonzero(walls.plane == walls.plane[wall]):
+        held |= walls.holds(int(twin), positions)
+    return None if held.all() else int(np.argmin(held))
+
+
 def _contact(walls: Walls, wall: int, positions: Floats) -> int | None:
     """Return the first of a few positions that is on a wall, or after which it is walked through."""
     height = positions @ walls.normal[wall] - walls.offset[wall]

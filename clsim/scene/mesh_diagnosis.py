@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.scene.mesh_cleaning import clusters
 from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.placement import first_place
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,28 +16,23 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.scene import Scene
 
-_LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units
-_USUAL = 5.0  # m, size of a room
 _HOLES_LISTED = 5
 
 
-def diagnose(room: MeshRoom, scale: float | None = 1.0) -> list[str]:
+def diagnose(room: MeshRoom) -> list[str]:
     r"""Return what a mesh is like, a line each: size, walls, shells, holes, winding, repairs.
 
     Parameters
     ----------
     room : MeshRoom
         The mesh.
-    scale : float or None
-        With which its file was read, m; None if it is of several files with several scales.
 
     Examples
     --------
     >>> from clsim import Material, Shoebox
-    >>> box = MeshRoom.joined([Shoebox((8000.0, 6000.0, 3000.0), Material.from_reflection(0.9))])
+    >>> box = MeshRoom.joined([Shoebox((8.0, 6.0, 3.0), Material.from_reflection(0.9))])
     >>> print(*diagnose(box), sep="\n")
-    room: 12 triangles, 6 walls in 6 planes, 8000 x 6000 x 3000 m from (0, 0, 0) m
-    room: 8000 m is large for a room; for a file in millimetres, try scale = 0.001
+    room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m
     room: watertight
     """
     low, high = room.extent
@@ -47,7 +42,6 @@ def diagnose(room: MeshRoom, scale: float | None = 1.0) -> list[str]:
         f"{len(room.triangles)} triangles, {len(room.walls)} walls in {room.walls.plane.max() + 1} planes, "
         f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} m from ({low[0]:.4g}, {low[1]:.4g}, {low[2]:.4g}) m"
     ]
-    lines += _absurd_size(float(size.max()), scale)
     shells, closed = _shells(room.triangles)
     if shells > 1:
         lines.append(f"{shells} separate shells, {closed} of them closed")
@@ -66,20 +60,9 @@ def diagnose_ends(scene: Scene) -> list[str]:
         return []
     lines = []
     for field, item in scene.named_ends():
-        inside = bool(room.contains(item.trajectory.position(0.0))[0])
+        inside = bool(room.contains(first_place(scene, item))[0])
         lines.append(f"{field}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")
     return lines
-
-
-def _absurd_size(size: float, scale: float | None) -> list[str]:
-    """Return a line for a room of a size that rooms do not have."""
-    if _SMALLEST <= size <= _LARGEST:
-        return []
-    steps = round(math.log(size / _USUAL, 1000.0)) or (1 if size > _USUAL else -1)
-    factor = 1000.0**-steps
-    advice = f"scale = {scale * factor:g}" if scale is not None else f"{factor:g} times the scale of its files"
-    unit = "for a file in millimetres, " if scale == 1.0 and steps == 1 else ""
-    return [f"{size:.4g} m is {'large' if steps > 0 else 'small'} for a room; {unit}try {advice}"]
 
 
 def _shells(triangles: NDArray[np.int64]) -> tuple[int, int]:

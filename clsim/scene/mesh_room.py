@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 
 Materials = Material | Mapping[str, Material] | Sequence[Material]
-_RAY = np.array([0.36, 0.48, 0.80])  # a direction that no wall is likely to lie along
+# Directions that no wall is likely to lie along; where one of them meets an edge, the two others outvote it.
+_RAYS = np.array([[0.3607, 0.4783, 0.8007], [-0.7321, 0.5519, -0.3991], [0.5297, -0.8081, 0.2577]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +45,10 @@ class MeshRoom:
         Neighbours of one material whose corners lie this near to each other's planes are one wall, m.
     labels : sequence of str, optional
         What each triangle belongs to; walls are called after it.
+    notes : sequence of str
+        What was repaired before.
+    scale : float, optional
+        Metres per unit of the files that it is from; None without files, or where they differ.
 
     Attributes
     ----------
@@ -73,6 +78,7 @@ class MeshRoom:
     flatness: float = FLATNESS
     labels: Sequence[str] | None = None
     notes: tuple[str, ...] = ()
+    scale: float | None = None
     walls: Walls = field(init=False)
     wall_names: tuple[str, ...] = field(init=False)
     shape: MeshShape = field(init=False)
@@ -143,7 +149,9 @@ class MeshRoom:
         stem = Path(path).stem
         names = [mesh.groups[g] for g in mesh.group]
         labels = [f"{stem} {name}".strip() for name in names]
-        return MeshRoom(mesh.vertices, mesh.triangles, [by_group[n] for n in names], flatness, labels, mesh.notes)
+        return MeshRoom(
+            mesh.vertices, mesh.triangles, [by_group[n] for n in names], flatness, labels, mesh.notes, float(scale)
+        )
 
     @staticmethod
     def from_plan(
@@ -209,6 +217,7 @@ class MeshRoom:
         vertices, triangles, labels, notes = [], [], [], []
         materials: list[Material] = []
         flatness, count = 0.0, 0
+        scales = {part.scale for part in parts if isinstance(part, MeshRoom) and part.scale is not None}
         for i, part in enumerate(parts):
             if isinstance(part, Shoebox):
                 part = _as_mesh(part)
@@ -220,7 +229,10 @@ class MeshRoom:
             labels += list(part.labels or ())
             notes += list(part.notes)
             flatness, count = max(flatness, part.flatness), count + len(part.vertices)
-        return MeshRoom(np.concatenate(vertices), np.concatenate(triangles), materials, flatness, labels, tuple(notes))
+        scale = scales.pop() if len(scales) == 1 else None
+        return MeshRoom(
+            np.concatenate(vertices), np.concatenate(triangles), materials, flatness, labels, tuple(notes), scale
+        )
 
     @property
     def extent(self) -> tuple[Floats, Floats]:
@@ -238,18 +250,30 @@ class MeshRoom:
         return np.array([factors[id(m)] for m in self.wall_materials])
 
     def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) lie inside: a ray from them meets the walls an odd number of times.
+        """Return which positions (n, 3) lie inside: most rays from them meet the walls an odd number of times.
 
         Of use for watertight rooms only.
         """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        count = np.zeros(len(x), dtype=int)
-        walls = self.walls
+        inside, other = (self._met(x, ray) % 2 == 1 for ray in _RAYS[:2])
+        unsure = np.flatnonzero(inside != other)
+        inside[unsure] = self._met(x[unsure], _RAYS[2]) % 2 == 1
+        return np.asarray(inside)
+
+    def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) have walls to all sides, as in a room whose walls are solids: six rays look."""
+        x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        return np.asarray(np.all([self._met(x, sign * ray) > 0 for ray in _RAYS for sign in (1.0, -1.0)], axis=0))
+
+    def _met(self, x: Floats, ray: Floats) -> NDArray[np.int64]:
+        """Return how often rays from positions (n, 3) meet the walls."""
+        count, walls = np.zeros(len(x), dtype=int), self.walls
         for w in range(len(walls)):
-            away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ _RAY)
+            away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
             ahead = np.flatnonzero(away > 0.0)
-            count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * _RAY)
-        return np.asarray(count % 2 == 1)
+            if len(ahead):
+                count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * ray)
+        return count
 
 
 def _as_mesh(box: Shoebox) -> MeshRoom:

@@ -15,10 +15,10 @@ from clsim.errors import InputError
 from clsim.scene.air import Air
 from clsim.scene.directivity import AnyDirectivity, Directivity, Omni, SphericalDirectivity
 from clsim.scene.electronics import Electronics
-from clsim.scene.instants import Instants
-from clsim.scene.mesh_contact import NEAREST, first_contact
+from clsim.scene.flush import checked_flush
 from clsim.scene.mesh_room import MeshRoom
-from clsim.scene.places import clearance, first_approach, first_refused, nearest_within
+from clsim.scene.placement import check_distances, check_motions, check_sides
+from clsim.scene.plausibility import warn_of_units
 from clsim.scene.room import Shoebox
 from clsim.scene.trajectory import Trajectory
 from clsim.scene.trajectory_checks import LONGEST
@@ -26,9 +26,6 @@ from clsim.scene.transducer import Transducer
 
 if TYPE_CHECKING:
     from clsim.scene.signal import Signal
-
-_SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
-_SCAN_BLOCK = 65536  # instants among which the nearest approach is told
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +48,9 @@ class Source:
         Time at which the signal begins, s, from 0 to 1e9.
     transducer : Transducer, optional
         Response on the axis, Pa at 1 m per V.
+    flush : bool or array_like (3,)
+        Whether it sits in a wall: True on the side of the room, or a direction off the wall to the side that it is on,
+        as a mesh that is open needs it.
 
     Attributes
     ----------
@@ -65,10 +65,12 @@ class Source:
     aim: Any = None
     start: float = 0.0
     transducer: Transducer | None = None
+    flush: Any = False
     emitted: Signal = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_ends(self))
+        object.__setattr__(self, "flush", checked_flush(self.flush))
         object.__setattr__(self, "start", as_number("start", self.start, at_least=0.0, at_most=LONGEST, unit="s"))
         emitted = self.signal if self.transducer is None else self.transducer.drive(self.signal)
         object.__setattr__(self, "emitted", emitted)
@@ -101,6 +103,8 @@ class Receiver:
         Response on the axis, V per Pa.
     electronics : Electronics, optional
         Noise, filters, amplifier, converter and clock.
+    flush : bool or array_like (3,)
+        Whether it sits in a wall; as of a `Source`.
     """
 
     name: str
@@ -109,9 +113,11 @@ class Receiver:
     aim: Any = None
     transducer: Transducer | None = None
     electronics: Electronics | None = None
+    flush: Any = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_ends(self))
+        object.__setattr__(self, "flush", checked_flush(self.flush))
         if self.electronics is not None and not isinstance(self.electronics, Electronics):
             raise InputError("electronics", f"must be Electronics, but is {self.electronics!r:.80}")
 
@@ -153,7 +159,12 @@ class Scene:
     ------
     InputError
         If a name is used twice, or a trajectory leaves the room, comes too close to another one or reaches
-        the speed of sound; the message gives time and place.
+        the speed of sound, or an end is outside a watertight mesh that others are in; the message gives time and place.
+
+    Warns
+    -----
+    ClsimWarning
+        If all ends are outside a watertight mesh, or the room's size or a signal's frequency look like another unit.
     """
 
     room: Shoebox | MeshRoom
@@ -171,9 +182,11 @@ class Scene:
             raise InputError("room", f"must be a Shoebox or a MeshRoom, but is {self.room!r:.80}")
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
-        _check_motions(self)
+        check_motions(self)
+        check_sides(self)
+        warn_of_units(self)
         for i, source in enumerate(self.sources):
-            _check_distances(self, i, source)
+            check_distances(self, i, source)
             if source.end > source.trajectory.end * (1 + 1e-12) + 1e-9:
                 raise InputError(
                     f"sources[{i}].trajectory",
@@ -239,68 +252,6 @@ def _checked_list(name: str, values: Any, kind: type[Source] | type[Receiver]) -
     return tuple(values)
 
 
-def _check_motions(scene: Scene) -> None:
-    """Refuse trajectories that leave the room, meet a wall, or are as fast as sound, with time and place."""
-    ends = scene.named_ends()
-    still = [i for i, (_, item) in enumerate(ends) if item.trajectory.at_rest]
-    if still:  # one look at all of them: they may be very many
-        free = clearance(scene.room, _places([ends[i][1] for i in still])) > 0.0
-        ends = [ends[i] for i in sorted({*range(len(ends))} - {still[i] for i in np.flatnonzero(free)})]
-    for field_name, item in ends:
-        _check_motion(scene, field_name, item)
-
-
-def _check_motion(scene: Scene, field_name: str, item: Source | Receiver) -> None:
-    """Refuse a trajectory that leaves the room, meets a wall, or is as fast as sound, with time and place."""
-    speed_of_sound, (start, end) = scene.air.sound_speed, scene.span(item)
-    instants = Instants(start, end, _SCAN_RATE)
-    refused = first_refused(scene.room, item.trajectory, instants)
-    if refused is not None:
-        times = instants.times(np.arange(refused, min(refused + 2, instants.count)))
-        check = _check_inside if isinstance(scene.room, Shoebox) else _check_walls
-        check(scene, field_name, item.name, item.trajectory.position(times), times)
-    speed, time = item.trajectory.peak_speed(start, end, _SCAN_RATE)
-    if speed >= speed_of_sound:
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay below the speed of sound, {speed_of_sound:.6g} m/s, "
-            f"but {item.name!r} moves at {speed:.6g} m/s at {time:.6g} s",
-        )
-
-
-def _places(ends: Sequence[Source | Receiver]) -> Floats:
-    """Return the positions (n, 3) of ends that never move, m."""
-    return np.stack([end.trajectory.position(0.0) for end in ends])
-
-
-def _check_inside(scene: Scene, field_name: str, name: str, positions: Floats, times: Floats) -> None:
-    """Refuse positions outside a shoebox; the last ones are those at `times`."""
-    outside = np.flatnonzero(~scene.room.contains(positions))
-    if len(outside):
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay inside the room, but {name!r} is at {_place(positions, times, int(outside[0]))}",
-        )
-
-
-def _check_walls(scene: Scene, field_name: str, name: str, positions: Floats, times: Floats) -> None:
-    """Refuse positions on a wall of a mesh, and motions through one; the last positions are those at `times`."""
-    assert isinstance(scene.room, MeshRoom)
-    contact = first_contact(scene.room.walls, positions)
-    if contact is not None:
-        i, wall = contact
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay {NEAREST:g} m away from every wall and walk through none, but {name!r} meets the wall "
-            f"{scene.room.wall_names[wall]!r} at {_place(positions, times, i)}",
-        )
-
-
-def _place(positions: Floats, times: Floats, i: int) -> str:
-    where = ", ".join(f"{x:.6g}" for x in positions[i])
-    return f"({where}) m at {times[max(i - len(positions) + len(times), 0)]:.6g} s"
-
-
 def _check_bands(scene: Scene) -> None:
     """Refuse a receiver whose transducer is not known over the band of a source."""
     for i, receiver in enumerate(scene.receivers):
@@ -311,36 +262,3 @@ def _check_bands(scene: Scene) -> None:
                 receiver.transducer.check_covers(source.emitted.band(), f"what {source.name!r} emits")
             except InputError as error:
                 raise error.within(f"receivers[{i}]") from error
-
-
-def _check_distances(scene: Scene, index: int, source: Source) -> None:
-    """Refuse a source that comes closer to a receiver than the scene allows, with the time."""
-    last, nearest = scene.span(source)[1], scene.min_distance
-    still = [r for r in scene.receivers if r.trajectory.at_rest]
-    if still:
-        instants = Instants(0.0, last, _SCAN_RATE)
-        met = first_approach(source.trajectory, _places(still), nearest, instants)
-        if met is not None:
-            raise _too_close(scene, index, still[met[1]], instants, met[0])
-    for receiver in scene.receivers:
-        if not receiver.trajectory.at_rest:
-            instants = Instants(0.0, min(last, receiver.trajectory.end), _SCAN_RATE)
-            met = first_approach(source.trajectory, receiver.trajectory, nearest, instants)
-            if met is not None:
-                raise _too_close(scene, index, receiver, instants, met[0])
-
-
-def _too_close(scene: Scene, index: int, receiver: Receiver, instants: Instants, first: int) -> InputError:
-    """Return the error of a source that is too close to a receiver at an instant, and perhaps closer soon after."""
-    source = scene.sources[index]
-    times = instants.times(np.arange(first, min(first + _SCAN_BLOCK, instants.count)))
-    apart = receiver.trajectory.position(times) - source.trajectory.position(times)
-    moving = receiver.trajectory.velocity(times) - source.trajectory.velocity(times)
-    distance, shift = nearest_within(apart, moving, 0.5 * instants.step)
-    i = int(np.argmin(distance))
-    return InputError(
-        f"sources[{index}].trajectory",
-        f"must stay at least {scene.min_distance:g} m away from every receiver (min_distance), "
-        f"but {source.name!r} comes within {distance[i]:.3g} m of {receiver.name!r} "
-        f"at {times[i] + shift[i]:.6g} s",
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from decimal import Decimal, DecimalException
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.errors import InputError
+from clsim.errors import ClsimWarning, InputError
 from clsim.scene.trajectory_checks import FARTHEST, LONGEST
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ REPAIRS = ("times", "gaps", "nan", "jumps")
 
 _POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _LONGEST_STEP = 5.0  # median steps, beyond which a step is a gap
+_LONGEST_INVENTED = 1.0  # s of motion that gaps may make up without a warning
 _SHORTEST_STEP = 1e-3  # median steps, below which two times are the same
 _FEWEST_ROWS = 4
 _UNIT_TOLERANCE = 1e-2  # largest error of a quaternion's norm that counts as rounding
@@ -326,6 +328,15 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
             "path",
             f"{poses.where(i)}: must follow within {longest:.4g} s ({rule}), but {poses.stamps[i]} is "
             f"{steps[i - 1]:.4g} s after {poses.stamps[i - 1]}; bridge it by max_gap= or repair=('gaps',)",
+        )
+    made_up = float(steps[wide].sum())
+    if made_up > _LONGEST_INVENTED:
+        warnings.warn(
+            f'{poses.file}: repair=("gaps",) makes up {made_up:.4g} s of motion, the most of it '
+            f"{steps.max():.4g} s before line {poses.lines[int(np.argmax(steps)) + 1]}; "
+            "leave that part out, or measure it again",
+            ClsimWarning,
+            stacklevel=2,
         )
     gaps = "1 gap" if len(wide) == 1 else f"{len(wide)} gaps"
     note = (

@@ -103,11 +103,6 @@ ObstacleModel = Annotated[
 class _WithObstacles(Model):
     obstacles: list[ObstacleModel] = []
 
-    def common_scale(self) -> float | None:
-        """Return the scale of the room's mesh files; None where there is no single one."""
-        scales = {part.scale for part in (self, *self.obstacles) if isinstance(part, MeshModel)}
-        return scales.pop() if len(scales) == 1 else None
-
     def joined(self, room: Shoebox | MeshRoom, base: Path) -> Shoebox | MeshRoom:
         """Return the room with what stands in it."""
         if not self.obstacles:

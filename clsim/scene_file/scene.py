@@ -35,6 +35,7 @@ class _Air(Model):
     relative_humidity: float = 0.5
     pressure: float = 101_325.0
     speed_of_sound: float | Literal["iso9613"] | None = None
+    absorption: bool = True
 
 
 class _Common(Model):
@@ -42,6 +43,7 @@ class _Common(Model):
     directivity: DirectivityModel = OmniModel()
     aim: Vector | None = None
     transducer: TransducerModel | None = None
+    flush: bool | Vector = False
 
     def parts(self, base: Path) -> dict[str, Any]:
         """Return the arguments that sources, receivers and arrays of them share."""
@@ -50,6 +52,7 @@ class _Common(Model):
             "name": self.name,
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
+            "flush": self.flush,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 STORE = "study.zarr"
 SETTINGS = "study.json"
+_OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -226,24 +227,25 @@ def _instants(rate: float, recording: Recording) -> Any:
 
 def _add_truth(content: Any, paths: PathSet, times: Any, motion: str) -> None:
     truth = direct_truth(paths, times, motion)
-    over = ("source", "receiver", "instant")
-    content.coords["instant"] = ("instant", truth.times, {"units": "s", "long_name": "time of reception"})
+    over = ("source", "receiver", "times")
+    content.coords["times"] = ("times", truth.times, _OF_RECEPTION)
     content.coords["source"] = texts(s.name for s in paths.scene.sources)
-    content["direct_delay"] = (over, truth.delay, {"units": "s"})
+    content["delay"] = (over, truth.delay, {"units": "s"})
+    content["doppler_factor"] = (over, truth.doppler_factor)
     content["line_of_sight"] = (over, truth.line_of_sight)
     content["radial_speed"] = (over, truth.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
 
 
 def _add_paths(content: Any, paths: PathSet, times: Any, file: SceneFile) -> None:
     table = paths.table(times, file.render["motion"], file.render["amplitude"])
-    content.coords["instant"] = ("instant", times, {"units": "s", "long_name": "time of reception"})
-    for name in ("source", "receiver", "order"):
+    content.coords["times"] = ("times", times, _OF_RECEPTION)
+    for name in ("source", "receiver", "order", "direct"):
         content[f"path_{name}"] = ("path", getattr(table, name))
     content["path_walls"] = (("path", "reflection"), table.walls, {"names": list(table.wall_names)})
-    for name in ("delay", "doppler", "gain"):
-        content[f"path_{name}"] = (("path", "instant"), getattr(table, name))
+    for name in ("delay", "doppler_factor", "gain"):
+        content[f"path_{name}"] = (("path", "times"), getattr(table, name))
     for name in ("departure", "arrival"):
-        content[f"path_{name}"] = (("path", "instant", "axis"), getattr(table, name))
+        content[f"path_{name}"] = (("path", "times", "axis"), getattr(table, name))
 
 
 def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:

@@ -34,7 +34,7 @@ def response(
     factors = [wall(f) for wall in walls]
     for place, met in images(size, ends[0], order):
         distance = np.linalg.norm(place - np.asarray(ends[1]))
-        gain = 10 ** (-air.absorption(f) * (distance - 1.0) / 20) / distance
+        gain = 10 ** (-air.absorption_at(f) * (distance - 1.0) / 20) / distance
         for factor, times in zip(factors, met, strict=True):
             gain = gain * factor**times
         total += gain * np.exp(-2j * np.pi * f * distance / air.sound_speed)

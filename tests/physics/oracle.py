@@ -103,6 +103,19 @@ def received(
     return total
 
 
+def as_the_paths_say(paths: object, times: np.ndarray, receiver: int = 0) -> np.ndarray:
+    """Return what a receiver hears of tones at `times`: each path's gain times the tone's formula at its delay."""
+    table, total = paths.table(times), np.zeros(len(times))
+    for p in np.flatnonzero(table.receiver == receiver):
+        source = paths.scene.sources[table.source[p]]
+        tone, t = source.signal.waveform, times - table.delay[p] - source.start
+        level = tone.amplitude * np.where((t >= 0.0) & (t <= tone.duration), 1.0, 0.0)
+        if tone.fade > 0.0:
+            level *= rise(t, tone.fade) * rise(tone.duration - t, tone.fade)
+        total += table.gain[p] * level * np.sin(2.0 * np.pi * tone.frequency * t + tone.phase)
+    return total
+
+
 def rise(t: np.ndarray, fade: float) -> np.ndarray:
     """Return the raised cosine with which signals begin."""
     return np.sin(0.5 * np.pi * np.clip(t / fade, 0.0, 1.0)) ** 2

@@ -48,7 +48,7 @@ def error_db(
     scene = plan.tracks.scene
     wanted = oracle.received(
         emitted, source, receiver, SIZE, order, (start + some) / plan.sampling_rate, speed_of_sound=AIR.sound_speed,
-        absorption=AIR.absorption(scene.sources[0].signal.centre_frequency), reflection=REFLECTION,
+        absorption=AIR.absorption_at(scene.sources[0].signal.centre_frequency), reflection=REFLECTION,
     )  # fmt: skip
     return oracle.error_db(made[some], wanted)
 

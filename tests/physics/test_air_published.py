@@ -68,7 +68,7 @@ def test_the_tolerance_tells_neighbouring_frequencies_apart():
 def test_absorption_at_40_khz(pressure, decibel_per_m):
     # Four digits: half a unit of the last is 3.8e-4.
     air = Air(20.0, 0.5, pressure)
-    assert air.absorption(40e3) == pytest.approx(decibel_per_m, abs=5e-4)
+    assert air.absorption_at(40e3) == pytest.approx(decibel_per_m, abs=5e-4)
 
 
 def test_speed_of_cramer():

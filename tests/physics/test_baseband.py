@@ -75,7 +75,7 @@ def test_a_cosine_at_the_carrier_is_one(engine: str) -> None:
     made = clsim.render(
         scene, clsim.find_paths(scene, 0), RATE, baseband=(CARRIER, 500.0), engine=engine, duration=0.4, **STEADY
     ).pressure[0]
-    air = 10 ** (-AIR.absorption(CARRIER) * (distance - 1.0) / 20)
+    air = 10 ** (-AIR.absorption_at(CARRIER) * (distance - 1.0) / 20)
     wanted = air / distance * np.exp(-2j * np.pi * CARRIER * distance / C)
     steady = made[len(made) // 2 : -100]
     assert np.abs(steady - wanted).max() < 10 ** (-85 / 20)
@@ -94,7 +94,9 @@ def test_a_passing_source_is_heard_by_its_closed_form(engine: str) -> None:
     along = x0 + v * t
     delay = (-v * along + np.sqrt((v * along) ** 2 + (C**2 - v**2) * (along**2 + side**2))) / (C**2 - v**2)
     distance = C * delay
-    wanted = 10 ** (-AIR.absorption(CARRIER) * (distance - 1.0) / 20) / distance * np.exp(-2j * np.pi * CARRIER * delay)
+    wanted = (
+        10 ** (-AIR.absorption_at(CARRIER) * (distance - 1.0) / 20) / distance * np.exp(-2j * np.pi * CARRIER * delay)
+    )
     inside = (t - delay > 0.012) & (t - delay < 0.488)
     assert apart_db(made.pressure[0][inside], wanted[inside]) < -84.0
     # And its frequency: from c / (c - v cos) above the carrier to as much below.
@@ -125,7 +127,7 @@ def test_a_vibrating_source_has_bessel_sidebands(engine: str) -> None:
     index = 2 * np.pi * CARRIER * amplitude / C
     lines = np.abs(spectrum[[25 * n for n in range(-3, 4)]])
     # Distance and air change with the vibration too: by 2e-4 of each line, which leaks into its neighbours.
-    air = 10 ** (-AIR.absorption(CARRIER) * 4.0 / 20) / 5.0
+    air = 10 ** (-AIR.absorption_at(CARRIER) * 4.0 / 20) / 5.0
     assert np.abs(lines / air - np.abs(jv(np.arange(-3, 4), index))).max() < 4e-4
     others = np.delete(np.abs(spectrum), [(25 * n) % len(one) for n in range(-12, 13)])
     assert others.max() < 10 ** (-85 / 20) * air

@@ -44,7 +44,7 @@ def test_a_chirp_over_ten_metres(engine: str) -> None:
     distance, delay = approach(times)
 
     def response(f: float) -> np.ndarray:
-        return 10 ** (-AIR.absorption(f) * (distance - 1.0) / 20) / (distance * (1.0 - 2.0 / C))
+        return 10 ** (-AIR.absorption_at(f) * (distance - 1.0) / 20) / (distance * (1.0 - 2.0 / C))
 
     got, wanted = (
         made[round(0.034 * RATE) : round(0.069 * RATE)],
@@ -109,7 +109,7 @@ def test_walls_and_a_beam_in_a_room(engine: str) -> None:
         return (
             of_wall[paths.walls].prod(axis=1)[:, None]
             * beam
-            * 10 ** (-AIR.absorption(f) * (distance - 1) / 20)
+            * 10 ** (-AIR.absorption_at(f) * (distance - 1) / 20)
             / distance
         )
 

@@ -61,7 +61,7 @@ def test_path_table_of_a_moving_scene(rng) -> None:
     times = np.array([0.1, 0.2, 0.3])
     table = clsim.find_paths(scene, order).table(times)
     by_place = {tuple(d.round(9)): i for i, d in enumerate(table.delay)}
-    decibel = AIR.absorption(40e3)
+    decibel = AIR.absorption_at(40e3)
     h = 1e-5
     for walls in oracle.mirror_sequences(order):
 
@@ -83,7 +83,7 @@ def test_path_table_of_a_moving_scene(rng) -> None:
         np.testing.assert_allclose(table.delay[i], exact, rtol=1e-13)
         # Central differences: h^2 delay''' / 6 is below 1e-9, rounding 1e-17 / h = 1e-12.
         rate = (delay(times + h) - delay(times - h)) / (2 * h)
-        np.testing.assert_allclose(table.doppler[i], 1 - rate, rtol=1e-8)
+        np.testing.assert_allclose(table.doppler_factor[i], 1 - rate, rtol=1e-8)
         towards = image(times - exact) - receiver.position(times)
         np.testing.assert_allclose(table.arrival[i], towards / (c * exact)[:, None], atol=1e-12)
         approach = np.sum((image(times - exact + h) - image(times - exact - h)) / (2 * h) * -towards, axis=1)

@@ -84,7 +84,7 @@ def by_hand(world: clsim.Scene, paths, times: np.ndarray) -> np.ndarray:
     out = np.zeros(len(times))
     for k in np.flatnonzero(np.abs(spectrum) > 1e-5 * np.abs(spectrum).max()):
         f = frequencies[k]
-        response = 10 ** (-AIR.absorption(f) * (distance - 1.0) / 20) / (distance * (1.0 - mach)) + 0j
+        response = 10 ** (-AIR.absorption_at(f) * (distance - 1.0) / 20) / (distance * (1.0 - mach)) + 0j
         for beam, towards in ((world.sources[0].directivity, leaving), (world.receivers[0].directivity, coming)):
             sided = isinstance(beam, Lopsided)
             response *= beam.gain_towards(towards, f, C) if sided else beam.gain(towards[..., 0], f, C)
@@ -150,7 +150,7 @@ def test_one_frequency_for_all_keeps_the_phase(engine: str) -> None:
         response_error_db="centre",
         convolve_at_rest=False,
     ).pressure[0]
-    gain = OffCentre(2e-3).gain(1.0, 40e3, C) * 10 ** (-AIR.absorption(40e3) * 2.0 / 20) / 3.0
+    gain = OffCentre(2e-3).gain(1.0, 40e3, C) * 10 ** (-AIR.absorption_at(40e3) * 2.0 / 20) / 3.0
     times = np.arange(3000, 4000) / RATE
     wanted = np.real(gain * np.exp(2j * np.pi * 40e3 * (times - 3.0 / C)) / 1j)
     quiet = np.abs(clsim.render(world, clsim.find_paths(world, 0), RATE, engine=engine, duration=0.04).pressure[0])
@@ -239,6 +239,6 @@ def test_one_turned_function_keeps_its_phase(engine: str) -> None:
     times = np.arange(3600, 4600) / RATE
     wanted = np.zeros(1000)
     for distance, factor in ((2.0, 1.0), (np.sqrt(8.0), 0.9j)):
-        gain = factor * 10 ** (-air.absorption(40e3) * (distance - 1) / 20) / distance
+        gain = factor * 10 ** (-air.absorption_at(40e3) * (distance - 1) / 20) / distance
         wanted += np.real(gain * np.exp(2j * np.pi * 40e3 * (times - distance / C)) / 1j)
     assert np.abs(both[3600:4600] - wanted).max() < 2e-4 * np.abs(wanted).max()

@@ -125,7 +125,7 @@ def test_no_step_is_larger_than_the_transition_allows(engine: str) -> None:
     envelope = hilbert(signal) * np.exp(-2j * np.pi * TONE * np.arange(len(signal)) / RATE)
     table = paths.table(np.linspace(0.05, 0.39, 341))
     gains = np.abs(np.nan_to_num(table.gain))
-    turning = 2 * np.pi * TONE * np.abs(np.nan_to_num(table.doppler, nan=1.0) - 1.0)
+    turning = 2 * np.pi * TONE * np.abs(np.nan_to_num(table.doppler_factor, nan=1.0) - 1.0)
     bound = gains.sum(axis=0).max() * (0.5 * np.pi / length + turning.max()) / RATE
     inner = slice(round(0.05 * RATE), round(0.39 * RATE))
     assert np.abs(np.diff(envelope[inner])).max() < 1.1 * bound

@@ -66,7 +66,7 @@ def test_clock_of_50_ppm_turns_the_phase_of_a_tone(engine: str) -> None:
     ear = clsim.Receiver("r", clsim.Trajectory.fixed(places[1]), electronics=electronics)
     recording = rendered(clsim.Source("s", tone, clsim.Trajectory.fixed(places[0])), ear, engine=engine, duration=0.55)
     distance = float(np.linalg.norm(np.subtract(*places)))
-    gain = 10 ** (-float(AIR.absorption(40e3)) * (distance - 1) / 20) / distance
+    gain = 10 ** (-float(AIR.absorption_at(40e3)) * (distance - 1) / 20) / distance
     part = slice(round(0.05 * RATE), None)
 
     def heard(ppm: float, offset: float) -> np.ndarray:

@@ -12,16 +12,16 @@ def test_speed_is_the_one_asked_for():
 
 
 def test_absorption_keeps_the_shape_and_is_zero_at_zero_frequency():
-    absorption = Air().absorption(np.array([[0.0, 1e3], [40e3, 80e3]]))
+    absorption = Air().absorption_at(np.array([[0.0, 1e3], [40e3, 80e3]]))
     assert absorption.shape == (2, 2)
     assert absorption[0, 0] == 0.0
     assert np.all(np.diff(absorption.ravel()) > 0.0)
-    assert f"{Air().absorption(40e3):.3f}" == "1.318"
+    assert f"{Air().absorption_at(40e3):.3f}" == "1.318"
 
 
 def test_classical_absorption_far_above_relaxation_grows_with_the_square():
     # At 1 MHz the relaxations are saturated to under 1 % of the classical part, so doubling gives 4 to 2 %.
-    low, high = Air().absorption([0.5e6, 1e6])
+    low, high = Air().absorption_at([0.5e6, 1e6])
     assert high / low == pytest.approx(4.0, rel=0.04)
     assert high / low < 4.0
 
@@ -42,6 +42,8 @@ def test_classical_absorption_far_above_relaxation_grows_with_the_square():
         ("speed_of_sound", "cramer", "iso9613"),
         ("speed_of_sound", True, "must be a number"),
         ("speed_of_sound", [343.0], "must be a number"),
+        ("absorption", 0, "must be True or False"),
+        ("absorption", "iso9613", "must be True or False"),
     ],
 )
 def test_bad_values_are_refused_by_name(field, value, problem):
@@ -65,13 +67,23 @@ def test_doubtful_speed_warns_unless_the_speed_is_given():
     Air(pressure=70e3, speed_of_sound=343.0)
 
 
+def test_air_without_absorption_has_none_at_any_frequency():
+    air = Air(absorption=False)
+    np.testing.assert_array_equal(air.absorption_at([[0.0, 1e3], [40e3, 2e6]]), np.zeros((2, 2)))
+    assert air.sound_speed == Air().sound_speed
+    assert air != Air()
+    Air(relative_humidity=0.0, absorption=False)  # nothing to doubt: no warning
+    with pytest.raises(InputError, match="at least 0 Hz"):
+        air.absorption_at(-1.0)
+
+
 def test_doubtful_absorption_warns():
     with pytest.warns(ClsimWarning, match="ISO 9613-1"):
         Air(temperature_celsius=60.0, speed_of_sound=365.0)
     with pytest.warns(ClsimWarning, match="ISO 9613-1"):
         Air(relative_humidity=0.0)
     with pytest.warns(ClsimWarning, match="10 Hz/Pa"):
-        Air().absorption([40e3, 2e6])
+        Air().absorption_at([40e3, 2e6])
 
 
 def test_the_warning_points_at_the_caller():
@@ -83,7 +95,7 @@ def test_the_warning_points_at_the_caller():
 @pytest.mark.parametrize("frequency", [-1.0, np.nan, np.inf, [1e3, -1e3]])
 def test_bad_frequencies_are_refused(frequency):
     with pytest.raises(InputError) as error:
-        Air().absorption(frequency)
+        Air().absorption_at(frequency)
     assert error.value.field == "frequency"
 
 

@@ -124,8 +124,9 @@ def test_check_says_which_scale_to_try_before_the_search_gives_up(mesh_scene: Pa
     mesh_scene.write_text(text.replace("scale = 0.001", "").replace("max_order = 1", "max_order = 1\npath_limit = 1"))
     assert main(["check", str(mesh_scene)]) == 2
     printed = capsys.readouterr()
-    assert "room: 8000 m is large for a room; for a file in millimetres, try scale = 0.001" in printed.out.splitlines()
-    assert printed.err.startswith("clsim: error: paths.max_order: must give at most 1 paths")
+    warned, error = printed.err.splitlines()
+    assert warned == "clsim: warning: room: 8000 m is large for a room; for a file in millimetres, try scale = 0.001"
+    assert error.startswith("clsim: error: paths.max_order: must give at most 1 paths")
 
 
 def test_paths_of_a_mesh_are_those_heard_at_a_time(mesh_scene: Path, tmp_path: Path, capsys) -> None:
@@ -336,11 +337,27 @@ def test_a_concave_floor_is_cut_and_told(corner_scene: Path, capsys) -> None:
 
 
 def test_a_receiver_that_no_path_reaches_is_told(corner_scene: Path, capsys) -> None:
-    corner_scene.write_text(CORNER_SCENE.replace("position = [7.0, -1.0, 1.5]", "position = [7.0, -8.0, 1.5]"), "utf-8")
+    hidden = CORNER_SCENE.replace("[7.0, -1.0, 1.5]", "[7.0, -4.0, 1.5]").replace(
+        "[3.0, -2.0, 1.2]", "[2.5, -7.0, 1.2]"
+    )
+    corner_scene.write_text(hidden.replace("max_order = 2", "max_order = 0"), "utf-8")
     assert main(["check", str(corner_scene)]) == 0
     printed = capsys.readouterr()
-    assert "receivers[0]: 'corner' is outside at 0 s" in printed.out
+    assert "receivers[0]: 'corner' is inside at 0 s" in printed.out
     assert printed.err == "clsim: warning: receivers[0]: no path reaches 'corner'; it will hear nothing\n"
+
+
+@pytest.mark.parametrize("door", ["check", "run", "paths"])
+def test_a_receiver_outside_is_refused_by_name_by_every_command(
+    corner_scene: Path, tmp_path: Path, capsys, door: str
+) -> None:
+    corner_scene.write_text(CORNER_SCENE.replace("[7.0, -1.0, 1.5]", "[7.0, -8.0, 1.5]"), "utf-8")
+    assert main([door, str(corner_scene), *(["-o", str(tmp_path / "out")] if door == "run" else [])]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(
+        "clsim: error: receivers[0].trajectory: must be where other ends can be heard, but 'corner'"
+    )
+    assert error.count("\n") == 1
 
 
 @pytest.mark.usefixtures("device")

@@ -22,7 +22,7 @@ def large_table(rng: np.random.Generator, paths: int, times: int, order: int) ->
         walls=rng.integers(0, 6, (paths, order), dtype=np.int8),
         direct=np.zeros(paths, dtype=np.bool_),
         delay=delay,
-        doppler=rng.random((paths, times)),
+        doppler_factor=rng.random((paths, times)),
         gain=rng.random((paths, times)),
         departure=rng.random((paths, times, 3)),
         arrival=rng.random((paths, times, 3)),
@@ -60,7 +60,7 @@ def test_parquet_pieces_join_without_a_seam(tmp_path, rng: np.random.Generator) 
     assert read.num_rows == heard.sum() == 301_000 - 4
     path, time = np.nonzero(heard)
     np.testing.assert_array_equal(read["path"].to_numpy(), path)
-    np.testing.assert_array_equal(read["time"].to_numpy(), table.times[time])
+    np.testing.assert_array_equal(read["times"].to_numpy(), table.times[time])
     np.testing.assert_array_equal(read["delay"].to_numpy(), table.delay[heard])
     np.testing.assert_array_equal(read["departure_y"].to_numpy(), table.departure[heard][:, 1])
     for name, names, index in (

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import clsim
+from clsim.paths.arrivals import arrivals
+from clsim.paths.responses import Responses
 from clsim.paths.shoebox_images import shoebox_image_count, shoebox_images
 
 SIZE = np.array([8.0, 6.0, 3.0])
@@ -59,13 +61,28 @@ def test_table_of_the_direct_path(scene: clsim.Scene) -> None:
     emitted = (340.0 * 0.25 - 5.0) / 338.0
     assert table.direct[0]
     assert table.delay[0, 0] == pytest.approx(0.25 - emitted, abs=1e-14)
-    assert table.doppler[0, 0] == pytest.approx(1.0 / (1.0 - 2.0 / 340.0), rel=1e-12)
+    assert table.doppler_factor[0, 0] == pytest.approx(1.0 / (1.0 - 2.0 / 340.0), rel=1e-12)
     distance = 340.0 * table.delay[0, 0]
-    absorption = scene.air.absorption(40e3)
+    absorption = scene.air.absorption_at(40e3)
     expected = 10 ** (-absorption * (distance - 1) / 20) / distance / (1 - 2 / 340)
     assert table.gain[0, 0] == pytest.approx(expected, rel=1e-12)
     np.testing.assert_allclose(table.departure[0, 0], [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(table.arrival[0, 0], [-1, 0, 0], atol=1e-12)
+
+
+def test_without_absorption_a_gain_is_spreading_and_walls_alone(scene: clsim.Scene) -> None:
+    still = clsim.Source("s", scene.sources[0].signal, clsim.Trajectory.fixed((2, 3, 1)))
+    bare = clsim.Scene(scene.room, clsim.Air(absorption=False), [still], scene.receivers)
+    paths = clsim.find_paths(bare, 2)
+    table = paths.table([0.0])
+    factors = np.append(scene.room.reflections(40e3), 1.0)[table.walls].prod(axis=1)
+    distance = bare.air.sound_speed * table.delay[:, 0]
+    np.testing.assert_allclose(table.gain[:, 0], factors / distance, rtol=1e-12)
+    frequencies = np.array([1e3, 40e3, 90e3])
+    for rows, group in paths.groups():  # and at every frequency
+        found = arrivals(bare, group, np.zeros(1))
+        response = Responses(bare, frequencies).along(group, found, np.zeros(1))[:, 0]
+        np.testing.assert_allclose(response, (factors / distance)[rows, None] * np.ones(3), rtol=1e-12)
 
 
 def test_reflection_keeps_its_sign_and_directions_mirror(scene: clsim.Scene) -> None:

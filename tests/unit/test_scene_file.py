@@ -304,9 +304,9 @@ def test_what_a_mesh_room_and_its_search_are_told(tmp_path: Path) -> None:
     file = build_scene(spoiled(tmp_path, ("room", "up"), "y"), tmp_path)
     assert file.scene.room.flatness == 1e-5
     assert file.paths == {"max_order": 1, **SEARCH, "engine": "opencl", "device": None}
-    assert file.model.room.common_scale() == 1.0
+    assert file.scene.room.scale == 1.0
     several = spoiled(tmp_path, ("room", "obstacles", 0, "scale"), 0.5)
-    assert build_scene(several, tmp_path).model.room.common_scale() is None
+    assert build_scene(several, tmp_path).scene.room.scale is None
     content = spoiled(tmp_path, ("render",), {"sampling_rate": 192e3, "engine": "reference", "device": "0:0"})
     assert build_scene(content, tmp_path).paths["engine"] == "reference"
     assert build_scene(content, tmp_path).paths["device"] == "0:0"
@@ -339,3 +339,14 @@ def test_values_out_of_range_in_a_mesh_room_name_the_field(tmp_path: Path, path:
     assert str(caught.value).startswith(f"{written(path)}: "), str(caught.value)
     if path[-1] == "path":
         assert str(tmp_path / str(value)) in str(caught.value)
+
+
+def test_air_without_absorption_stays_so_in_the_completed_scene(tmp_path: Path) -> None:
+    file = build_scene(changed(("air", "absorption"), False), tmp_path)
+    assert not file.scene.air.absorption
+    completed = tomllib.loads(completed_scene(file, tmp_path))
+    assert completed["air"]["absorption"] is False
+    assert not build_scene(completed, tmp_path).scene.air.absorption
+    assert "absorption" in scene_schema()["$defs"]["_Air"]["properties"]
+    with pytest.raises(clsim.InputError, match=r"air\.absorption"):
+        build_scene(changed(("air", "absorption"), 0.0), tmp_path)

@@ -14,6 +14,10 @@ pytest.importorskip("distributed")
 pytest.importorskip("zarr")
 xarray = pytest.importorskip("xarray")
 
+COLUMNS = (
+    "source", "receiver", "order", "walls", "direct", "delay", "doppler_factor", "gain", "departure", "arrival",
+)  # fmt: skip
+
 
 @pytest.fixture
 def folder(tmp_path: Path, device) -> Path:
@@ -45,12 +49,13 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
             member.sound.values, wanted.pressure, rtol=0, atol=1e-6 * np.abs(wanted.pressure).max()
         )
         assert loudness[2] == pytest.approx(np.sqrt(np.mean(wanted.pressure[0].astype(float) ** 2)), rel=1e-5)
-        table = paths.table(member.instant.values)
-        np.testing.assert_array_equal(member.path_delay.values, table.delay)
-        np.testing.assert_array_equal(member.direct_delay.values[0], table.delay[table.direct])
-        assert member.line_of_sight.values.all()
-        c = scene.scene.air.sound_speed
-        np.testing.assert_allclose(member.radial_speed.values[0], c * (1 - table.doppler[table.direct]), atol=1e-9)
+        table, truth = paths.table(member.times.values), clsim.direct_truth(paths, member.times.values)
+        for name in ("delay", "doppler_factor", "line_of_sight", "radial_speed", "times"):
+            np.testing.assert_array_equal(member[name].values, getattr(truth, name))
+        for name in COLUMNS:
+            np.testing.assert_array_equal(member[f"path_{name}"].values, getattr(table, name))
+        np.testing.assert_array_equal(member.delay.values[0], table.delay[table.direct])
+        np.testing.assert_array_equal(member.doppler_factor.values[0], table.doppler_factor[table.direct])
         assert json.loads(member.attrs["parameters"]) == {"order": 2, "length": 1.0}
     # Again: refused; resumed: nothing is run; retried: only what failed.
     before = runs(folder)

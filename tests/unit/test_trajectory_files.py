@@ -233,6 +233,14 @@ def test_gap_is_refused_allowed_or_bridged(tmp_path, rows):
     assert np.abs(trajectory.position(t) - wanted).max() < 4 * 0.7**4 / 384
 
 
+def test_seconds_of_motion_that_a_gap_makes_up_are_a_warning(tmp_path, rows):
+    late = [[row[0] + 12.0, *row[1:]] for row in rows[20:]]
+    path = write(tmp_path / "a.csv", rows[:20] + late)
+    with pytest.warns(ClsimWarning, match=r"a\.csv: repair=.* makes up 12\.1 s of motion, .* before line 22"):
+        Trajectory.from_file(path, "csv", repair=("gaps",))
+    Trajectory.from_file(path, "csv", max_gap=13.0)  # told by the user, figure and all
+
+
 def test_five_median_steps_are_no_gap(tmp_path, rows):
     Trajectory.from_file(write(tmp_path / "a.csv", rows[:20] + rows[24:]), "csv")
 

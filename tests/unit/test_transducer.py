@@ -140,7 +140,7 @@ def test_emitted_signal_has_its_own_band_and_centre() -> None:
 
 def test_named_transducers_are_the_catalogues() -> None:
     # 120 dB re 20 µPa are 20 Pa rms at 0.3 m from 10 V rms; the air between 0.3 and 1 m takes 0.92 dB.
-    loss = 10 ** (-0.7 * float(clsim.Air().absorption(40e3)) / 20)
+    loss = 10 ** (-0.7 * float(clsim.Air().absorption_at(40e3)) / 20)
     assert named_transducer("MA40S4S").sensitivity == pytest.approx(2.0 * 0.3 * loss, rel=1e-12)
     assert named_transducer("MA40S4R").sensitivity == pytest.approx(7.0795e-3, rel=1e-4)
     with pytest.raises(InputError, match="MA40S4S"):

@@ -1,0 +1,48 @@
+"""What is allowed but hardly meant: rooms and signals in other units than metres and hertz, told by every way in."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import TYPE_CHECKING
+
+from clsim.errors import ClsimWarning
+from clsim.scene.mesh_room import MeshRoom
+
+if TYPE_CHECKING:
+    from clsim.scene.room import Shoebox
+    from clsim.scene.scene import Scene
+
+_LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units
+_USUAL = 5.0  # m, size of a room
+_LOWEST = 100.0  # Hz, below which paths are no picture of sound in a room
+
+
+def warn_of_units(scene: Scene) -> None:
+    """Warn of a room of a size that rooms do not have, and of signals too low to follow paths."""
+    doubts = [_doubt_in_size(scene.room)]
+    doubts += [_doubt_in_frequency(i, s.signal.centre_frequency) for i, s in enumerate(scene.sources)]
+    for doubt in filter(None, doubts):
+        warnings.warn(doubt, ClsimWarning, stacklevel=4)
+
+
+def _doubt_in_size(room: Shoebox | MeshRoom) -> str:
+    low, high = room.extent
+    size = float((high - low).max())
+    if _SMALLEST <= size <= _LARGEST:
+        return ""
+    steps = round(math.log(size / _USUAL, 1000.0)) or (1 if size > _USUAL else -1)
+    factor = 1000.0**-steps
+    scale = room.scale if isinstance(room, MeshRoom) else None
+    advice = f"{factor:g} times its lengths" if scale is None else f"scale = {scale * factor:g}"
+    unit = {None: "for millimetres, ", 1.0: "for a file in millimetres, "}.get(scale, "") if steps == 1 else ""
+    return f"room: {size:.4g} m is {'large' if steps > 0 else 'small'} for a room; {unit}try {advice}"
+
+
+def _doubt_in_frequency(source: int, frequency: float) -> str:
+    if frequency >= _LOWEST:
+        return ""
+    return (
+        f"sources[{source}].signal: {frequency:.4g} Hz is low for paths in a room; "
+        f"frequencies are in Hz: for {frequency:.4g} kHz, try {frequency:.4g}e3"
+    )
