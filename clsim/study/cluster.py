@@ -170,14 +170,18 @@ def remote_team(scheduler: str, study: Study, folder: Path) -> Iterator[DaskTeam
     InputError
         If it cannot be reached.
     """
-    from distributed import Client
+    import logging
 
-    try:
-        client = Client(scheduler, timeout=_REACH, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError("--scheduler", f"{scheduler} cannot be reached: {error or type(error).__name__}") from error
-    with client:
-        yield DaskTeam(client, folder, [], *_needs(study))
+    from distributed import Client
+    from distributed.utils import silence_logging_cmgr
+
+    with silence_logging_cmgr(logging.CRITICAL):
+        try:
+            client = Client(scheduler, timeout=_REACH, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError("--scheduler", f"{scheduler} cannot be reached: {told(error)}") from error
+        with client:
+            yield DaskTeam(client, folder, [], *_needs(study))
 
 
 @contextmanager

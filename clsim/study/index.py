@@ -138,13 +138,11 @@ def create_store(folder: Path) -> None:
     root = folder / STORE / "zarr.json"
     try:
         good = isinstance(json.loads(root.read_bytes()), dict)
-    except FileNotFoundError:
+    except (FileNotFoundError, ValueError, RecursionError):
         good = False
-    except (ValueError, RecursionError):
-        good = False
-        root.unlink()
     if not good:
-        zarr.open_group(folder / STORE, mode="w-", zarr_format=3, attributes=root_attributes())
+        root.unlink(missing_ok=True)
+        zarr.open_group(folder / STORE, mode="a", zarr_format=3, attributes=root_attributes())
 
 
 def write_summary(folder: Path, index: Index) -> None:

@@ -337,7 +337,10 @@ def discard(group: Path) -> None:
     gone = group.parents[1] / PARTIAL / f"{group.name}-{uuid.uuid4().hex}"
     gone.parent.mkdir(exist_ok=True)
     group.replace(gone)
-    shutil.rmtree(gone, ignore_errors=True)
+    if gone.is_dir():
+        shutil.rmtree(gone, ignore_errors=True)
+    else:
+        gone.unlink()
 
 
 def root_attributes() -> dict[str, Any]:

@@ -25,7 +25,9 @@ class MadeTeam:
         Returns workers that die of something else, from those that are there.
     """
 
-    def __init__(self, count: int, threads: int = 1, kills=lambda number, beside: False, outside=lambda there: []) -> None:
+    def __init__(
+        self, count: int, threads: int = 1, kills=lambda number, beside: False, outside=lambda there: []
+    ) -> None:
         self._names = itertools.count()
         self._threads, self._kills, self._outside = threads, kills, outside
         self.there = {f"w{next(self._names)}": 0 for _ in range(count)}  # looks until it is there
@@ -131,11 +133,15 @@ def test_nothing_waits_for_ever_without_workers(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(dispatch_module, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
     dispatch, rows = Dispatch([0, 1, 2], patience=20.0), []
     team = MadeTeam(min(left, 1))
-    with pytest.raises(WorkersLostError, match=r"there was no worker for 20 s"):
+
+    def until_they_leave() -> None:
         for row in dispatch.rows(team, lambda number: None):
             rows.append(row)
             if len(rows) == left:
                 team.there = {}
+
+    with pytest.raises(WorkersLostError, match=r"there was no worker for 20 s"):
+        until_they_leave()
     assert dispatch.left == 3 - len(rows)
     rows += dispatch.rows(MadeTeam(1), lambda number: None)  # another team goes on
     assert sorted(row["member"] for row in rows) == [0, 1, 2]
