@@ -225,7 +225,7 @@ class TriedKernel:
 
     def __call__(self, queue: Any, size: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
         """Launch it as PyOpenCL does; return the event."""
-        kind = group, tuple(count.bit_length() for count in size)
+        kind = group, tuple(int(count).bit_length() for count in size)
         if kind in self._tried:
             return self._kernel(queue, size, group, *arguments)
         with self._trial.marked():

@@ -60,18 +60,19 @@ def workers_of(study: subprocess.Popen) -> list[int]:
     return []
 
 
-def kill_at_random(study: subprocess.Popen, kills: int, chance: random.Random) -> int:
-    """Kill workers of a study, the first as soon as there is one, until it ends; return how many were killed."""
-    killed, wait = 0, 0.0
+def kill_at_random(study: subprocess.Popen, store: Path, kills: int, chance: random.Random) -> int:
+    """Kill workers of a study until it ends, the first as soon as there is one, others as members go by; count them."""
+    killed, members = 0, 0
     while study.poll() is None:
-        time.sleep(wait or 0.01)
+        time.sleep(chance.uniform(0.0, 0.05))
         found = workers_of(study)
-        if found and killed < kills:
+        if killed == kills:
+            study.wait(timeout=1200)
+        elif found and len(list(store.glob("m*"))) >= members:
+            time.sleep(chance.uniform(0.0, 0.5) if killed else 0.0)
             with contextlib.suppress(ProcessLookupError):
                 os.kill(chance.choice(found), signal.SIGKILL)
-                killed, wait = killed + 1, chance.expovariate(1 / 3.0)
-        elif found:
-            study.wait(timeout=600)
+                killed, members = killed + 1, members + chance.randint(1, 8)
     return killed
 
 
@@ -82,10 +83,10 @@ def test_workers_killed_at_random_lose_nothing(folder: Path) -> None:
     while left > 0:
         shutil.rmtree(folder / "out", ignore_errors=True)
         shutil.rmtree(folder / "ran", ignore_errors=True)
-        seconds = [1.25 + 0.001 * i for i in range(min(48, 4 * left))]
+        seconds = [1.125 + 0.0005 * (i + 1) for i in range(min(60, 5 * left))]
         arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], seconds), "--workers", "2"]
         study = subprocess.Popen(arguments, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        left -= kill_at_random(study, left, chance)
+        left -= kill_at_random(study, folder / "out" / "study.zarr", left, chance)
         out, err = study.communicate(timeout=10)
         assert study.returncode == 0, err
         assert err == ""
