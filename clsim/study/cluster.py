@@ -208,6 +208,7 @@ def local_team(number: int, study: Study, folder: Path) -> Iterator[DaskTeam]:
         "distributed.deploy.lost-worker-timeout": "1h",  # else one that takes 15 s to start again is given up
     }
     needs_device, device = _needs(study)
+    devices = _devices() if needs_device else []  # first, so that workers keep kernels where this process does
     with dask.config.set(settings):
         try:
             with _deaf_to_interrupts():
@@ -218,7 +219,7 @@ def local_team(number: int, study: Study, folder: Path) -> Iterator[DaskTeam]:
         except (OSError, RuntimeError) as error:
             raise WorkersLostError(f"no worker could be started: {told(error)}") from error
         with cluster, Client(cluster, set_as_default=False) as client:
-            yield DaskTeam(client, folder, _devices() if needs_device else [], needs_device, device)
+            yield DaskTeam(client, folder, devices, needs_device, device)
 
 
 def _needs(study: Study) -> tuple[bool, str | None]:
