@@ -74,6 +74,8 @@ def run_study(
         If a worker has no OpenCL device.
     OSError
         If the disk is full; what is finished stays.
+    ClsimError
+        If the scheduler is lost, or workers do not come back; what is finished stays.
 
     Notes
     -----
@@ -85,20 +87,22 @@ def run_study(
     from clsim.study.dispatch import Dispatch
     from clsim.study.file import DEFAULT_LIMIT, checked, load_study
     from clsim.study.index import Index, write_summary
-    from clsim.study.member import PARTIAL, STORE
+    from clsim.study.member import PARTIAL, STORE, metrics_function
 
     progress = progress or _no_progress
     _check_where(workers, scheduler)
     study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()
-    begun = not (resume or retry)
-    if begun:
+    new = not (resume or retry)
+    if new:
         _refuse_begun(folder)
     with progress("checking scenes", len(study.members)) as advance:
         files = checked(study, advance)
+    if study.metrics:
+        metrics_function(study.metrics, study.folder)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / ".lock", "--output"):
-        begun = _begin(study, files, folder, begun)
+        begun = _begin(study, files, folder, new)
         index = Index(folder, study.members)
         dispatch = Dispatch(index.todo(retry))
         try:
@@ -153,12 +157,10 @@ def _refuse_begun(folder: Path) -> None:
 def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
     """Make the folder of a study, or see that it holds this very one; return whether it was made."""
     from clsim.study.index import create_store
-    from clsim.study.member import PARTIAL, SETTINGS, metrics_function, study_to_settings
+    from clsim.study.member import PARTIAL, SETTINGS, study_to_settings
 
     if new or not (folder / SETTINGS).exists():
         _refuse_begun(folder)  # another process may have made it meanwhile
-    if study.metrics:
-        metrics_function(study.metrics, study.folder)
     settings = study_to_settings(study) | {"made_by": _made_by(study, files)}
     path = folder / SETTINGS
     begun = not path.exists()

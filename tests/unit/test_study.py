@@ -132,6 +132,7 @@ def test_functions_that_cannot_be_used_are_one_line(folder: Path, capsys, body: 
     err = capsys.readouterr().err
     assert f"clsim: error: metrics: {message}" in err
     assert err.count("\n") == 1
+    assert not (folder / "out").exists(), "nothing was begun"
 
 
 @pytest.mark.parametrize(
