@@ -1,8 +1,8 @@
-# Both targets need nothing but Python 3.11 or newer (with venv): they make their own virtual environment in .venv.
+# All targets need nothing but Python 3.11 or newer (with venv): they make their own virtual environment in .venv.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test clean
+.PHONY: demo test study-kills clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
@@ -10,6 +10,10 @@ demo: .venv/installed
 
 test: .venv/tested
 	$(BIN)/python -m pytest
+
+# Fifty workers of studies killed at random: some minutes.
+study-kills: .venv/tested
+	STUDY_KILLS=50 $(BIN)/python -m pytest -n 0 tests/unit/test_study_killed.py -k killed_at_random
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clsim.errors import DeviceError
-from clsim.opencl.device import INSTALL, list_devices
+from clsim.opencl.device import list_devices, no_device
 
 if TYPE_CHECKING:
     import argparse
@@ -15,7 +15,7 @@ def execute(options: argparse.Namespace) -> int:
     """List them, the best first; return the exit status."""
     found = list_devices()
     if not found:
-        raise DeviceError(f"no OpenCL device: {INSTALL}")
+        raise DeviceError(no_device())
     for info in found:
         tracks = "float64" if info.fp64 else "no float64: the host computes the tracks, which is slower"
         print(

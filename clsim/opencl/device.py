@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError
+from clsim.opencl.cache import Trial, TriedKernel, prepare
 from clsim.opencl.kernel_source import kernel_source
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
     """
     found = _devices()
     if not found:
-        raise DeviceError(f'no OpenCL device: {INSTALL}; or use engine="reference", which needs none but is slow')
+        raise DeviceError(f'{no_device()}; or use engine="reference", which needs none but is slow')
     if wanted is None:
         return max(found, key=lambda f: (f[0].kind == "GPU", f[0].fp64, f[0].compute_units))
     for info, device in found:
@@ -81,7 +82,13 @@ def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
     raise DeviceError(f"no OpenCL device is or is called {wanted!r}; there are: {listed}")
 
 
+def no_device() -> str:
+    """Return why there is no device, and what to do."""
+    return f"no OpenCL device: {prepare() or INSTALL}"
+
+
 def _devices() -> list[tuple[DeviceInfo, Any]]:
+    trouble = prepare()
     import pyopencl as cl
 
     try:
@@ -90,6 +97,8 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
         return []
     found = []
     for p, platform in enumerate(platforms):
+        if trouble and platform.name == "Portable Computing Language":
+            continue
         try:
             devices = platform.get_devices()
         except cl.Error:  # a platform without a device
@@ -179,6 +188,12 @@ class Compiler:
         return self._kernels[program, options]
 
     def _build(self, program: str, options: list[str]) -> Any:
+        device = self._context.devices[0]
+        trial = Trial(program, f"{device.name} {device.driver_version}\n{kernel_source(program)}", options)
+        with trial.marked():
+            return TriedKernel(self._built(program, trial.options), trial)
+
+    def _built(self, program: str, options: list[str]) -> Any:
         import pyopencl as cl
 
         text = kernel_source(program)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import warnings
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.errors import ClsimWarning
 from clsim.output.atomic import safe_path
 from clsim.output.stores import consolidate, texts
-from clsim.study.member import STORE, root_attributes, row_of_group
+from clsim.study.member import PARTIAL, STORE, as_row, discard, root_attributes, row_of_group, told
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,23 +58,46 @@ class MemberRow:
 class Index:
     """Rows of all members, kept in a file that survives everything: it is appended to, and read leniently.
 
-    A member counts as finished if its group is in the store, whatever the file says.
+    A member counts as finished if its group is in the store and can be read, whatever the file says.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
     """
 
     def __init__(self, folder: Path, members: tuple[Member, ...]) -> None:
         self._folder, self._path = folder, folder / INDEX
         self.rows = {m.number: MemberRow(m.number, m.parameters) for m in members}
-        for line in self._path.read_text("utf-8").splitlines() if self._path.exists() else []:
-            try:
-                row = json.loads(line)
-            except ValueError:  # the power failed while it was written
-                continue
-            if row.get("status") == "failed" and row.get("member") in self.rows:
+        lines = self._path.read_bytes().splitlines() if self._path.exists() else []
+        failed = [row for line in lines if (row := as_row(line)) and row["status"] == "failed"]
+        for row in failed:
+            if row["member"] in self.rows:
                 self._take(row)
         for member in members:
-            group = folder / STORE / member.name
-            if group.exists():
-                self._take(row_of_group(group))
+            if (folder / STORE / member.name).exists():
+                self._take_group(member)
+
+    def _take_group(self, member: Member) -> None:
+        """Take a member as finished, or as waiting if its group is broken; after a failure metrics are read, too."""
+        group = self._folder / STORE / member.name
+        row = row_of_group(group)
+        if row is None or (self.rows[member.number].status == "failed" and isinstance(metrics_of(group), str)):
+            message = f"member {member.number} is run again: what {group} holds is broken"
+            warnings.warn(message, ClsimWarning, stacklevel=2)
+            discard(group)
+            self.rows[member.number] = MemberRow(member.number, member.parameters)
+        else:
+            self._take(row)
+
+    def found(self, number: int) -> dict[str, Any] | None:
+        """Return the row of a member whose group is in the store."""
+        return row_of_group(self._folder / STORE / f"m{number:06d}")
+
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing is known of any member."""
+        return all(row.status == "waiting" for row in self.rows.values())
 
     def _take(self, row: dict[str, Any]) -> MemberRow:
         number = int(row["member"])
@@ -106,21 +132,29 @@ def _line(row: MemberRow) -> str:
 
 
 def create_store(folder: Path) -> None:
-    """Make the store of a study, still without members."""
+    """Make the store of a study, still without members, or what is broken of it."""
     import zarr
 
-    zarr.open_group(folder / STORE, mode="w-", zarr_format=3, attributes=root_attributes())
+    root = folder / STORE / "zarr.json"
+    try:
+        good = isinstance(json.loads(root.read_bytes()), dict)
+    except (FileNotFoundError, ValueError, RecursionError):
+        good = False
+    if not good:
+        root.unlink(missing_ok=True)
+        zarr.open_group(folder / STORE, mode="a", zarr_format=3, attributes=root_attributes())
 
 
-def write_summary(folder: Path, rows: list[MemberRow]) -> None:
+def write_summary(folder: Path, index: Index) -> None:
     """Write what is known of all members into one group, stacked: parameters, status, seconds, metrics.
 
-    Metrics of another shape than in the first finished member are left out; they stay in the members' groups.
+    Metrics of another shape than in the first finished member are left out; they stay in the members' groups. A member
+    whose metrics cannot be read has failed.
     """
-    import shutil
-
     import xarray
 
+    stacked = _stacked(folder, index)
+    rows = [index.rows[n] for n in sorted(index.rows)]
     summary = xarray.Dataset(
         {
             "status": ("member", texts(row.status for row in rows)),
@@ -134,10 +168,10 @@ def write_summary(folder: Path, rows: list[MemberRow]) -> None:
         column = _column([row.parameters[name] for row in rows])
         over = ("member", *(f"{name}_{i}" for i in range(column.ndim - 1)))
         summary.coords[name] = (over, column)
-    for name, (over, array, coords) in _stacked(folder, rows).items():
+    for name, (over, array, coords) in stacked.items():
         summary[name] = (("member", *over), array)
         summary = summary.assign_coords({k: v for k, v in coords.items() if k in over})
-    partial, final = folder / ".partial" / "summary", folder / STORE / "summary"
+    partial, final = folder / PARTIAL / "summary", folder / STORE / "summary"
     shutil.rmtree(partial, ignore_errors=True)
     summary.to_zarr(partial, mode="w-", consolidated=False, zarr_format=3)
     consolidate(partial)
@@ -156,22 +190,35 @@ def _column(values: list[Any]) -> Any:
     return texts(v if isinstance(v, str) else json.dumps(v) for v in values)
 
 
-def _stacked(folder: Path, rows: list[MemberRow]) -> dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]:
-    """Return dimensions, values (NaN where a member has none) and coordinates of every metric."""
+def metrics_of(group: Path) -> dict[str, Any] | str:
+    """Return the metrics of a member, arrays of xarray by name, or why they cannot be read."""
     import xarray
 
+    try:
+        with xarray.open_zarr(group, chunks=None) as content:
+            return {str(name): content[name].load() for name in content.attrs.get("metrics", ())}
+    except MemoryError:
+        raise
+    except Exception as error:  # of any kind: the packages below do not say which they raise for files that are broken
+        return f"{group} cannot be read: {told(error)}"
+
+
+def _stacked(folder: Path, index: Index) -> dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]:
+    """Return dimensions, values (NaN where a member has none) and coordinates of every metric."""
     stacked: dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]] = {}
-    for i, row in enumerate(rows):
-        if row.status != "finished":
+    for i, number in enumerate(sorted(index.rows)):
+        if index.rows[number].status != "finished":
             continue
-        with xarray.open_zarr(folder / STORE / f"m{row.member:06d}", chunks=None) as group:
-            for name in group.attrs.get("metrics", ()):
-                values = group[name].load()
-                over = tuple(str(d) for d in values.dims)
-                if name not in stacked:
-                    kind = np.complex128 if values.dtype.kind == "c" else np.float64
-                    empty = np.full((len(rows), *values.shape), np.nan, dtype=kind)
-                    stacked[name] = over, empty, {k: values.coords[k].variable for k in values.indexes}
-                if stacked[name][0] == over and stacked[name][1].shape[1:] == values.shape:
-                    stacked[name][1][i] = values.values
+        metrics = metrics_of(folder / STORE / f"m{number:06d}")
+        if isinstance(metrics, str):
+            index.add({"member": number, "status": "failed", "error": metrics})
+            continue
+        for name, values in metrics.items():
+            over = tuple(str(d) for d in values.dims)
+            if name not in stacked:
+                kind = np.complex128 if values.dtype.kind == "c" else np.float64
+                empty = np.full((len(index.rows), *values.shape), np.nan, dtype=kind)
+                stacked[name] = over, empty, {k: values.coords[k].variable for k in values.indexes}
+            if stacked[name][0] == over and stacked[name][1].shape[1:] == values.shape:
+                stacked[name][1][i] = values.values
     return stacked

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 STORE = "study.zarr"
 SETTINGS = "study.json"
 _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
+PARTIAL = ".partial"
+DONE = ("finished", "failed")
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -52,8 +54,9 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
     study = _settings(folder)
     member = study.members[number]
     target = Path(folder) / STORE / member.name
-    if target.exists():
-        return row_of_group(target)
+    found = row_of_group(target)
+    if found is not None:
+        return found
     begun = time.perf_counter()
     row: dict[str, Any] = {"member": number, "status": "finished", "error": ""}
     with warnings.catch_warnings(record=True) as caught:
@@ -65,22 +68,49 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
             row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
             content.attrs["study_row"] = json.dumps(row)
             _write(content, Path(folder), target)
-        except OSError as error:
-            if error.errno in _DISK_FULL:
+        except (Exception, SystemExit) as error:  # of the user's function, too: the others go on
+            if is_disk_full(error):
                 raise
-            row |= {"status": "failed", "error": _told(error)}
-        except Exception as error:  # of the user's function, too: the others go on
-            row |= {"status": "failed", "error": _told(error)}
+            row |= {"status": "failed", "error": told(error)}
     row["seconds"] = round(time.perf_counter() - begun, 3)
     row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
     return row
 
 
-def row_of_group(group: Path) -> dict[str, Any]:
-    """Return the row of the index that a finished member wrote beside its results."""
-    metadata = json.loads((group / "zarr.json").read_text("utf-8"))
-    row: dict[str, Any] = json.loads(metadata["attributes"]["study_row"])
-    return row
+def row_of_group(group: Path) -> dict[str, Any] | None:
+    """Return the row that a finished member wrote beside its results; None if they are not there or broken."""
+    try:
+        metadata = json.loads((group / "zarr.json").read_bytes())
+        arrays = metadata["consolidated_metadata"]["metadata"]
+        row = as_row(metadata["attributes"]["study_row"])
+        whole = all((group / name / "zarr.json").exists() for name in arrays)
+    except (FileNotFoundError, NotADirectoryError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    good = whole and row is not None and row["status"] == "finished" and f"m{row['member']:06d}" == group.name
+    return row if good else None
+
+
+def as_row(text: str | bytes) -> dict[str, Any] | None:
+    """Return a row of the index from its JSON, or None if it is none."""
+    try:
+        row = json.loads(text)
+    except (ValueError, TypeError, RecursionError):
+        return None
+    kinds: dict[str, Any] = {
+        "member": int,
+        "status": str,
+        "seconds": (int, float),
+        "error": str,
+        "device": str,
+        "warnings": list,
+    }
+    if not isinstance(row, dict) or not {"member", "status"} <= row.keys() or row["status"] not in DONE:
+        return None
+    if any(
+        name in row and (not isinstance(row[name], kind) or isinstance(row[name], bool)) for name, kind in kinds.items()
+    ):
+        return None
+    return row if all(isinstance(text, str) for text in row.get("warnings", ())) else None
 
 
 def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[str, bool]:
@@ -96,11 +126,16 @@ def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[s
         if needs_device:
             find_device(device)
     except Exception as error:
-        return _told(error), isinstance(error, DeviceError)
+        return told(error), isinstance(error, DeviceError)
     return "", False
 
 
-def _told(error: BaseException) -> str:
+def is_disk_full(error: BaseException) -> bool:
+    """Return whether an error is one that all other members would meet, too."""
+    return isinstance(error, OSError) and error.errno in _DISK_FULL
+
+
+def told(error: BaseException) -> str:
     """Return an error in a line; for one that clsim did not expect, with its place."""
     text = " ".join(str(error).split())[:500]
     if isinstance(error, ClsimError):
@@ -279,21 +314,35 @@ def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
 
 def _write(content: Any, folder: Path, target: Path) -> None:
     """Write a group under another name, and give it its own when all is on the disk."""
-    partial = folder / ".partial" / f"{target.name}-{uuid.uuid4().hex}"
+    partial = folder / PARTIAL / f"{target.name}-{uuid.uuid4().hex}"
     partial.parent.mkdir(exist_ok=True)
     try:
         encoding = {"sound": {"chunks": (1, content.sizes["time"])}} if "sound" in content else {}
         content.to_zarr(partial, mode="w-", consolidated=False, zarr_format=3, encoding=encoding)
         consolidate(partial)
         tree_to_disk(partial)
-        if not target.exists():
+        if row_of_group(target) is None:
+            discard(target)  # what is there is broken
             os.rename(partial, target)  # noqa: PTH104  (fails where another worker was faster)
         to_disk(target.parent)
     except OSError:
-        if not target.exists():
+        if row_of_group(target) is None:
             raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def discard(group: Path) -> None:
+    """Delete the group of a member; it goes as a whole, so that nobody takes a part of it for all."""
+    if not group.exists():
+        return
+    gone = group.parents[1] / PARTIAL / f"{group.name}-{uuid.uuid4().hex}"
+    gone.parent.mkdir(exist_ok=True)
+    group.replace(gone)
+    if gone.is_dir():
+        shutil.rmtree(gone, ignore_errors=True)
+    else:
+        gone.unlink()
 
 
 def root_attributes() -> dict[str, Any]:

@@ -6,25 +6,24 @@ import hashlib
 import json
 import os
 import shutil
-import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clsim.errors import ClsimError, DeviceError, InputError
+from clsim.errors import InputError
 from clsim.output.atomic import locked, safe_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
+    from clsim.study.dispatch import Dispatch
     from clsim.study.file import Study
     from clsim.study.index import Index, MemberRow
 
     Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
 
-_PATIENCE = 30.0  # s, for workers of a scheduler to appear
-_REACH = "10s"  # for a scheduler to answer
+_STARTS = 3  # of the processes of this machine, without any member done with in between
 
 
 def run_study(
@@ -75,44 +74,57 @@ def run_study(
         If a worker has no OpenCL device.
     OSError
         If the disk is full; what is finished stays.
+    ClsimError
+        If the scheduler is lost, or workers do not come back; what is finished stays.
 
     Notes
     -----
     Processes are started anew, so scripts call this behind ``if __name__ == "__main__":``. A worker that dies is
-    replaced, and what it was at is done by another. The store holds the truth: a member counts as finished when its
-    group is there, and groups appear whole.
+    replaced, and what it was at is done by another; a member whose workers go on dying fails, and no other one with it.
+    The store holds the truth: a member counts as finished when its group is there, and groups appear whole.
     """
     _check_packages()
+    from clsim.study.dispatch import Dispatch
     from clsim.study.file import DEFAULT_LIMIT, checked, load_study
     from clsim.study.index import Index, write_summary
-    from clsim.study.member import STORE
+    from clsim.study.member import PARTIAL, STORE, metrics_function
 
     progress = progress or _no_progress
+    _check_where(workers, scheduler)
     study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()
-    resume = resume or retry
-    if not resume and (folder / "study.json").exists():
-        raise InputError(
-            "--output", f"must hold no study yet, but {folder} does (--resume goes on, --retry also with what failed)"
-        )
+    new = not (resume or retry)
+    if new:
+        _refuse_begun(folder)
     with progress("checking scenes", len(study.members)) as advance:
         files = checked(study, advance)
+    if study.metrics:
+        metrics_function(study.metrics, study.folder)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / ".lock", "--output"):
-        _begin(study, files, folder)
+        begun = _begin(study, files, folder, new)
         index = Index(folder, study.members)
-        index.rewrite()
+        dispatch = Dispatch(index.todo(retry))
         try:
-            _run(study, index, folder, index.todo(retry), workers, scheduler, progress)
+            index.rewrite()
+            _run(study, dispatch, index, folder, workers, scheduler, progress)
         except BaseException as error:
             if any((folder / STORE / member.name).exists() for member in study.members):
                 error.add_note(f"what is finished is kept in {folder}: --resume goes on with it")
+            elif begun and index.untouched and (scheduler is None or not dispatch.begun):
+                _undo(folder)
             raise
+        write_summary(folder, index)
         index.rewrite()
-        rows = [index.rows[n] for n in sorted(index.rows)]
-        write_summary(folder, rows)
-        shutil.rmtree(folder / ".partial", ignore_errors=True)
-    return tuple(rows)
+        shutil.rmtree(folder / PARTIAL, ignore_errors=True)
+    return tuple(index.rows[n] for n in sorted(index.rows))
+
+
+def _check_where(workers: int | None, scheduler: str | None) -> None:
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers", "must be left out, because the scheduler has its own")
+    if workers is not None and workers < 1:
+        raise InputError("--workers", f"must be at least 1, but is {workers}")
 
 
 def _check_packages() -> None:
@@ -128,27 +140,64 @@ def _no_progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
     yield lambda amount: None
 
 
-def _begin(study: Study, files: set[Path], folder: Path) -> None:
-    """Make the folder of a study, or see that it holds this very one."""
-    from clsim.output.journal import first_difference
-    from clsim.study.index import create_store
-    from clsim.study.member import SETTINGS, STORE, metrics_function, study_to_settings
+def _refuse_begun(folder: Path) -> None:
+    """See that a folder holds no study, and nothing else of the names that one takes."""
+    from clsim.study.index import INDEX
+    from clsim.study.member import PARTIAL, SETTINGS, STORE
 
-    if study.metrics:
-        metrics_function(study.metrics, study.folder)
+    if (folder / SETTINGS).exists():
+        raise InputError(
+            "--output", f"must hold no study yet, but {folder} does (--resume goes on, --retry also with what failed)"
+        )
+    for name in (STORE, INDEX, PARTIAL):
+        if os.path.lexists(folder / name):
+            raise InputError("--output", f"must not hold {name} that is of no study, but {folder} does")
+
+
+def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
+    """Make the folder of a study, or see that it holds this very one; return whether it was made."""
+    from clsim.study.index import create_store
+    from clsim.study.member import PARTIAL, SETTINGS, study_to_settings
+
+    if new or not (folder / SETTINGS).exists():
+        _refuse_begun(folder)  # another process may have made it meanwhile
     settings = study_to_settings(study) | {"made_by": _made_by(study, files)}
     path = folder / SETTINGS
-    if path.exists():
-        difference = first_difference(json.loads(path.read_text("utf-8")), json.loads(json.dumps(settings)))
-        if difference is not None:
-            raise InputError("--resume", f"must go on with the same study, but {difference}; choose another folder")
-    else:
+    begun = not path.exists()
+    if begun:
         with safe_path(path) as temporary:
             temporary.write_text(json.dumps(settings, indent=1), "utf-8")
-    if not (folder / STORE / "zarr.json").exists():
-        create_store(folder)
-    shutil.rmtree(folder / ".partial", ignore_errors=True)
-    (folder / ".partial").mkdir()
+    else:
+        _check_same(path, json.loads(json.dumps(settings)))
+    create_store(folder)
+    shutil.rmtree(folder / PARTIAL, ignore_errors=True)
+    (folder / PARTIAL).mkdir()
+    return begun
+
+
+def _check_same(path: Path, settings: dict[str, Any]) -> None:
+    from clsim.output.journal import first_difference
+
+    try:
+        old = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError("--resume", f"must go on with a study, but {path} is broken; choose another folder") from error
+    difference = first_difference(old, settings)
+    if difference is not None:
+        raise InputError("--resume", f"must go on with the same study, but {difference}; choose another folder")
+
+
+def _undo(folder: Path) -> None:
+    """Delete what `_begin` made, because nothing could be run: the same command will do when the reason is gone."""
+    from clsim.study.index import INDEX
+    from clsim.study.member import PARTIAL, SETTINGS, STORE
+
+    shutil.rmtree(folder / PARTIAL, ignore_errors=True)
+    for name in (INDEX, f"{STORE}/zarr.json", SETTINGS, ".lock"):
+        (folder / name).unlink(missing_ok=True)
+    for empty in (folder / STORE, folder):
+        with suppress(OSError):  # it holds something else
+            empty.rmdir()
 
 
 def _made_by(study: Study, files: set[Path]) -> dict[str, Any]:
@@ -168,167 +217,34 @@ def _made_by(study: Study, files: set[Path]) -> dict[str, Any]:
 
 def _run(
     study: Study,
+    dispatch: Dispatch,
     index: Index,
     folder: Path,
-    todo: list[int],
     workers: int | None,
     scheduler: str | None,
     progress: Progress,
 ) -> None:
-    """Run members on a cluster, and note what becomes of each."""
-    from distributed import as_completed
+    """Run members on a cluster, and note what becomes of each; if all processes of this machine are lost, start new."""
+    from clsim.study.cluster import local_team, remote_team, worker_count
+    from clsim.study.dispatch import WorkersLostError
 
-    from clsim.study.member import run_member
-
-    if not todo:
+    if not dispatch.left:
         return
-    with _client(workers, scheduler, len(todo)) as client:
-        engine = study.content.get("render", {}).get("engine", "opencl")
-        devices = _devices() if scheduler is None and engine == "opencl" else []
-        _check_workers(client, folder, engine == "opencl", study.content.get("render", {}).get("device"))
-        token = hashlib.sha256(os.urandom(16)).hexdigest()[:12]
-        futures = {
-            client.submit(_on_worker, run_member, str(folder), n, devices, key=f"clsim-{token}-{n}", pure=False): n
-            for n in todo
-        }
-        with progress("members", len(todo)) as advance:
-            for future in as_completed(list(futures), loop=client.loop):
-                index.add(_row(future, futures[future]))
-                future.release()
-                advance(1.0)
-
-
-def _on_worker(run: Callable[..., dict[str, Any]], folder: str, number: int, devices: list[str]) -> dict[str, Any]:
-    """Run a member on the device of this worker: workers of this machine are called 0, 1, 2, ..."""
-    from distributed import get_worker
-
-    name = get_worker().name
-    device = devices[name % len(devices)] if devices and isinstance(name, int) else None
-    return run(folder, number, device)
-
-
-def _row(future: Any, number: int) -> dict[str, Any]:
-    """Return the row of a member that is done with.
-
-    Raises
-    ------
-    OSError
-        If the disk is full.
-    ClsimError
-        If the scheduler was lost.
-    """
-    from distributed import KilledWorker
-
-    if future.status == "finished":
-        row: dict[str, Any] = future.result()
-        return row
-    if future.status == "error":
-        error = future.exception()
-        if isinstance(error, KilledWorker):
-            return {"member": number, "status": "failed", "error": "every worker that ran it died", "seconds": 0.0}
-        raise error
-    raise ClsimError("the connection to the scheduler was lost")
-
-
-@contextmanager
-def _client(workers: int | None, scheduler: str | None, count: int) -> Iterator[Any]:
-    """Yield a client of a scheduler, or of processes of this machine that end with it."""
-    import logging
-
-    import dask
-    from distributed import Client, LocalCluster
-
-    if scheduler is not None:
-        if workers is not None:
-            raise InputError("--workers", "must be left out, because the scheduler has its own")
-        try:
-            client = Client(scheduler, timeout=_REACH, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            raise InputError(
-                "--scheduler", f"{scheduler} cannot be reached: {error or type(error).__name__}"
-            ) from error
-        with client:
-            yield client
-        return
-    number = min(_worker_count() if workers is None else _checked_workers(workers), count)
-    threads = max(1, (os.cpu_count() or 1) // number)
-    environment = {
-        "POCL_MAX_PTHREAD_COUNT": str(threads), "POCL_CPU_MAX_CU_COUNT": str(threads),
-        "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
-    }  # fmt: skip
-    old = dask.config.get("distributed.nanny.pre-spawn-environ", {})
-    with dask.config.set({"distributed.nanny.pre-spawn-environ": old | environment}):
-        with _deaf_to_interrupts():
-            cluster = LocalCluster(
-                n_workers=number, threads_per_worker=1, processes=True, host="127.0.0.1",
-                dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
-            )  # fmt: skip
-        with cluster, Client(cluster, set_as_default=False) as client:
-            yield client
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Have processes that are started here ignore Ctrl-C, which a terminal sends to all: this process ends them."""
-    import signal
-    import threading
-
-    if threading.current_thread() is not threading.main_thread():  # where Python lets nobody change signals
-        yield
-        return
-    old = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, old)
-
-
-def _checked_workers(workers: int) -> int:
-    if workers < 1:
-        raise InputError("--workers", f"must be at least 1, but is {workers}")
-    return workers
-
-
-def _devices() -> list[str]:
-    """Return the devices over which workers of this machine are to be spread: GPUs, else all of the usual platform."""
-    from clsim.opencl.device import find_device, list_devices
-
-    found = list_devices()
-    gpus = [info.id for info in found if info.kind == "GPU"]
-    if gpus or not found:
-        return gpus
-    usual, _ = find_device(None)
-    return [info.id for info in found if info.platform == usual.platform and info.kind == usual.kind]
-
-
-def _worker_count() -> int:
-    from clsim.opencl.device import list_devices
-
-    gpus = sum(info.kind == "GPU" for info in list_devices())
-    return gpus or max(1, (os.cpu_count() or 1) // 2)
-
-
-def _check_workers(client: Any, folder: Path, needs_device: bool, device: str | None) -> None:
-    """See that workers are there, and that each has what it needs.
-
-    Raises
-    ------
-    InputError
-        If there is none, or one that cannot work.
-    DeviceError
-        If one has no OpenCL device.
-    """
-    from clsim.study.member import check_worker
-
-    try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
-        found = client.run(check_worker, str(folder), needs_device, device)
-    except TimeoutError as error:
-        raise InputError("--scheduler", f"must have workers, but has none after {_PATIENCE:g} s") from error
-    except ImportError as error:
-        raise InputError("--scheduler", f"its workers must have clsim installed, but: {error}") from error
-    for address, (problem, is_device) in found.items():
-        if is_device:
-            raise DeviceError(f"worker {address}: {problem}")
-        if problem:
-            raise InputError(f"worker {address}", problem)
+    number = 0 if scheduler else min(worker_count(workers), dispatch.left)
+    tries, left = 0, dispatch.left
+    with progress("members", left) as advance:
+        while True:
+            team = remote_team(scheduler, study, folder) if scheduler else local_team(number, study, folder)
+            try:
+                with team as there:
+                    for row in dispatch.rows(there, index.found):
+                        index.add(row)
+                        advance(1.0)
+                return
+            except WorkersLostError as error:
+                if scheduler:
+                    raise InputError("--scheduler", f"must have workers, but {error}") from error
+                tries = tries + 1 if dispatch.left == left else 1
+                left = dispatch.left
+                if tries == _STARTS:
+                    raise

@@ -89,11 +89,15 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
         (["--limit", "1"], "vary: must give at most 1 members, but gives 2 (--limit 2 allows them)"),
     ],
 )
-def test_what_cannot_run_is_one_line(folder: Path, capsys, more: list[str], message: str) -> None:
+def test_what_cannot_run_is_one_line(
+    folder: Path, capsys, monkeypatch: pytest.MonkeyPatch, more: list[str], message: str
+) -> None:
+    monkeypatch.setattr("clsim.study.cluster._REACH", 0.5)
     assert main([*write(folder, [0, 1], [1.0]), *more]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"clsim: error: {message}")
     assert err.count("\n") == 1
+    assert not (folder / "out").exists(), "nothing was begun"
 
 
 @pytest.mark.parametrize(
@@ -114,6 +118,7 @@ def test_a_worker_without_a_device_is_one_line(folder: Path, capfd, old: str, ne
     assert err.startswith("clsim: error: worker tcp://127.0.0.1:")
     assert message in err
     assert err.count("\n") == 1
+    assert not (folder / "out").exists(), "nothing was begun"
 
 
 @pytest.mark.parametrize(
@@ -132,6 +137,7 @@ def test_functions_that_cannot_be_used_are_one_line(folder: Path, capsys, body: 
     err = capsys.readouterr().err
     assert f"clsim: error: metrics: {message}" in err
     assert err.count("\n") == 1
+    assert not (folder / "out").exists(), "nothing was begun"
 
 
 @pytest.mark.parametrize(

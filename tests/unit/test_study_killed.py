@@ -1,7 +1,9 @@
 """Studies whose workers die, whose disk fills or that are stopped: nothing is lost, nothing is run twice."""
 
+import contextlib
 import json
 import os
+import random
 import shutil
 import signal
 import subprocess
@@ -11,10 +13,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from made_studies import ENVIRONMENT, index, runs, write, write_scene
+from made_studies import ENVIRONMENT, METRICS, index, runs, write, write_scene
 
 from clsim.cli import main
+from clsim.study import dispatch
 
+psutil = pytest.importorskip("psutil")  # comes with distributed
 pytest.importorskip("distributed")
 pytest.importorskip("zarr")
 pytest.importorskip("xarray")
@@ -48,19 +52,63 @@ def cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
         process.wait()
 
 
+def workers_of(study: subprocess.Popen) -> list[int]:
+    """Return the worker processes of a study, those that are only starting too."""
+    with contextlib.suppress(psutil.Error):
+        children = psutil.Process(study.pid).children(recursive=True)
+        return [p.pid for p in children if "spawn_main" in " ".join(p.cmdline())]
+    return []
+
+
+def kill_at_random(study: subprocess.Popen, store: Path, kills: int, chance: random.Random) -> int:
+    """Kill workers of a study until it ends, the first as soon as there is one, others as members go by; count them."""
+    killed, members = 0, 0
+    while study.poll() is None:
+        time.sleep(chance.uniform(0.0, 0.05))
+        found = workers_of(study)
+        if killed == kills:
+            study.wait(timeout=1200)
+        elif found and len(list(store.glob("m*"))) >= members:
+            time.sleep(chance.uniform(0.0, 0.5) if killed else 0.0)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(chance.choice(found), signal.SIGKILL)
+                killed, members = killed + 1, members + chance.randint(1, 8)
+    return killed
+
+
 @pytest.mark.slow
-def test_a_worker_of_this_machine_that_dies_is_replaced(folder: Path) -> None:
-    seconds = [1.25 + 0.001 * i for i in range(12)]
-    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], seconds), "--workers", "2"]
-    study = subprocess.Popen(arguments, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while study.poll() is None and len(runs(folder)) < 4:
-        time.sleep(0.02)
-    first = {p for processes in runs(folder).values() for p in processes}
-    os.kill(min(first), signal.SIGKILL)
-    out, err = study.communicate(timeout=300)
-    assert study.returncode == 0, err
-    assert "12 of 12 members finished" in out
-    assert len({p for processes in runs(folder).values() for p in processes}) == 3
+def test_workers_killed_at_random_lose_nothing(folder: Path) -> None:
+    """STUDY_KILLS says how many are killed, over as many studies as it takes."""
+    left, chance = int(os.environ.get("STUDY_KILLS", "3")), random.Random(1)
+    while left > 0:
+        shutil.rmtree(folder / "out", ignore_errors=True)
+        shutil.rmtree(folder / "ran", ignore_errors=True)
+        seconds = [1.125 + 0.0005 * (i + 1) for i in range(min(60, 5 * left))]
+        arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], seconds), "--workers", "2"]
+        study = subprocess.Popen(arguments, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        left -= kill_at_random(study, folder / "out" / "study.zarr", left, chance)
+        out, err = study.communicate(timeout=10)
+        assert study.returncode == 0, err
+        assert err == ""
+        assert f"{len(seconds)} of {len(seconds)} members finished" in out
+        assert {row["status"] for row in index(folder).values()} == {"finished"}
+        assert not (folder / "out" / ".partial").exists()
+
+
+@pytest.mark.slow
+def test_a_member_that_kills_its_worker_fails_alone(folder: Path, monkeypatch: pytest.MonkeyPatch, capfd) -> None:
+    monkeypatch.setattr(dispatch, "_TOGETHER", 1)  # fewer tries, for time
+    monkeypatch.setattr(dispatch, "_ALONE", 1)
+    arguments = write(folder, [0, 1, 2], [1.0])
+    killer = METRICS.replace("    time.sleep", "    parameters['order'] or os.kill(os.getpid(), 9)\n    time.sleep")
+    (folder / "judge.py").write_text(killer, "utf-8")
+    assert main([*arguments, "--workers", "1"]) == 1
+    assert [index(folder)[n]["status"] for n in range(3)] == ["failed", "finished", "finished"]
+    assert {order: len(processes) for (order, _), processes in runs(folder).items()} == {0: 2, 1: 1, 2: 1}
+    err = capfd.readouterr().err
+    assert err == (
+        "clsim: member 0 failed: its worker died 2 times, the last 1 while it ran nothing else (out of memory?)\n"
+    )
 
 
 @pytest.mark.slow

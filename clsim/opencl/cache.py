@@ -1,0 +1,235 @@
+"""Where drivers keep built kernels: in a folder that takes them, and around entries that a process died of."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import shutil
+import struct
+import sys
+import tempfile
+import uuid
+import warnings
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clsim.errors import ClsimWarning
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_ROOM = 2**22  # bytes; the kernels of one scene take less than a quarter
+
+
+@cache
+def prepare() -> str:
+    """See that PoCL and PyOpenCL can keep what they build, once per process and before either of them looks.
+
+    PoCL has no device where it cannot make its cache, and ends the process where it cannot write into it: then it is
+    given a folder of this process, which is deleted at its end. PyOpenCL can do without.
+
+    Returns
+    -------
+    str
+        Why PoCL cannot work, or an empty text.
+    """
+    if os.name == "nt":  # PoCL does not come with pip there, and other drivers look after themselves
+        return ""
+    if _trouble(_pyopencl_folder()) or not _pyopencl_cache_opens():
+        os.environ["PYOPENCL_NO_CACHE"] = "1"
+        if "pyopencl" in sys.modules:
+            sys.modules["pyopencl"]._PYOPENCL_NO_CACHE = True  # type: ignore[attr-defined]
+    folder = pocl_folder()
+    trouble = _trouble(folder)
+    if not trouble:
+        return ""
+    trouble = f"the cache of built kernels, {folder}, cannot be used: {trouble}"
+    private = _private_folder()
+    if private is None:
+        return f"{trouble}; no temporary folder can either: free some space, or set POCL_CACHE_DIR to one that can"
+    os.environ["POCL_CACHE_DIR"] = str(private)
+    message = f"{trouble}; kernels are built anew by every process (set POCL_CACHE_DIR to a folder that lasts)"
+    warnings.warn(message, ClsimWarning, stacklevel=2)
+    return ""
+
+
+def pocl_folder() -> Path:
+    """Return the folder in which PoCL keeps kernels, found as PoCL finds it."""
+    for name, below in (("POCL_CACHE_DIR", ""), ("XDG_CACHE_HOME", "pocl/kcache"), ("HOME", ".cache/pocl/kcache")):
+        if os.environ.get(name):
+            return Path(os.environ[name], below)
+    return Path("/tmp/pocl/kcache")
+
+
+def _pyopencl_folder() -> Path:
+    import platformdirs  # comes with PyOpenCL, which asks it too
+
+    return Path(platformdirs.user_cache_dir("pytools", "pytools"))
+
+
+def _pyopencl_cache_opens() -> bool:
+    """Return whether PyOpenCL's table of calls, a database, can be opened; its module does so when imported."""
+    try:
+        import pyopencl.invoker  # noqa: F401
+    except ImportError:
+        raise
+    except Exception:  # of sqlite3, for example: the file is no database
+        return False
+    return True
+
+
+def _trouble(folder: Path) -> str:
+    """Return why nothing can be kept in a folder, or an empty text."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0):
+            return "it is mounted noexec"
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(_ROOM))
+            file.flush()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def _private_folder() -> Path | None:
+    """Make a folder of this process, deleted when it ends; None if there is no room anywhere."""
+    with suppress(OSError):  # no temporary folder at all
+        tempfile.gettempdir()
+    for parent in dict.fromkeys((tempfile.tempdir, "/tmp", "/dev/shm")):
+        if parent is None:
+            continue
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="clsim-kernels-", dir=parent))
+        except OSError:
+            continue
+        if not _trouble(folder):
+            atexit.register(_remove, folder, os.getpid())
+            return folder
+        shutil.rmtree(folder, ignore_errors=True)
+    return None
+
+
+def _remove(folder: Path, process: int) -> None:
+    if os.getpid() == process:  # and not a copy of it by fork
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+class Trial:
+    """Building a program and running it for the first time, with a mark beside the cache meanwhile.
+
+    A process that dies while building can leave an entry in PoCL's cache that ends every later process which uses it.
+    Such a process leaves its mark too, a file that nobody locks, and the program is from then on built as another one.
+
+    Parameters
+    ----------
+    program : str
+        Its name, for messages.
+    text : str
+        All that the driver's entry depends on, but for `options`.
+    options : list of str
+        For the compiler. The attribute `options` has one more where a process died.
+    """
+
+    def __init__(self, program: str, text: str, options: list[str]) -> None:
+        self._folder = pocl_folder() / "clsim"
+        for more in range(100):
+            self.options = [*options, *([f"-DANEW={more}"] if more else [])]
+            self._name = hashlib.sha256("\n".join([text, *self.options]).encode()).hexdigest()[:32]
+            died = self._died()
+            if not died:
+                return
+            if died == "now":
+                message = (
+                    f"a process died while it built or first ran {program}.cl: the program is built anew, and what is "
+                    f"cut short in {pocl_folder()} was deleted ({_swept(pocl_folder())} files)"
+                )
+                warnings.warn(message, ClsimWarning, stacklevel=4)
+
+    def _died(self) -> str:
+        """Return "now" if a process is found to have died, "before" if that is known, or an empty text."""
+        known = self._folder / f"{self._name}.died"
+        with suppress(OSError):
+            for mark in self._folder.glob(f"{self._name}-*"):
+                with mark.open() as file:
+                    if _locked(file):  # and by no living process
+                        mark.replace(known)
+                        return "now"
+        return "before" if known.exists() else ""
+
+    @contextmanager
+    def marked(self) -> Iterator[None]:
+        """Leave a mark if the process dies in this block; where none can be made, do without."""
+        mark = self._folder / f"{self._name}-{uuid.uuid4().hex}"
+        hidden = mark.with_name(f".{mark.name}")
+        file = None
+        with suppress(OSError):
+            self._folder.mkdir(exist_ok=True)
+            file = hidden.open("w")
+            if _locked(file):
+                hidden.replace(mark)  # nobody sees one that is not locked yet
+        try:
+            yield
+        finally:
+            if file is not None:
+                for path in (hidden, mark):  # while it is locked
+                    with suppress(OSError):
+                        path.unlink()
+                file.close()
+
+
+def _locked(file: Any) -> bool:
+    """Lock a file, unless somebody else has; the system takes the lock back when the process dies."""
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _swept(folder: Path) -> int:
+    """Delete the kernels of PoCL that are cut short, which end a process that loads them; return how many."""
+    count = 0
+    for path in folder.glob("*/*/*/*/*.so"):
+        with suppress(OSError):
+            if not _is_whole(path):
+                path.unlink()
+                count += 1
+    return count
+
+
+def _is_whole(path: Path) -> bool:
+    """Return whether a shared object (ELF, 64 bit) has all of its table of sections, which stands at its end."""
+    with path.open("rb") as file:
+        head = file.read(64)
+    if sys.platform != "linux" or head[4:6] == b"\1\1":  # 32 bit
+        return True
+    at, (length, count) = int.from_bytes(head[40:48], "little"), struct.unpack("<HH", head[58:62].ljust(4, b"\0"))
+    return head[:4] == b"\x7fELF" and path.stat().st_size >= at + length * count
+
+
+class TriedKernel:
+    """A kernel whose first runs are marked: its driver loads the built kernel, or makes it, only then.
+
+    A driver may make a kernel anew by the sizes of groups and of launches.
+    """
+
+    def __init__(self, kernel: Any, trial: Trial) -> None:
+        self._kernel, self._trial = kernel, trial
+        self._tried: set[tuple[Any, ...]] = set()
+
+    def __call__(self, queue: Any, size: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
+        """Launch it as PyOpenCL does; return the event."""
+        kind = group, tuple(int(count).bit_length() for count in size)
+        if kind in self._tried:
+            return self._kernel(queue, size, group, *arguments)
+        with self._trial.marked():
+            event = self._kernel(queue, size, group, *arguments)
+            event.wait()
+        self._tried.add(kind)
+        return event

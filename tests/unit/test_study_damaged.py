@@ -1,0 +1,237 @@
+"""Studies with damaged files, foreign files in their folder, or functions that end the process: a line for each."""
+
+import errno
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_studies import write, write_scene
+
+import clsim
+from clsim.cli import main
+from clsim.errors import ClsimError
+from clsim.study.file import load_study
+from clsim.study.index import Index, create_store, metrics_of, write_summary
+from clsim.study.member import as_row, run_member, study_to_settings
+
+pytest.importorskip("distributed")
+pytest.importorskip("zarr")
+xarray = pytest.importorskip("xarray")
+
+LENGTHS = [1.0, 1.001, 1.002]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study with all members in its store, made without a cluster."""
+    folder = write_scene(tmp_path_factory.mktemp("study"))
+    scene = (folder / "scene.toml").read_text("utf-8")
+    (folder / "scene.toml").write_text(
+        scene.replace("max_order = 1", "max_order = 0") + 'engine = "reference"\n', "utf-8"
+    )
+    arguments = write(folder, [0], LENGTHS)
+    out = Path(arguments[-1])
+    out.mkdir()
+    settings = study_to_settings(load_study(folder / "study.toml"))
+    (out / "study.json").write_text(json.dumps(settings), "utf-8")
+    create_store(out)
+    for number in range(len(LENGTHS)):
+        row = run_member(str(out), number, None)
+        assert row["status"] == "finished", row["error"]
+    return folder
+
+
+@pytest.fixture
+def folder(finished: Path, tmp_path: Path) -> Path:
+    copied = shutil.copytree(finished, tmp_path / "study")
+    settings = study_to_settings(load_study(copied / "study.toml"))  # they name the folder of the function
+    (copied / "out" / "study.json").write_text(json.dumps(settings), "utf-8")
+    return copied
+
+
+def members(folder: Path) -> Any:
+    return load_study(folder / "study.toml").members
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"3", b"null", b"[]", b'"failed"', b"{}", b'{"member": 1}', b'{"status": "failed"}', b"\xff\xfe\x00",
+        b'{"member": [1], "status": "failed"}', b'{"member": {}, "status": "failed"}',
+        b'{"member": true, "status": "failed"}', b'{"member": 1.0, "status": "failed"}',
+        b'{"member": 1, "status": ["failed"]}', b'{"member": 1, "status": "no such"}',
+        b'{"member": 1, "status": "failed", "seconds": "long"}', b'{"member": 1, "status": "failed", "error": 3}',
+        b'{"member": 1, "status": "failed", "warnings": 3}', b'{"member": 1, "status": "failed", "warnings": [3]}',
+        b'{"member": 1, "status": "failed", "device": null}', b'{"member": 99, "status": "failed"}',
+        b'{"member": -1, "status": "failed"}', b"[" * 100_000, b'{"member": 1, "status": "fai',
+    ],
+)  # fmt: skip
+def test_lines_of_the_index_that_are_no_rows_are_passed_over(tmp_path: Path, line: bytes) -> None:
+    wanted = b'{"member": 2, "status": "failed", "error": "this one"}\n'
+    (tmp_path / "index.jsonl").write_bytes(line + b"\n" + wanted)
+    made = Index(tmp_path, tuple(SimpleNamespace(number=n, name=f"m{n:06d}", parameters={}) for n in range(3)))
+    assert [row.status for row in made.rows.values()] == ["waiting", "waiting", "failed"]
+    assert made.rows[2].error == "this one"
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", "3", '{"content": ', "\0" * 100, "[" * 100_000, "{}"])
+def test_settings_that_are_broken_are_one_line(folder: Path, capsys, content: str) -> None:
+    (folder / "out" / "study.json").write_text(content, "utf-8")
+    assert main(["study", str(folder / "study.toml"), "-o", str(folder / "out"), "--resume"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("clsim: error: --resume: must go on with ")
+    assert "choose another folder" in err
+    assert err.count("\n") == 1
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def without_row(path: Path) -> None:
+    metadata = json.loads(path.read_text("utf-8"))
+    del metadata["attributes"]["study_row"]
+    path.write_text(json.dumps(metadata), "utf-8")
+
+
+def of_another(path: Path) -> None:
+    path.write_bytes((path.parents[1] / "m000002" / "zarr.json").read_bytes())
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda group: cut(group / "zarr.json"),
+        lambda group: (group / "zarr.json").write_bytes(b""),
+        lambda group: (group / "zarr.json").write_bytes(b"[]"),
+        lambda group: (group / "zarr.json").unlink(),
+        lambda group: without_row(group / "zarr.json"),
+        lambda group: of_another(group / "zarr.json"),
+        lambda group: shutil.rmtree(group / "sound"),
+        lambda group: shutil.rmtree(group) or group.write_text("a file", "utf-8"),
+    ],
+    ids=["cut", "empty", "another kind", "missing", "no row", "of another member", "an array is missing", "a file"],
+)
+def test_a_broken_member_is_run_again(folder: Path, damage: Any) -> None:
+    out = folder / "out"
+    group = out / "study.zarr" / "m000001"
+    damage(group)
+    with pytest.warns(clsim.ClsimWarning, match=r"member 1 is run again: what .*m000001 holds is broken"):
+        index = Index(out, members(folder))
+    assert [row.status for row in index.rows.values()] == ["finished", "waiting", "finished"]
+    assert index.todo(retry=False) == [1]
+    assert not group.exists()
+    assert list((out / ".partial").iterdir()) == []
+    shutil.copytree(
+        group.with_name("m000002"), group
+    )  # broken while another process runs: it belongs to another member
+    assert run_member(str(out), 1, None)["status"] == "finished"
+    assert index.found(1)["member"] == 1
+
+
+def test_metrics_that_cannot_be_read_fail_one_member(folder: Path) -> None:
+    out = folder / "out"
+    group = out / "study.zarr" / "m000001"
+    chunks = [path for path in (group / "rms").rglob("*") if path.is_file() and path.name != "zarr.json"]
+    for path in chunks:
+        path.write_bytes(b"broken")
+    index = Index(out, members(folder))
+    (out / ".partial").mkdir(exist_ok=True)
+    write_summary(out, index)
+    assert [row.status for row in index.rows.values()] == ["finished", "failed", "finished"]
+    assert "m000001 cannot be read: " in index.rows[1].error
+    with xarray.open_zarr(out / "study.zarr" / "summary") as summary:
+        assert np.isnan(summary.rms.values).tolist() == [[False, False], [True, True], [False, False]]
+        assert summary.status.values.tolist() == ["finished", "failed", "finished"]
+    assert isinstance(metrics_of(group), str)
+    with pytest.warns(clsim.ClsimWarning, match="member 1 is run again"):
+        assert Index(out, members(folder)).todo(retry=False) == [1]
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]"])
+def test_a_broken_root_of_the_store_is_made_again(folder: Path, content: bytes) -> None:
+    out = folder / "out"
+    (out / "study.zarr" / "zarr.json").write_bytes(content)
+    create_store(out)
+    with clsim.open_store(out / "study.zarr" / "m000001") as member:
+        assert member.sound.values.any()
+    assert json.loads((out / "study.zarr" / "zarr.json").read_bytes())["attributes"]["clsim_version"]
+
+
+@pytest.mark.parametrize("name", ["study.zarr", "index.jsonl", ".partial"])
+@pytest.mark.parametrize("more", [[], ["--resume"], ["--retry"]])
+@pytest.mark.parametrize("kind", ["file", "folder", "link"])
+def test_what_is_of_no_study_is_left_alone(tmp_path: Path, capsys, name: str, more: list[str], kind: str) -> None:
+    arguments = [*write(write_scene(tmp_path), [0], [1.0]), *more]
+    out = tmp_path / "out"
+    out.mkdir()
+    if kind == "file":
+        (out / name).write_text("mine", "utf-8")
+    elif kind == "folder":
+        (out / name).mkdir()
+        (out / name / "zarr.json").write_text("mine", "utf-8")
+    else:
+        (out / name).symlink_to(tmp_path / "elsewhere")
+    assert main(arguments) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"clsim: error: --output: must not hold {name} that is of no study")
+    assert err.count("\n") == 1
+    assert (kind, (out / name).is_symlink()) in (("file", False), ("folder", False), ("link", True))
+    if kind != "link":
+        assert next(p for p in (out / name, out / name / "zarr.json") if p.is_file()).read_text("utf-8") == "mine"
+
+
+@pytest.mark.parametrize(
+    ("body", "error"),
+    [
+        ("import sys; sys.exit(3)", "SystemExit: 3"),
+        ("raise MemoryError", "MemoryError"),
+        ("raise PermissionError(13, 'no')", "PermissionError: [Errno 13] no"),
+        ("f = lambda: f(); f()", "RecursionError"),
+    ],
+)
+def test_functions_that_end_the_process_fail_their_member(folder: Path, body: str, error: str) -> None:
+    (folder / "judge.py").write_text(f"def level(recording, paths, parameters):\n    {body}\n", "utf-8")
+    shutil.rmtree(folder / "out" / "study.zarr" / "m000001")
+    row = run_member(str(folder / "out"), 1, None)
+    assert row["status"] == "failed"
+    assert row["error"].startswith(error)
+
+
+def test_a_full_disk_stops_all_members(folder: Path) -> None:
+    (folder / "judge.py").write_text(
+        f"def level(recording, paths, parameters):\n    raise OSError({errno.ENOSPC}, 'full')\n", "utf-8"
+    )
+    shutil.rmtree(folder / "out" / "study.zarr" / "m000001")
+    with pytest.raises(OSError, match="full"):
+        run_member(str(folder / "out"), 1, None)
+
+
+class Future(SimpleNamespace):
+    def exception(self, timeout: float) -> Any:
+        return self.error
+
+
+def test_what_dask_tells_of_a_member_is_its_row() -> None:
+    from distributed import KilledWorker
+
+    from clsim.study.cluster import _row
+
+    killed = KilledWorker("clsim-3", SimpleNamespace(name="w", address="tcp://w"), 3)
+    assert _row(Future(status="error", error=killed), 3) is None
+    row = _row(Future(status="error", error=AttributeError("no such function")), 3)
+    assert row == {"member": 3, "status": "failed", "error": "AttributeError: no such function", "seconds": 0.0}
+    with pytest.raises(OSError, match="full"):
+        _row(Future(status="error", error=OSError(errno.ENOSPC, "full")), 3)
+    for status in ("lost", "cancelled", "pending"):
+        with pytest.raises(ClsimError, match="connection to the scheduler was lost"):
+            _row(Future(status=status), 3)
+
+
+def test_a_row_is_itself() -> None:
+    row = {"member": 1, "status": "failed", "seconds": 1.5, "error": "x", "device": "0:0", "warnings": ["y"], "more": 1}
+    assert as_row(json.dumps(row)) == row
