@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.filters import NoFilterError, band_filters
-from clsim.errors import InputError
+from clsim.acoustics.filters import band_filters
 from clsim.paths.arrivals import arrivals
-from clsim.paths.responses import Responses
+from clsim.paths.responses import Responses, is_complex
+from clsim.render.shortfall import WORST_DB, Held
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from clsim.render.tracks import SceneTracks
 
 MOST_FUNCTIONS = 40
-_GRIDS = (129, 387)  # frequencies of a band at which responses are looked at: the first number that resolves them
+_GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
 _TIMES = 24  # instants of a run at which paths are looked at
 _ROWS = 512  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
@@ -32,6 +32,11 @@ _QUIETEST = 0.01  # weight of frequencies at which a signal has next to nothing
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 _SEED = 20_160_914
+_DELAYS = 2048  # frequencies, evenly spaced, that tell how late responses are
+_LATE_ROWS = 64  # responses that tell it
+_LATE_SHARE = 1e-6  # of their energy may lie earlier than the time of which the middle is taken, and later
+_TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
+_LEAST_LATE = 32  # samples; less is not worth being taken out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,8 +58,8 @@ class Basis:
     sizes : ndarray (K,)
         Most that each function adds to any path, relative to the strongest arrival.
     asked_db, error_db : float
-        Asked and reached bound of the root mean square error of a response over the signal's spectrum, relative to the
-        strongest arrival at the same receiver, dB.
+        Asked (or, if that was told to be out of reach, reached) and reached bound of the root mean square error of a
+        response over the signal's spectrum, relative to the strongest arrival at the same receiver, dB.
     """
 
     nodes: Floats
@@ -101,12 +106,20 @@ class Band:
         Chebyshev points from high to low, Hz.
     weight : ndarray (F,)
         Amplitude of the spectrum at them, relative to its largest; small ones raised.
+    late : float
+        Delay that is taken out of responses, s.
     """
 
     low: float
     high: float
     frequencies: Floats
     weight: Floats
+    late: float = 0.0
+
+    @property
+    def turn(self) -> Complexes:
+        """What the delay does at the frequencies, (F,)."""
+        return np.asarray(np.exp(-2j * math.pi * self.late * self.frequencies))
 
 
 def band_of(low: float, high: float, frequencies: Floats, energy: Floats, count: int = _GRIDS[0]) -> Band:
@@ -131,11 +144,12 @@ def flat_basis(frequency: float) -> Basis:
     return Basis(np.array([frequency]), one, one, np.ones(1), one, np.ones(1), -math.inf, -math.inf)
 
 
-def turning_basis(frequency: float, low: float, high: float, sampling_rate: float, error_db: float) -> Basis:
-    """Return the basis that takes every complex response at one frequency, from `low` to `high` Hz."""
-    filters = band_filters(np.array([[1.0], [1.0j]]), low, high, sampling_rate, error_db, np.ones(2))
+def turning_basis(source: int, frequency: float, band: Band, sampling_rate: float, error_db: float) -> Basis:
+    """Return the basis that takes every complex response at one frequency, over a band."""
+    filters = band_filters(np.array([[1.0], [1.0j]]), band.low, band.high, sampling_rate, error_db, band.weight)
+    Held(source, band.low, band.high, sampling_rate).within(max(error_db, _TURNED_DB), filters)
     return Basis(
-        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters, np.ones(2), -math.inf, -math.inf
+        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters.taps, np.ones(2), -math.inf, -math.inf
     )  # fmt: skip
 
 
@@ -167,23 +181,32 @@ def scene_basis(
     Raises
     ------
     InputError
-        If responses change too fast over frequency for 387 points, 40 functions, or filters of 2049 taps.
+        If responses change too fast over frequency for 1161 points, 40 functions, or filters of 2049 taps, and are not
+        even held within -40 dB.
+
+    Warns
+    -----
+    ClsimWarning
+        If they are, but not within the asked error.
 
     Notes
     -----
     Responses are sampled over all paths and the run, likelier the stronger they are; the functions are the singular
     vectors of these rows, real and imaginary parts side by side, weighted by the signal's spectrum, the worst held ones
     more. They are then checked at other responses, and those that they hold worst are added until all are within the
-    error.
+    error. A delay that all responses have about in common is taken out, and given to the filters.
     """
     allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
+    late = _common_delay(tracks, source, band_at(_GRIDS[0]), until, sampling_rate)
     for count in _GRIDS:
-        rng, band, fine = np.random.default_rng(_SEED), band_at(count), band_at(3 * count)
+        rng, band, fine = np.random.default_rng(_SEED), *(replace(band_at(n), late=late) for n in (count, 3 * count))
         sampled = _sampled(tracks, source, fine, until, _ROWS, rng)
-        if _unresolved(sampled, fine.weight) <= allowed:
+        unresolved = _unresolved(sampled, fine.weight)
+        if unresolved <= allowed:
             break
-    else:
-        raise _refused(source, error_db, band, f"{count} frequencies do not resolve what walls and beams do")
+    held = Held(source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
+    if held.resolved_db > WORST_DB:
+        held.within(error_db)
     held_out, rows = _sampled(tracks, source, band, until, _HELD_OUT, rng), _Rows.of(sampled[:, 1::3], band)
     count = 1
     for attempt in itertools.count(1):
@@ -192,28 +215,38 @@ def scene_basis(
             count += 1
             found = _Functions.of(rows, count, allowed)
         wrong = found.wrong(held_out)
-        if wrong.max() <= allowed:
+        if wrong.max() <= allowed or count == MOST_FUNCTIONS:
             break
-        if count == MOST_FUNCTIONS:
-            reached = 20.0 * math.log10(float(wrong.max()))
-            why = f"{count} functions of frequency hold responses within {reached:.0f} dB"
-            raise _refused(source, error_db, band, why)
         # What is held worst joins the rows; if that is little, one more function is needed.
         rows = _Rows.of(np.concatenate([rows.responses, held_out[np.argsort(-wrong)[:64]]]), band)
         count += int(wrong.max() > 1.2 * allowed or attempt % 3 == 0)
-    try:
-        return _designed(found, rows.responses, band, sampling_rate, error_db, float(wrong.max()))
-    except NoFilterError as error:
-        raise _refused(source, error_db, band, str(error)) from error
+    held = replace(held, functions=count, functions_db=_in_db(float(wrong.max())))
+    return _designed(found, rows.responses, band, error_db, held)
 
 
-def _refused(source: int, error_db: float, band: Band, why: str) -> InputError:
-    return InputError(
-        "response_error_db",
-        f"must be reached from {band.low:.0f} to {band.high:.0f} Hz, but for source {source} {error_db:g} dB is not: "
-        f"{why}; ask for less, narrow the signal's band, or smooth what walls and beams do over frequency (shorter "
-        "impulse responses)",
-    )
+def _in_db(ratio: float) -> float:
+    return 20.0 * math.log10(max(ratio, 1e-15))
+
+
+def _common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sampling_rate: float) -> float:
+    """Return the middle of the time in which complex responses have nearly all their energy, s, in whole samples.
+
+    It is 0 where that is little, and for real responses, which have no delay.
+    """
+    if not is_complex(tracks.scene):
+        return 0.0
+    even = np.linspace(band.low, band.high, _DELAYS)
+    weight = np.interp(even, band.frequencies[::-1], band.weight[::-1]) * np.hanning(_DELAYS)
+    spread = Band(band.low, band.high, even, weight)
+    rows = _sampled(tracks, source, spread, until, _LATE_ROWS, np.random.default_rng(_SEED))
+    energy = np.sum(np.abs(np.fft.ifft(rows * weight, axis=1)) ** 2, axis=0)
+    # The transform goes round: time begins opposite to where most of the energy is.
+    centre = np.angle(energy @ np.exp(2j * math.pi * np.arange(_DELAYS) / _DELAYS)) / (2.0 * math.pi) * _DELAYS
+    begin = round(float(centre)) - _DELAYS // 2
+    below = np.cumsum(np.roll(energy, -begin)) / max(float(energy.sum()), 1e-300)
+    middle = begin + 0.5 * float(np.searchsorted(below, [_LATE_SHARE, 1.0 - _LATE_SHARE]).sum())
+    samples = round(middle * sampling_rate * (_DELAYS - 1) / _DELAYS / (band.high - band.low))
+    return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
 
 
 def _unresolved(responses: Floats | Complexes, weight: Floats) -> float:
@@ -227,11 +260,9 @@ def _unresolved(responses: Floats | Complexes, weight: Floats) -> float:
     return float(wrong.max())
 
 
-def _designed(
-    found: _Functions, rows: Floats | Complexes, band: Band, sampling_rate: float, error_db: float, wrong: float
-) -> Basis:
+def _designed(found: _Functions, rows: Floats | Complexes, band: Band, error_db: float, held: Held) -> Basis:
     """Return functions as filters, scaled to gains of at most 1: what each adds to a path is at most its own size."""
-    reached = 20.0 * math.log10(max(wrong, 1e-15))
+    reached = held.functions_db
     flat = np.ptp(found.shapes.real) <= 10 ** (error_db / 20) * np.abs(found.shapes).max()
     if found.parts == len(found.shapes) == 1 and flat:
         loudest = band.frequencies[int(np.argmax(band.weight))]
@@ -243,12 +274,18 @@ def _designed(
     order = np.argsort(-sizes, kind="stable")  # weak ones need fewer branches
     shapes, sizes, projection = shapes[order], sizes[order], (found.projection / scale)[order]
     filters = band_filters(
-        _chebyshev_coefficients(shapes), band.low, band.high, sampling_rate, error_db - _FILTER_MARGIN_DB, band.weight
-    )
+        _chebyshev_coefficients(shapes), band.low, band.high, held.sampling_rate, error_db - _FILTER_MARGIN_DB,
+        band.weight, round(band.late * held.sampling_rate),
+    )  # fmt: skip
+    reached = held.within(error_db, filters)
     nodes = found.nodes
+    if band.late != 0.0:  # the delay that was taken out of responses is put back
+        shapes = shapes * band.turn
+        projection = np.asarray(np.linalg.pinv(_in_parts(shapes[:, nodes], found.parts).T))
     weight = band.weight[nodes] / math.sqrt(float(np.mean(band.weight[nodes] ** 2)))
     functions = _in_parts(shapes[:, nodes] * weight, found.parts)
-    return Basis(band.frequencies[nodes], projection, functions, weight, filters, sizes, error_db, reached)
+    asked_db = max(error_db, reached)  # what is told already needs no other warning
+    return Basis(band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, asked_db, reached)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -356,7 +393,8 @@ def _sampled(
         p, t = np.unravel_index(chosen, level.shape)
         for at in np.unique(t):
             one, rows = slice(at, at + 1), p[t == at]
-            picked.append(responses.along(group.part(rows), found.part(rows, one), times[one])[:, 0] / loudest)
+            along = responses.along(group.part(rows), found.part(rows, one), times[one])[:, 0] / loudest
+            picked.append(along * np.conj(band.turn) if band.late != 0.0 else along)
     return np.concatenate(picked) if picked else np.ones((1, len(band.frequencies)))
 
 

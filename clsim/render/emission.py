@@ -250,12 +250,11 @@ def basis_of(
     floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
     low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
     low = min(max(low, least, frequencies[1]), 0.999 * high)
+    band = partial(band_of, low, high, frequencies, energy)
     if not isinstance(error_db, str):
-        floor_db = min(floor_db, error_db)
-        band = partial(band_of, low, high, frequencies, energy)
-        return scene_basis(tracks, index, band, until, rate, floor_db)
+        return scene_basis(tracks, index, band, until, rate, min(floor_db, error_db))
     if is_complex(tracks.scene):
-        return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
+        return turning_basis(index, signal.centre_frequency, band(), rate, floor_db)
     return flat_basis(signal.centre_frequency)
 
 
