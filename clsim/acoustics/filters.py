@@ -118,7 +118,7 @@ def _polynomials(coefficients: Floats | Complexes, x: Floats) -> Floats | Comple
     size = np.abs(coefficients).max(axis=0)
     kept = int(np.flatnonzero(size >= _NOTHING * size.max())[-1]) + 1
     terms = np.cos(np.outer(np.arange(kept), np.arccos(x)))
-    values = coefficients[:, :kept].real @ terms
+    values: Floats = coefficients[:, :kept].real @ terms
     return values + 1j * (coefficients[:, :kept].imag @ terms) if np.iscomplexobj(coefficients) else values
 
 

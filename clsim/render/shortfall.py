@@ -73,8 +73,8 @@ class Held:
                 f"{reached:.0f} dB is the best; {remedy}, or ask for less",
             )
         warnings.warn(
-            f"source {self.source}: air, walls and beams are held within {reached:.0f} dB {where}, not the {asked_db:g} dB "
-            f"asked for: {cause}; {remedy}, or ask for response_error_db={math.ceil(reached)}",
+            f"source {self.source}: air, walls and beams are held within {reached:.0f} dB {where}, not the "
+            f"{asked_db:g} dB asked for: {cause}; {remedy}, or ask for response_error_db={math.ceil(reached)}",
             ClsimWarning,
             stacklevel=2,
         )
@@ -96,10 +96,11 @@ class Held:
             return f"walls and beams ask for more than {self.functions} functions of frequency", smooth
         if filters.worst <= _NEAR_ZERO * self.sampling_rate / LONGEST:
             return (
-                f"walls or beams have a phase at {filters.worst:.0f} Hz, so near to 0 Hz that no filter of up to {LONGEST} "
-                "taps has it, and the signal sounds there, as one does that begins or ends abruptly"
+                f"walls or beams have a phase at {filters.worst:.0f} Hz, so near to 0 Hz that no filter of up to "
+                f"{LONGEST} taps has it, and the signal sounds there, as one does that begins or ends abruptly"
             ), "fade the signal or narrow its band"
         longest = 1e3 * LONGEST / self.sampling_rate
         return (
-            f"no filter of up to {LONGEST} taps ({longest:.2g} ms) does what walls and beams do at {filters.worst:.0f} Hz"
+            f"no filter of up to {LONGEST} taps ({longest:.2g} ms) does what walls and beams do at "
+            f"{filters.worst:.0f} Hz"
         ), smooth
