@@ -147,7 +147,7 @@ def flat_basis(frequency: float) -> Basis:
 def turning_basis(source: int, frequency: float, band: Band, sampling_rate: float, error_db: float) -> Basis:
     """Return the basis that takes every complex response at one frequency, over a band."""
     filters = band_filters(np.array([[1.0], [1.0j]]), band.low, band.high, sampling_rate, error_db, band.weight)
-    Held(source, band.low, band.high, sampling_rate).within(max(error_db, _TURNED_DB), filters)
+    Held(source, band.low, band.high, sampling_rate, at_centre=True).within(max(error_db, _TURNED_DB), filters)
     return Basis(
         np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters.taps, np.ones(2), -math.inf, -math.inf
     )  # fmt: skip
