@@ -32,9 +32,10 @@ _QUIETEST = 0.01  # weight of frequencies at which a signal has next to nothing
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 _SEED = 20_160_914
-_DELAYS = 2048  # frequencies, evenly spaced, that tell how late responses are
+_LATEST = 0.012  # s between the earliest and the latest of responses that can be told
+_MOST_DELAYS = 512  # samples of them
 _LATE_ROWS = 64  # responses that tell it
-_LATE_SHARE = 1e-6  # of their energy may lie earlier than the time of which the middle is taken, and later
+_LATE_SHARE = 1e-4  # of their energy may lie earlier than the time of which the middle is taken, and later
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
 _LEAST_LATE = 32  # samples; less is not worth being taken out
 
@@ -235,17 +236,19 @@ def _common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sa
     """
     if not is_complex(tracks.scene):
         return 0.0
-    even = np.linspace(band.low, band.high, _DELAYS)
-    weight = np.interp(even, band.frequencies[::-1], band.weight[::-1]) * np.hanning(_DELAYS)
+    width = band.high - band.low
+    count = int(np.clip(math.ceil(_LATEST * width), 64, _MOST_DELAYS))
+    even = np.linspace(band.low, band.high, count)
+    weight = np.interp(even, band.frequencies[::-1], band.weight[::-1]) * np.hanning(count)
     spread = Band(band.low, band.high, even, weight)
     rows = _sampled(tracks, source, spread, until, _LATE_ROWS, np.random.default_rng(_SEED))
     energy = np.sum(np.abs(np.fft.ifft(rows * weight, axis=1)) ** 2, axis=0)
-    # The transform goes round: time begins opposite to where most of the energy is.
-    centre = np.angle(energy @ np.exp(2j * math.pi * np.arange(_DELAYS) / _DELAYS)) / (2.0 * math.pi) * _DELAYS
-    begin = round(float(centre)) - _DELAYS // 2
+    # The transform goes round: time begins opposite to where most of the energy is, which is late rather than early.
+    turns = np.angle(energy @ np.exp(2j * math.pi * np.arange(count) / count)) / (2.0 * math.pi)
+    begin = round((turns + (turns < -0.25) - 0.5) * count)
     below = np.cumsum(np.roll(energy, -begin)) / max(float(energy.sum()), 1e-300)
     middle = begin + 0.5 * float(np.searchsorted(below, [_LATE_SHARE, 1.0 - _LATE_SHARE]).sum())
-    samples = round(middle * sampling_rate * (_DELAYS - 1) / _DELAYS / (band.high - band.low))
+    samples = round(middle * sampling_rate * (count - 1) / count / width)
     return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
 
 

@@ -136,8 +136,8 @@ class Emission:
             return f"air, walls and beams hardly change over the signal's band ({basis.error_db:.1f} dB)"
         rows, most = int(self.rows[-1]), len(self.bank.taps)
         return (
-            f"{len(basis)} functions of frequency carry air, walls and beams within {basis.error_db:.1f} dB "
-            f"({rows} branch signals, {rows / most:.1f} times the work of one function)"
+            f"{len(basis)} functions of frequency, taken at {len(basis.nodes)} frequencies, carry air, walls and beams "
+            f"within {basis.error_db:.1f} dB ({rows} branch signals, {rows / most:.1f} times the work of one function)"
         )
 
 
