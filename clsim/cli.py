@@ -83,6 +83,10 @@ def _parser() -> argparse.ArgumentParser:
         "--band", type=float, nargs=2, metavar=("LOW", "HIGH"),
         help="where they are exact, Hz (default: 0 to 0.95 of half the sampling rate)",
     )  # fmt: skip
+    rir.add_argument(
+        "--lead", choices=("cut", "keep"), default="cut",
+        help="what rings before time 0: cut, so that sample 0 is time 0 (default), or kept",
+    )  # fmt: skip
 
     view = _command(commands, "view", "write an interactive page: room, motion, and the paths over time")
     view.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the scene file)")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, as_number, read_only
-from clsim.errors import InputError
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
+from clsim.errors import ClsimWarning, InputError
+from clsim.paths.arrivals import arrivals
 from clsim.paths.impulse_response import ResponseBand, frozen_response
 from clsim.paths.known import check_known
 from clsim.paths.path_set import PathSet
@@ -21,11 +23,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.paths.arrivals import PathGroup
+    from clsim.paths.impulse_response import ImpulseResponse
 
+LEADS = ("cut", "keep")
 _WIDEST = 0.95  # of half the sampling rate
 _NARROWEST = 1e-3  # of the sampling rate
 _LOWEST = 2e-4  # of the sampling rate, other than 0
 _MOST_BYTES = 2**33
+_LOUD_LEAD_DB = -60.0  # of a response's energy before time 0, from which on its cutting is a warning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,13 +44,17 @@ class ImpulseResponses:
     sampling_rate : float
         Hz.
     lead : int
-        Samples before that of time 0; 0 unless a receiver is so close that an arrival rings before time 0.
+        Samples before that of time 0, which is that of the emission: 0 unless ``lead="keep"`` was asked for.
     at : float
         Time of reception at which everything was frozen, s.
     band : (low, high)
         Where responses are exact, Hz.
     scene : Scene
         The scene.
+    first_arrivals : ndarray (sources, receivers)
+        Delay of the earliest path, s; nan where none is heard.
+    cut_db : ndarray (sources, receivers)
+        Share of each response's energy that lay before time 0 and was cut, dB; -inf for none.
     """
 
     samples: Floats
@@ -54,6 +63,8 @@ class ImpulseResponses:
     at: float
     band: tuple[float, float]
     scene: Scene
+    first_arrivals: Floats
+    cut_db: Floats
 
     @property
     def times(self) -> Floats:
@@ -70,6 +81,21 @@ class ImpulseResponses:
         """Names along the second axis."""
         return tuple(receiver.name for receiver in self.scene.receivers)
 
+    def describe(self) -> list[str]:
+        """Return what the axis of time is, a line each."""
+        rows = self.source_names, self.receiver_names
+        time_0 = f"sample {self.lead} is time 0, that of the emission"
+        s, r = np.unravel_index(np.nanargmin(self.first_arrivals), self.first_arrivals.shape)
+        first = self.lead + self.first_arrivals[s, r] * self.sampling_rate
+        lines = [f"{time_0}; the first arrival, {rows[0][s]} at {rows[1][r]}, is at sample {first:.1f}"]
+        s, r = np.unravel_index(np.argmax(self.cut_db), self.cut_db.shape)
+        if self.cut_db[s, r] > -math.inf:
+            lines.append(
+                f"what rings before time 0 is cut: at most {self.cut_db[s, r]:.0f} dB of a response's energy, that of "
+                f"{rows[0][s]} at {rows[1][r]}"
+            )
+        return lines
+
 
 def impulse_responses(
     scene: Scene,
@@ -78,6 +104,7 @@ def impulse_responses(
     at: float = 0.0,
     band: tuple[float, float] | None = None,
     *,
+    lead: str = "cut",
     progress: Callable[[float], None] | None = None,
 ) -> ImpulseResponses:
     """Return the impulse response of every source and receiver at an instant.
@@ -95,6 +122,9 @@ def impulse_responses(
     band : (low, high), optional
         Where the responses are exact, Hz; from 0 to 0.95 of half the sampling rate when left out. Beyond either end
         they fall to nothing within half the band's width, or the room that there is; a band from 0 Hz has no lower end.
+    lead : {"cut", "keep"}
+        What becomes of what rings before time 0, where a receiver is so close that an arrival does: it is cut, so that
+        sample 0 is time 0, or kept, and sample `ImpulseResponses.lead` is time 0.
     progress : callable, optional
         Called now and then with the share of the work that is done, 0 to 1.
 
@@ -102,6 +132,11 @@ def impulse_responses(
     -------
     ImpulseResponses
         Float64, all of one length.
+
+    Warns
+    -----
+    ClsimWarning
+        If more than -60 dB of a response's energy is cut.
 
     Raises
     ------
@@ -137,16 +172,35 @@ def impulse_responses(
     check_known(
         scene, range(len(scene.sources)), max(kept.low, kept.high * 1e-3), kept.high, "the band of the responses"
     )
+    as_choice("lead", lead, LEADS)
     groups = _heard_groups(paths, time)
     if not groups:
         raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
-    found = []
+    found, pairs = [], (len(scene.sources), len(scene.receivers))
+    first_arrivals, cut_db = np.full(pairs, math.nan), np.full(pairs, -math.inf)
     for i, group in enumerate(groups):
-        found.append(frozen_response(scene, group, time, rate, kept))
+        response = frozen_response(scene, group, time, rate, kept)
+        pair = group.source, group.receiver
+        first_arrivals[pair] = arrivals(scene, group, np.array([time]), "quasi-static").delay.min()
+        if lead == "cut":
+            response, cut_db[pair] = response.causal()
+        found.append(response)
         if progress is not None:
             progress((i + 1) / len(groups))
+    samples, before = _on_one_axis(pairs, groups, found)
+    made = ImpulseResponses(
+        read_only(samples), rate, before, time, (kept.low, kept.high), scene, read_only(first_arrivals),
+        read_only(cut_db),
+    )  # fmt: skip
+    if cut_db.max() > _LOUD_LEAD_DB:
+        warnings.warn(f'lead="cut": {made.describe()[1]}; lead="keep" keeps it', ClsimWarning, stacklevel=2)
+    return made
+
+
+def _on_one_axis(pairs: tuple[int, int], groups: list[PathGroup], found: list[ImpulseResponse]) -> tuple[Floats, int]:
+    """Return the taps of pairs (sources, receivers, n), and how many of the n come before time 0."""
     lead = max(0, -min(response.first for response in found))
-    shape = (len(scene.sources), len(scene.receivers), lead + max(response.last for response in found) + 1)
+    shape = (*pairs, lead + max(response.last for response in found) + 1)
     if 8 * math.prod(shape) > _MOST_BYTES:
         raise InputError(
             "scene", f"must have responses of at most {_MOST_BYTES >> 30} GiB, but {shape[0]} x {shape[1]} pairs "
@@ -156,7 +210,7 @@ def impulse_responses(
     for group, response in zip(groups, found, strict=True):
         first = lead + response.first
         samples[group.source, group.receiver, first : first + len(response.taps)] = response.taps
-    return ImpulseResponses(read_only(samples), rate, lead, time, (kept.low, kept.high), scene)
+    return samples, lead
 
 
 def as_response_band(sampling_rate: float, band: Any) -> ResponseBand:

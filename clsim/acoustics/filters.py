@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -14,12 +14,30 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 _OUTSIDE_WEIGHT = 1e-4  # of the least squares beyond the band, where the response at its end is wanted
-_LONGEST = 2049
+LONGEST = 2049  # taps
+_SHORTEST = 17
+_NOTHING = 1e-9  # of the largest coefficient
+_FAR = 10.0  # times the allowed error, beyond which lengths are tried in longer steps
 _BETWEEN = 4  # places between neighbouring points at which deviations are looked at
 
 
-class NoFilterError(ValueError):
-    """No filter of a sensible length has the response."""
+@dataclass(frozen=True, slots=True, eq=False)
+class BandFilters:
+    """Filters and what they reach.
+
+    Attributes
+    ----------
+    taps : ndarray (K, L)
+        About the middle one; all of one odd length.
+    error_db : float
+        What their deviations amount to, dB relative to 1.
+    worst : float
+        Where the largest is, by importance, Hz.
+    """
+
+    taps: Floats
+    error_db: float
+    worst: float
 
 
 def band_filters(
@@ -30,8 +48,9 @@ def band_filters(
     importance: Floats,
     error: Callable[[Floats], float],
     allowed: float,
-) -> Floats:
-    """Return filters with given responses over a band.
+    late: int = 0,
+) -> BandFilters:
+    """Return filters with given responses over a band: the shortest tried within an error, or the best.
 
     Parameters
     ----------
@@ -47,69 +66,81 @@ def band_filters(
         Returns the error that deviations (K, m) about these points amount to.
     allowed : float
         Its bound.
+    late : int
+        Samples by which the filters delay in addition.
 
     Returns
     -------
-    ndarray (K, L)
-        Taps about the middle one; all of one odd length, the shortest tried that is within the bound. Symmetric where
-        the response is real, so that nothing is shifted.
-
-    Raises
-    ------
-    NoFilterError
-        If no filter of up to 2049 taps is.
+    BandFilters
+        Of up to 2049 taps, and as many more as make room for the delay. Symmetric where the response is real and there
+        is no delay, so that nothing is shifted.
 
     Notes
     -----
     Weighted least squares over all frequencies, of cosines for the real part and sines for the imaginary one: by
     importance within the band, 1e-4 beyond it, where the values at the ends are continued, so that the filters are
-    small there too.
+    small there too. A real filter has no phase at 0 Hz, so complex responses ask for a transition there, and for a
+    longer filter the nearer to 0 Hz the band begins.
     """
     edges, count = 2.0 * math.pi * np.array([low, high]) / sampling_rate, len(importance)
     points = np.cos(math.pi * (np.arange(count) + 0.5) / count)
     looked_at = np.cos(math.pi * (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count))
-    wanted = np.atleast_2d(chebyshev.chebval(looked_at, coefficients.T))
-    half = 8
-    while 2 * half + 1 <= _LONGEST:
+    at, wanted = 0.5 * (edges.sum() + looked_at * (edges[1] - edges[0])), _polynomials(coefficients, looked_at)
+    half, best, least = _SHORTEST // 2, BandFilters(np.zeros((len(coefficients), 1)), math.inf, low), math.inf
+    while least > allowed and 2 * half + 1 <= LONGEST:
         w = np.union1d(np.linspace(0.0, math.pi, 8 * half + 64), np.linspace(edges[0], edges[1], 4 * half + 64))
         inside = (w >= edges[0]) & (w <= edges[1])
         x = np.clip((2.0 * w - edges.sum()) / max(edges[1] - edges[0], 1e-12), -1.0, 1.0)
-        target = np.atleast_2d(chebyshev.chebval(x, coefficients.T))
         weight = np.where(inside, np.interp(x, points[::-1], importance[::-1]), _OUTSIDE_WEIGHT)
-        even = _fitted(w, weight, target.real, half, odd=False)
-        odd = np.zeros_like(even[:, 1:])
-        if np.iscomplexobj(target):
-            odd = _fitted(w, weight, target.imag, half, odd=True)
-        at = 0.5 * (edges.sum() + looked_at * (edges[1] - edges[0]))
-        left = np.abs(even @ _waves(at, half, odd=False).T + 1j * (odd @ _waves(at, half, odd=True).T) - wanted)
-        if error(left.reshape(len(left), count, _BETWEEN).max(axis=2)) <= allowed:
-            # h[n] + h[-n] = even[n] and h[-n] - h[n] = odd[n]: exp(-jwn) turns sines of positive n to -j.
-            before, after = 0.5 * (even[:, 1:] + odd), 0.5 * (even[:, 1:] - odd)
-            return np.concatenate([before[:, ::-1], even[:, :1], after], axis=1)
-        half = math.ceil(1.3 * half)
-    reached = 20.0 * math.log10(allowed)
-    raise NoFilterError(f"no filter of up to {_LONGEST} taps is within {reached:.0f} dB from {low:g} to {high:g} Hz")
+        even, odd = _fitted(w, weight, _polynomials(coefficients, x), half)
+        made = even @ np.cos(np.outer(at, np.arange(half + 1))).T + 1j * (odd @ _sines(at, half).T)
+        left = np.abs(made - wanted).reshape(len(even), count, _BETWEEN).max(axis=2)
+        reached = error(left)
+        if reached < least:
+            worst = 0.5 * (low + high + points[int(np.argmax((left * importance).max(axis=0)))] * (high - low))
+            best, least = BandFilters(_taps(even, odd), 20.0 * math.log10(max(reached, 1e-15)), worst), reached
+        half = min(math.ceil((1.7 if reached > _FAR * allowed else 1.3) * half), max(LONGEST // 2, half + 1))
+    return replace(best, taps=np.pad(best.taps, ((0, 0), (abs(late) + late, abs(late) - late))))
 
 
-def _waves(w: Floats, half: int, *, odd: bool) -> Floats:
-    """Return sines from 1, or cosines from 0, to `half` times w, (w, n)."""
-    angles = np.outer(w, np.arange(int(odd), half + 1))
-    return np.asarray(np.sin(angles) if odd else np.cos(angles))
+def _polynomials(coefficients: Floats | Complexes, x: Floats) -> Floats | Complexes:
+    """Return the values (K, w) of Chebyshev polynomials, without terms that are next to nothing."""
+    size = np.abs(coefficients).max(axis=0)
+    kept = int(np.flatnonzero(size >= _NOTHING * size.max())[-1]) + 1
+    terms = np.cos(np.outer(np.arange(kept), np.arccos(x)))
+    values: Floats = coefficients[:, :kept].real @ terms
+    return values + 1j * (coefficients[:, :kept].imag @ terms) if np.iscomplexobj(coefficients) else values
 
 
-def _fitted(w: Floats, weight: Floats, target: Floats, half: int, *, odd: bool) -> Floats:
-    """Return coefficients (K, n) of cosines from 0, or sines from 1, to `half` times w."""
-    return _least_squares(w, _waves(w, half, odd=odd), weight**2, target, odd=odd)
+def _fitted(w: Floats, weight: Floats, target: Floats | Complexes, half: int) -> tuple[Floats, Floats]:
+    """Return coefficients of cosines (K, half + 1) and of sines (K, half) that come nearest to targets (K, w)."""
+    # Products of cosines, or of sines, are cosines of differences and sums: one sum for each multiple up to 2 half.
+    cosines = np.cos(np.outer(w, np.arange(2 * half + 1)))
+    sums = weight**2 @ cosines
+    even = _solved(sums, 0, (target.real * weight**2) @ cosines[:, : half + 1])
+    if not np.iscomplexobj(target):
+        return even, np.zeros_like(even[:, 1:])
+    return even, _solved(sums, 1, (target.imag * weight**2) @ _sines(w, half))
 
 
-def _least_squares(w: Floats, waves: Floats, weight: Floats, target: Floats, *, odd: bool) -> Floats:
-    """Return the coefficients (K, n) of waves (w, n), multiples of `w`, that come nearest to targets (K, w)."""
+def _sines(w: Floats, half: int) -> Floats:
+    """Return sines of 1 to `half` times w, (w, half)."""
+    return np.asarray(np.sin(np.outer(w, np.arange(1, half + 1))))
+
+
+def _taps(even: Floats, odd: Floats) -> Floats:
+    """Return the taps (K, 2 half + 1) with such coefficients of cosines and sines."""
+    # h[n] + h[-n] = even[n] and h[-n] - h[n] = odd[n]: exp(-jwn) turns sines of positive n to -j.
+    before, after = 0.5 * (even[:, 1:] + odd), 0.5 * (even[:, 1:] - odd)
+    return np.concatenate([before[:, ::-1], even[:, :1], after], axis=1)
+
+
+def _solved(sums: Floats, first: int, products: Floats) -> Floats:
+    """Return the coefficients (K, n) of cosines from 0, or sines from 1, by their products (K, n) with targets."""
     from scipy.linalg import cho_factor, cho_solve
 
-    m = np.arange(waves.shape[1]) + int(odd)
-    # Products of cosines, or of sines, are cosines of differences and sums: one sum for each multiple up to 2 n.
-    sums = weight @ np.cos(np.outer(w, np.arange(2 * m[-1] + 1)))
-    normal = 0.5 * (sums[np.abs(m[:, None] - m)] + (-1.0 if odd else 1.0) * sums[m[:, None] + m])
+    m = np.arange(products.shape[1]) + first
+    normal = 0.5 * (sums[np.abs(m[:, None] - m)] + (-1.0 if first else 1.0) * sums[m[:, None] + m])
     diagonal = np.arange(len(m))
     normal[diagonal, diagonal] += 1e-14 * np.trace(normal) / len(m)
-    return np.asarray(cho_solve(cho_factor(normal), (target * weight @ waves).T).T)
+    return np.asarray(cho_solve(cho_factor(normal), products.T).T)

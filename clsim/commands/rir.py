@@ -26,7 +26,9 @@ def execute(options: argparse.Namespace) -> int:
         as_response_band(rate, options.band)  # before paths are searched for
         paths = found_paths(file, {})
         with progress("impulse responses", 1.0) as advance:
-            found = impulse_responses(file.scene, paths, rate, options.at, options.band, progress=shares(advance))
+            found = impulse_responses(
+                file.scene, paths, rate, options.at, options.band, lead=options.lead, progress=shares(advance)
+            )
         if kind == "wav":
             made = write_response_sounds(found, options.output)
         else:
@@ -37,8 +39,9 @@ def execute(options: argparse.Namespace) -> int:
     for path in made:
         print(path)
     count = found.samples.shape[2]
-    early = f"; time 0 is sample {found.lead}" if found.lead else ""
-    print(f"{count} samples at {rate:g} Hz, exact from {found.band[0]:g} to {found.band[1]:g} Hz{early}")
+    print(f"{count} samples at {rate:g} Hz, exact from {found.band[0]:g} to {found.band[1]:g} Hz")
+    for line in found.describe():
+        print(line)
     return 0
 
 

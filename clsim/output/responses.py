@@ -90,6 +90,8 @@ def _columns(responses: ImpulseResponses) -> dict[str, Any]:
         "lead": responses.lead,
         "at": at,
         "band": np.array(responses.band),
+        "first_arrivals": responses.first_arrivals,
+        "cut_db": responses.cut_db,
         "source_names": np.array(responses.source_names),
         "receiver_names": np.array(responses.receiver_names),
         "source_positions": _positions(scene.sources, at),

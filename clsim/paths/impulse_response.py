@@ -75,6 +75,16 @@ class ImpulseResponse:
             out[first - start : last - start] = self.taps[first - self.first : last - self.first]
         return out
 
+    def causal(self) -> tuple[ImpulseResponse, float]:
+        """Return the response without the taps before time 0, and these taps' share of its energy, dB."""
+        early = max(-self.first, 0)
+        if early == 0:
+            return self, -math.inf
+        energy = np.square(np.abs(self.taps))
+        cut, whole = float(energy[:early].sum()), float(energy.sum())
+        share_db = 10.0 * math.log10(cut / whole) if cut > 0.0 else -math.inf
+        return ImpulseResponse(0, self.taps[early:] if early < len(self.taps) else np.zeros(1)), share_db
+
 
 def impulse_response(
     delays: Floats,

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.filters import NoFilterError, band_filters
-from clsim.errors import InputError
-from clsim.paths.arrivals import arrivals
-from clsim.paths.responses import Responses
+from clsim.acoustics.filters import band_filters
+from clsim.render.sampled import GRIDS, SEED, Sample, common_delay, sampled_responses
+from clsim.render.shortfall import WORST_DB, Held
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,24 +19,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.render.occupied import ShortTimeSpectra
+    from clsim.render.sampled import Band
     from clsim.render.tracks import SceneTracks
 
 MOST_FUNCTIONS = 40
-_GRIDS = (129, 387)  # frequencies of a band at which responses are looked at: the first number that resolves them
-_TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
-_FRAMES = 48  # of all pairs, about
 _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
-_MOST_GROUPS = 16  # pairs of source and receiver looked at
-_MOST_PATHS = 4096  # of each
+_TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
 _EMPHASES = 5  # times that instants which are held badly are given more weight
 _HOPELESS = 4.0  # times the bound, from which on another weight does not help
-_QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
-_FAINTEST = 1e-4  # energy of what is heard of a window, relative to its centre frequency, that is asked for
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
-_SEED = 20_160_914
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +56,7 @@ class Basis:
         Inverse of the energy that is heard of each short window of the signal, as a mean over the run.
     asked_db, error_db : float
         Asked and reached bound of the error of the sum of all paths at a receiver, in the root mean square over the
-        spectrum of what sounds within some 40 ms, relative to that sum, dB.
+        spectrum of what sounds within some 40 ms, relative to that sum, dB; the reached one for both where it was told.
     """
 
     nodes: Floats
@@ -101,44 +93,6 @@ class Basis:
         return np.asarray(_in_parts(responses, self.parts) @ self.projection.T)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Band:
-    """Where a signal has energy.
-
-    Attributes
-    ----------
-    low, high : float
-        Ends, Hz.
-    frequencies : ndarray (F,)
-        Chebyshev points from high to low, Hz.
-    energy : ndarray (W, F)
-        Of short windows of the signal near them, relative to what sounds about the window.
-    """
-
-    low: float
-    high: float
-    frequencies: Floats
-    energy: Floats
-
-    @property
-    def rest(self) -> Floats:
-        """Energy (W,) of what sounds about each window, but not in it."""
-        return np.asarray(np.maximum(1.0 - self.energy.sum(axis=1), 0.0))
-
-
-def band_of(low: float, high: float, sound: ShortTimeSpectra, count: int = _GRIDS[0]) -> Band:
-    """Return a signal's band from its short-time spectra; `low` and `high` in Hz."""
-    high = max(high, low * (1.0 + 1e-6))
-    grid = chebyshev_points(low, high, count)
-    return Band(low, high, grid, sound.near(grid[::-1], low, high)[:, ::-1])
-
-
-def chebyshev_points(low: float, high: float, count: int) -> Floats:
-    """Return the Chebyshev points of the first kind of an interval, from high to low."""
-    angle = math.pi * (np.arange(count) + 0.5) / count
-    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle))
-
-
 def flat_basis(frequency: float) -> Basis:
     """Return the basis that takes every response at one frequency; for real responses."""
     one = np.ones((1, 1))
@@ -147,12 +101,16 @@ def flat_basis(frequency: float) -> Basis:
     )
 
 
-def turning_basis(frequency: float, low: float, high: float, sampling_rate: float, error_db: float) -> Basis:
-    """Return the basis that takes every complex response at one frequency, from `low` to `high` Hz."""
-    allowed = 10 ** (error_db / 20)
-    filters = band_filters(np.array([[1.0], [1.0j]]), low, high, sampling_rate, np.ones(2), np.max, allowed)
+def turning_basis(source: int, frequency: float, band: Band, sampling_rate: float, error_db: float) -> Basis:
+    """Return the basis that takes every complex response at one frequency, over a band."""
+    sample = Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64))
+    filters = band_filters(
+        np.array([[1.0], [1.0j]]), band.low, band.high, sampling_rate, sample.importance, sample.left,
+        10 ** (error_db / 20),
+    )  # fmt: skip
+    Held(source, band.low, band.high, sampling_rate, at_centre=True).within(max(error_db, _TURNED_DB), filters)
     return Basis(
-        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters, np.ones(2), np.ones(2), np.ones(1),
+        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters.taps, np.ones(2), np.ones(2), np.ones(1),
         -math.inf, -math.inf,
     )  # fmt: skip
 
@@ -185,7 +143,13 @@ def scene_basis(
     Raises
     ------
     InputError
-        If responses change too fast over frequency for 387 points, 40 functions, or filters of 2049 taps.
+        If responses change too fast over frequency for 1161 points, 40 functions, or filters of 2049 taps, and are not
+        even held within -40 dB.
+
+    Warns
+    -----
+    ClsimWarning
+        If they are, but not within the asked error.
 
     Notes
     -----
@@ -194,18 +158,22 @@ def scene_basis(
     weighted by how likely that was, so that sums over samples stand for those over paths. The functions are their
     singular vectors, real and imaginary parts side by side, weighted by what sounds at any moment: the best for the
     sum. Instants held worst are given more weight. They are then checked at other responses, and those of the instants
-    held worst are added until all are within the error.
+    held worst are added until all are within the error. A delay that all responses have about in common is taken out,
+    and given to the filters.
     """
     allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
-    for count in _GRIDS:
-        rng, band, fine = np.random.default_rng(_SEED), band_at(count), band_at(3 * count)
-        sampled = _sampled(tracks, source, fine, until, _ROWS, rng)
-        if _unresolved(sampled) <= allowed:
+    late = common_delay(tracks, source, band_at(GRIDS[0]), until, sampling_rate)
+    for count in GRIDS:
+        rng, band, fine = np.random.default_rng(SEED), *(replace(band_at(n), late=late) for n in (count, 3 * count))
+        sampled = sampled_responses(tracks, source, fine, until, _ROWS, rng)
+        unresolved = _unresolved(sampled)
+        if unresolved <= allowed:
             break
-    else:
-        raise _refused(source, error_db, band, f"{count} frequencies do not resolve what walls and beams do")
-    held_out = _sampled(tracks, source, band, until, _HELD_OUT, rng)
-    sampled = _Sample(band, sampled.responses[:, 1::3], sampled.first)
+    held = Held(source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
+    if held.resolved_db > WORST_DB:
+        held.within(error_db)
+    held_out = sampled_responses(tracks, source, band, until, _HELD_OUT, rng)
+    sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
     count, rows = 1, _Rows.of(sampled)
     for attempt in itertools.count(1):
         found = _Functions.of(rows, count, allowed)
@@ -213,31 +181,20 @@ def scene_basis(
             count += 1
             found = _Functions.of(rows, count, allowed)
         wrong = found.wrong(held_out)
-        if wrong.max() <= allowed:
+        if wrong.max() <= allowed or count == MOST_FUNCTIONS:
             break
-        if count == MOST_FUNCTIONS:
-            reached = 20.0 * math.log10(float(wrong.max()))
-            why = f"{count} functions of frequency hold responses within {reached:.0f} dB"
-            raise _refused(source, error_db, band, why)
         # What is held worst joins the rows; if that does not do, one more function is needed.
         rows = _Rows.of(rows.sample.with_frames(held_out, np.argsort(-wrong)[:3]))
         count += int(attempt % 2 == 0)
-    try:
-        return _designed(found, rows.sample, sampling_rate, error_db, float(wrong.max()))
-    except NoFilterError as error:
-        raise _refused(source, error_db, band, str(error)) from error
+    held = replace(held, functions=count, functions_db=_in_db(float(wrong.max())))
+    return _designed(found, rows.sample, error_db, held)
 
 
-def _refused(source: int, error_db: float, band: Band, why: str) -> InputError:
-    return InputError(
-        "response_error_db",
-        f"must be reached from {band.low:.0f} to {band.high:.0f} Hz, but for source {source} {error_db:g} dB is not: "
-        f"{why}; ask for less, narrow the signal's band, or smooth what walls and beams do over frequency (shorter "
-        "impulse responses)",
-    )
+def _in_db(ratio: float) -> float:
+    return 20.0 * math.log10(max(ratio, 1e-15))
 
 
-def _unresolved(sample: _Sample) -> float:
+def _unresolved(sample: Sample) -> float:
     """Return the largest error of responses at 3 F frequencies as made of every third, Chebyshev points as well."""
     from scipy.fft import idct
 
@@ -248,111 +205,57 @@ def _unresolved(sample: _Sample) -> float:
     return float(sample.relative(made - responses).max())
 
 
-def _designed(found: _Functions, sample: _Sample, sampling_rate: float, error_db: float, wrong: float) -> Basis:
+def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) -> Basis:
     """Return functions as filters, scaled so that at no instant the gains of all paths add up to more than 1."""
-    band, reached = sample.band, 20.0 * math.log10(max(wrong, 1e-15))
+    band, loudness = sample.band, sample.loudness()
     flat = np.ptp(found.shapes.real) <= 10 ** (error_db / 20) * np.abs(found.shapes).max()
     if found.parts == len(found.shapes) == 1 and flat:
         loudest = band.frequencies[int(np.argmax(band.energy.max(axis=0)))]
-        one = np.ones((1, 1))
+        one, reached = np.ones((1, 1)), held.functions_db
         return Basis(
-            np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), sample.loudness(), error_db, reached
+            np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), loudness, error_db, reached
         )
     together = sample.by_frame(found.gains(sample.responses))
     scale = np.sqrt(together.max(axis=0))[:, None]
-    shapes = found.shapes * scale
-    sizes = sample.sizes(shapes, together / scale[:, 0] ** 2)
+    sizes = sample.sizes(found.shapes * scale, together / scale[:, 0] ** 2)
     order = np.argsort(-sizes, kind="stable")  # weak ones need fewer branches
-    shapes, sizes, projection = shapes[order], sizes[order], (found.projection / scale)[order]
-    importance = sample.importance
+    shapes, sizes, nodes, importance = (found.shapes * scale)[order], sizes[order], found.nodes, sample.importance
     filters = band_filters(
-        _chebyshev_coefficients(shapes), band.low, band.high, sampling_rate, importance,
-        lambda left: float(np.linalg.norm(sample.sizes(left, np.ones((len(sample.first), len(left)))))),
-        10 ** ((error_db - _FILTER_MARGIN_DB) / 20),
+        _chebyshev_coefficients(shapes), band.low, band.high, held.sampling_rate, importance, sample.left,
+        10 ** ((error_db - _FILTER_MARGIN_DB) / 20), round(band.late * held.sampling_rate),
     )  # fmt: skip
-    nodes = found.nodes
+    reached = held.within(error_db, filters)
+    if band.late != 0.0:  # the delay that was taken out of responses is put back
+        shapes = shapes * band.turn
+    projection = _projection(shapes, nodes, importance)
     weight = importance[nodes] / math.sqrt(float(np.mean(importance[nodes] ** 2)))
     functions = _in_parts(shapes[:, nodes] * weight, found.parts)
     strengths = np.sqrt(np.sum(functions**2, axis=1) / len(nodes))
+    asked_db = max(error_db, reached)  # what is told already needs no other warning
     return Basis(
-        band.frequencies[nodes],
-        projection,
-        functions,
-        weight,
-        filters,
-        sizes,
-        strengths,
-        sample.loudness(),
-        error_db,
+        band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, strengths, loudness, asked_db,
         reached,
-    )
+    )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sample:
-    """Responses (n, F) of paths at instants, relative to what is heard then, weighted by how many each stands for.
-
-    A frame is an instant at one receiver; `first` is where the responses of each begin. The sum of squares over the
-    rows of a frame is that over all of its paths.
-    """
-
-    band: Band
-    responses: Floats | Complexes
-    first: NDArray[np.int64]
-
-    def by_frame(self, values: Floats | Complexes) -> Floats:
-        """Return the sums of the squares of values (n, m) over each frame's rows."""
-        return np.asarray(np.add.reduceat(values.real**2 + values.imag**2, self.first, axis=0))
-
-    def heard(self) -> Floats:
-        """Return the energy (frames, W) of what is heard of each window, and of what sounds about it."""
-        return np.asarray(self.by_frame(self.responses) @ self.band.energy.T + self.band.rest)
-
-    def loudness(self) -> Floats:
-        """Return the inverse (W,) of the energy that is heard of each window, as a mean over the frames."""
-        return np.asarray(np.mean(1.0 / np.maximum(self.heard(), _FAINTEST), axis=0))
-
-    def relative(self, left: Floats | Complexes) -> Floats:
-        """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
-        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.heard()).max(axis=1)))
-
-    def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
-        """Return the most of what is heard that is carried by each function (K, F), of squared gains (frames, K)."""
-        shares = np.abs(shapes) ** 2 @ self.band.energy.T  # (K, W)
-        heard = self.heard()
-        return np.sqrt([(np.outer(g, share) / heard).max() for g, share in zip(together.T, shares, strict=True)])
-
-    @property
-    def importance(self) -> Floats:
-        """Weight (F,) of errors at each frequency: what sounds there in any window, relative to what is heard of it."""
-        energy, count = self.band.energy, len(self.band.frequencies)
-        weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
-        return np.asarray(np.maximum(weight, _QUIETEST))
-
-    def with_frames(self, other: _Sample, which: NDArray[np.int64]) -> _Sample:
-        """Return the sample with some frames of another one."""
-        rows, first, ends = [self.responses], [self.first], [*other.first[1:].tolist(), len(other.responses)]
-        count = len(self.responses)
-        for frame in which.tolist():
-            part = other.responses[other.first[frame] : ends[frame]]
-            rows.append(part)
-            first.append(np.array([count]))
-            count += len(part)
-        together: Any = np.concatenate(rows)
-        return _Sample(self.band, together, np.concatenate(first))
+def _projection(shapes: Floats | Complexes, nodes: NDArray[np.int64], weight: Floats) -> Floats:
+    """Return what leads from responses at nodes to gains (K, parts M), by weighted least squares."""
+    parts = 1 + int(np.iscomplexobj(shapes))
+    weighted = _in_parts(shapes[:, nodes] * weight[nodes], parts).T
+    return np.asarray(np.linalg.pinv(weighted) * np.tile(weight[nodes], parts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
     """A sample, and its weighted responses as places (n, r) along axes (r, parts F) that hold them all."""
 
-    sample: _Sample
+    sample: Sample
     weight: Floats
     places: Floats
     axes: Floats
 
     @staticmethod
-    def of(sample: _Sample) -> _Rows:
+    def of(sample: Sample) -> _Rows:
         """Return rows of responses; axes along which there is nothing but rounding are left out."""
         weight = sample.importance
         weighted = _in_parts(sample.responses * weight, 1 + int(np.iscomplexobj(sample.responses)))
@@ -390,9 +293,7 @@ class _Functions:
             shapes: Floats | Complexes = found[:, :frequencies] / weight
             if rows.parts == 2:
                 shapes = shapes + 1j * (found[:, frequencies:] / weight)
-            weighted = _in_parts(shapes[:, nodes] * weight[nodes], rows.parts).T
-            projection: Floats = np.asarray(np.linalg.pinv(weighted) * np.tile(weight[nodes], rows.parts))
-            functions = _Functions(shapes, nodes, projection)
+            functions = _Functions(shapes, nodes, _projection(shapes, nodes, weight))
             wrong = functions.wrong(rows.sample)
             if not allowed < wrong.max() < _HOPELESS * allowed:
                 break
@@ -407,7 +308,7 @@ class _Functions:
         """Return the gains (n, K) of responses (n, F)."""
         return np.asarray(_in_parts(rows[:, self.nodes], self.parts) @ self.projection.T)
 
-    def wrong(self, sample: _Sample) -> Floats:
+    def wrong(self, sample: Sample) -> Floats:
         """Return the largest error over all windows of each frame of a sample, (frames,)."""
         return sample.relative(self.gains(sample.responses) @ self.shapes - sample.responses)
 
@@ -420,52 +321,6 @@ def _spread(count: int, among: int) -> NDArray[np.int64]:
 def _in_parts(values: Floats | Complexes, parts: int) -> Floats:
     """Return real parts (..., M), followed by the imaginary ones for two parts."""
     return np.asarray(values.real if parts == 1 else np.concatenate([values.real, values.imag], axis=-1))
-
-
-def _sampled(
-    tracks: SceneTracks, source: int, band: Band, until: float, count: int, rng: np.random.Generator
-) -> _Sample:
-    """Return about `count` responses of a source's paths, at instants of the run."""
-    responses = Responses(tracks.scene, band.frequencies)
-    groups = [i for i, g in enumerate(tracks.groups) if g.source == source]
-    if len(groups) > _MOST_GROUPS:
-        groups = sorted(rng.choice(groups, _MOST_GROUPS, replace=False).tolist())
-    instants = max(3, min(_TIMES, _FRAMES // max(len(groups), 1)))
-    picked: list[Any] = []
-    for i in groups:
-        group, start, end = tracks.path_groups[i], tracks.groups[i].start, tracks.groups[i].end
-        if len(start) > _MOST_PATHS:
-            some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
-            group, start, end = group.part(some), start[some], end[some]
-        times = np.sort(rng.uniform(0.0, until, instants))
-        times[[0, -1]] = 0.0, until
-        found = arrivals(tracks.scene, group, times, tracks.motion, tracks.amplitude)
-        heard = (times >= start[:, None]) & (times < end[:, None])
-        level = np.where(heard, np.abs(found.gain), 0.0)
-        for t in np.flatnonzero(level.any(axis=0)).tolist():
-            rows, standing_for = _picked(level[:, t], -(-count // (len(groups) * instants)), rng)
-            one = slice(t, t + 1)
-            along = responses.along(group.part(rows), found.part(rows, one), times[one])[:, 0]
-            picked.append(along * (np.sqrt(standing_for) / np.linalg.norm(level[:, t]))[:, None])
-    if not picked:
-        picked = [np.ones((1, len(band.frequencies)))]
-    return _Sample(band, np.concatenate(picked), np.cumsum([0, *(len(rows) for rows in picked[:-1])]))
-
-
-def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Floats]:
-    """Return about `count` paths, likelier the louder (P,) they are, and how many paths each stands for."""
-    sounding = np.flatnonzero(level)
-    if len(sounding) <= count:
-        return sounding, np.ones(len(sounding))
-    loud = level[sounding]
-    chance = np.minimum(count * loud / loud.sum(), 1.0)
-    for _ in range(8):
-        sure = chance >= 1.0
-        left = max(count - int(sure.sum()), 1)
-        chance = np.where(sure, 1.0, np.minimum(left * loud / max(float(loud[~sure].sum()), 1e-300), 1.0))
-    at = np.searchsorted(np.cumsum(chance), rng.random() + np.arange(math.floor(chance.sum())))
-    at = np.unique(at[at < len(sounding)])
-    return sounding[at], 1.0 / chance[at]
 
 
 def _chebyshev_coefficients(values: Floats | Complexes) -> Floats | Complexes:

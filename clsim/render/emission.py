@@ -14,9 +14,10 @@ from clsim.arrays import as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.known import check_known
 from clsim.paths.responses import is_complex
-from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
+from clsim.render.basis import Basis, flat_basis, scene_basis, turning_basis
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.render.occupied import CELLS, ShortTimeSpectra, share_above, shares
+from clsim.render.sampled import band_of
 from clsim.render.tracks import SceneTracks, Tracks
 
 if TYPE_CHECKING:
@@ -173,8 +174,8 @@ class Emission:
             return f"air, walls and beams hardly change over the signal's band ({basis.error_db:.1f} dB)"
         rows, most = int(self.rows[-1]), len(self.bank.taps)
         return (
-            f"{len(basis)} functions of frequency carry air, walls and beams within {basis.error_db:.1f} dB "
-            f"({rows} branch signals, {rows / most:.1f} times the work of one function)"
+            f"{len(basis)} functions of frequency, taken at {len(basis.nodes)} frequencies, carry air, walls and beams "
+            f"within {basis.error_db:.1f} dB ({rows} branch signals, {rows / most:.1f} times the work of one function)"
         )
 
 
@@ -361,11 +362,11 @@ def basis_of(
     floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
     low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
     low = min(max(low, least, float(sound.frequencies[1])), 0.999 * high)
+    band = partial(band_of, low, high, sound)
     if not isinstance(error_db, str):
-        floor_db = min(floor_db, error_db)
-        return scene_basis(tracks, index, partial(band_of, low, high, sound), until, rate, floor_db)
+        return scene_basis(tracks, index, band, until, rate, min(floor_db, error_db))
     if is_complex(tracks.scene):
-        return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
+        return turning_basis(index, signal.centre_frequency, band(), rate, floor_db)
     return flat_basis(signal.centre_frequency)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.arrays import as_choice
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
 
+_ANGLE_UNITS = ("degree", "radian")
+_DECIMALS = 4  # of degrees that were radians: rounding of single precision is less
 _SEPARATORS = ("\t", ";", ",")  # a comma may be part of a number where one of the others separates
 
 
@@ -65,7 +68,7 @@ def read_csv_table(field: str, path: str | PathLike[str]) -> tuple[Floats, Float
     return table[:, 0], np.array(rows[0]), table[:, 1:]
 
 
-def read_npz_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tuple[Any, Any, Any]:
+def read_npz_arrays(path: str | PathLike[str], names: tuple[str, str, str]) -> tuple[Any, Any, Any]:
     """Return three arrays of a NumPy file.
 
     Raises
@@ -87,8 +90,10 @@ def read_npz_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tu
         raise InputError("path", f"must be a .npz file of numbers, but is not: {path}") from error
 
 
-def read_mat_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tuple[Any, Any, Any]:
-    """Return three variables of a MATLAB file, vectors as (n,).
+def read_mat_arrays(
+    path: str | PathLike[str], names: tuple[str, str, str], variable: str | None
+) -> tuple[Any, Any, Any]:
+    """Return three variables of a MATLAB file, or three fields of a struct.
 
     Raises
     ------
@@ -100,7 +105,8 @@ def read_mat_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tu
     if not Path(path).is_file():
         raise InputError("path", f"cannot be read: {path}: no such file")
     try:
-        angles, frequencies, values = _picked(loadmat(path, appendmat=False), names, path)
+        found = loadmat(path, appendmat=False)
+        return _picked(found if variable is None else _fields(found, variable, path), names, path)
     except NotImplementedError as error:
         raise InputError("path", f"must be a MATLAB file up to version 7.2; save it with -v7: {path}") from error
     except OSError as error:
@@ -109,13 +115,52 @@ def read_mat_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tu
         raise
     except Exception as error:  # whatever a parser meets in a broken file
         raise InputError("path", f"must be a MATLAB file, but is not: {path}") from error
-    return np.ravel(angles), np.ravel(frequencies), values
+
+
+def as_table(arrays: tuple[Any, Any, Any], angle_unit: str) -> tuple[Any, Any, Any]:
+    """Return angles (a,) in degrees, frequencies (f,) and values (a, f) of vectors of any shape and values of either.
+
+    Raises
+    ------
+    InputError
+        If the unit is none.
+    """
+    as_choice("angle_unit", angle_unit, _ANGLE_UNITS)
+    angles, frequencies, values = np.ravel(arrays[0]), np.ravel(arrays[1]), arrays[2]
+    if angle_unit == "radian" and np.issubdtype(angles.dtype, np.number):
+        angles = np.round(np.degrees(angles.astype(np.float64)), _DECIMALS)
+    if values.shape == (len(frequencies), len(angles)) != (len(angles), len(frequencies)):
+        values = values.T
+    return angles, frequencies, values
+
+
+def _fields(file: Mapping[str, Any], variable: str, path: str | PathLike[str]) -> dict[str, Any]:
+    """Return the fields of a struct."""
+    there = _names(file)
+    if variable not in there:
+        raise InputError("variable", _must_be_one_of(there, variable, path))
+    struct = np.asarray(file[variable])
+    if struct.dtype.names is None:
+        raise InputError("variable", f"must be a struct, but {variable!r} is an array; leave it out: {path}")
+    if struct.size != 1:
+        raise InputError("variable", f"must be one struct, but {variable!r} is {struct.size} of them: {path}")
+    return {name: struct.ravel()[0][name] for name in struct.dtype.names}
+
+
+def _names(file: Mapping[str, Any]) -> list[str]:
+    return sorted(name for name in file if not name.startswith("__"))
+
+
+def _must_be_one_of(there: list[str], name: str, path: str | PathLike[str]) -> str:
+    return f"must be one of {', '.join(map(repr, there))[:200]}, but is {name!r:.80}: {path}"
 
 
 def _picked(file: Mapping[str, Any], names: tuple[str, str, str], path: str | PathLike[str]) -> tuple[Any, Any, Any]:
-    there = sorted(name for name in file if not name.startswith("__"))
-    for what, name in zip(("angles", "frequencies", "values"), names, strict=True):
+    there = _names(file)
+    for what, name in zip(("angle", "frequency", "values"), names, strict=True):
         if name not in there:
-            raise InputError(what, f"must be one of {', '.join(map(repr, there))[:200]}, but is {name!r:.80}: {path}")
+            structs = [n for n in there if getattr(file[n], "dtype", np.dtype(float)).names]
+            hint = f'; {structs[0]!r} is a struct: give variable="{structs[0]}"' if structs else ""
+            raise InputError(what, _must_be_one_of(there, name, path) + hint)
     angles, frequencies, values = (np.asarray(file[name]) for name in names)
     return angles, frequencies, values

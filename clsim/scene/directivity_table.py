@@ -12,7 +12,9 @@ import numpy as np
 from clsim.acoustics.acoustic_centre import fit_delay
 from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
-from clsim.scene.directivity_files import read_csv_table, read_mat_table, read_npz_table
+from clsim.scene.directivity_angles import SAME_ANGLE as _SAME_ANGLE
+from clsim.scene.directivity_angles import overhangs, within_half_turn
+from clsim.scene.directivity_files import as_table, read_csv_table, read_mat_arrays, read_npz_arrays
 from clsim.scene.gain_tables import (
     as_frequencies,
     as_gains,
@@ -31,7 +33,6 @@ if TYPE_CHECKING:
 
 _REAR = ("hold", "mirror", "zero")
 _SIDES = ("positive", "negative", "mean")
-_SAME_ANGLE = 1e-6  # degrees
 _SAME_SIDES = 1e-3  # of the largest value, or of a neper: sides that differ by less are the same
 _FALL = math.radians(10.0)  # over which rear="zero" falls to nothing
 
@@ -43,7 +44,8 @@ class DirectivityTable:
     Parameters
     ----------
     angles_degrees : array_like (a,)
-        From the axis, increasing: 0 to 180, or less with `rear`; or with negative angles too, see `side`.
+        From the axis, increasing: 0 to 180, or less with `rear`; or with negative angles too, see `side`. What goes up
+        to 15° beyond 0 and 180 is left out, with a warning.
     frequencies : array_like (f,)
         Increasing, Hz. One is enough.
     values : array_like (a, f)
@@ -113,15 +115,17 @@ class DirectivityTable:
                 "angles_degrees",
                 f"must increase strictly, but [{i + 1}] = {angles[i + 1]:g}° follows [{i}] = {angles[i]:g}°",
             )
-        if angles[0] < -180.0 - _SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE:
+        overhanging = overhangs(angles)
+        if not overhanging and (angles[0] < -180.0 - _SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE):
             raise InputError(
                 "angles_degrees", f"must lie from -180° to 180°, but go from {angles[0]:g}° to {angles[-1]:g}°"
             )
         values = as_gains(self.values, (len(angles), len(frequencies)), "angles by frequencies")
         if self.scale == "db" and np.iscomplexobj(values):
             raise InputError("values", 'must be real with scale="db", but are complex; from_db takes phases')
-        check_level(values, "dB" if self.scale == "db" else "")
-        angles, values = self._one_side(angles, values)
+        unit = "dB" if self.scale == "db" else ""
+        check_level(values, unit)
+        angles, values = within_half_turn(angles, values, unit) if overhanging else self._one_side(angles, values)
         if len(angles) < 2 or abs(angles[0]) > _SAME_ANGLE:
             raise InputError(
                 "angles_degrees", f"must begin on the axis, 0°, and go on, but are {angles.tolist()!s:.80}"
@@ -263,9 +267,10 @@ class DirectivityTable:
         cls,
         path: str | PathLike[str],
         scale: str | None = None,
-        angles: str = "angles",
-        frequencies: str = "frequencies",
+        angle: str = "angles",
+        frequency: str = "frequencies",
         values: str = "values",
+        angle_unit: str = "degree",
         **options: Any,
     ) -> DirectivityTable:
         """Return the table of a NumPy file with three arrays.
@@ -276,8 +281,10 @@ class DirectivityTable:
             Written by ``numpy.savez``.
         scale : {None, "linear", "db"}
             What real values are; complex ones are linear.
-        angles, frequencies, values : str
-            Names of the arrays: angles (a,) in degrees, frequencies (f,) in Hz, values (a, f).
+        angle, frequency, values : str
+            Names of the arrays: angles (a,), frequencies (f,) in Hz, values (a, f), or (f, a) where that fits only.
+        angle_unit : {"degree", "radian"}
+            That of the angles. Radians are rounded to a ten-thousandth of a degree.
         **options
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
@@ -286,7 +293,7 @@ class DirectivityTable:
         InputError
             If the file cannot be read or lacks an array, or a value breaks a rule.
         """
-        found = read_npz_table(path, (angles, frequencies, values))
+        found = as_table(read_npz_arrays(path, (angle, frequency, values)), angle_unit)
         return cls(*found, scale=_scale_of(found[2], scale), **options)
 
     @classmethod
@@ -294,20 +301,29 @@ class DirectivityTable:
         cls,
         path: str | PathLike[str],
         scale: str | None = None,
-        angles: str = "angles",
-        frequencies: str = "frequencies",
+        angle: str = "angles",
+        frequency: str = "frequencies",
         values: str = "values",
+        angle_unit: str = "degree",
+        variable: str | None = None,
         **options: Any,
     ) -> DirectivityTable:
-        """Return the table of a MATLAB file with three variables; arguments as in `from_npz`.
+        """Return the table of a MATLAB file with three variables, or a struct of three fields; see `from_npz`.
+
+        Parameters
+        ----------
+        path, scale, angle, frequency, values, angle_unit, **options
+            As in `from_npz`.
+        variable : str, optional
+            Name of the struct; `angle`, `frequency` and `values` are its fields then.
 
         Raises
         ------
         InputError
-            If the file cannot be read (a file of version 7.3 must be saved with ``-v7``) or lacks a variable, or a
-            value breaks a rule.
+            If the file cannot be read (a file of version 7.3 must be saved with ``-v7``) or lacks a variable or field,
+            or a value breaks a rule.
         """
-        found = read_mat_table(path, (angles, frequencies, values))
+        found = as_table(read_mat_arrays(path, (angle, frequency, values), variable), angle_unit)
         return cls(*found, scale=_scale_of(found[2], scale), **options)
 
     def _one_side(self, angles: Floats, values: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:

@@ -115,10 +115,17 @@ def check_known(f: Floats, band: tuple[float, float]) -> None:
 
 
 def joined_over_frequency(frequencies: Floats, values: NDArray[Any], at: Floats, *, monotone: bool = False) -> Any:
-    """Return values (n, f) at other frequencies (u,), those beyond the ends as at the ends, (n, u)."""
+    """Return values (n, f) at other frequencies (u,), those beyond the ends as at the ends, (n, u).
+
+    Sound has no phase at 0 Hz: below half of the lowest frequency, imaginary parts fall to nothing as a raised cosine.
+    """
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
-    at = np.clip(at, frequencies[0], frequencies[-1])
+    within = np.clip(at, frequencies[0], frequencies[-1])
     if len(frequencies) == 1:
-        return np.repeat(values, len(at), axis=1)
-    return (PchipInterpolator if monotone else CubicSpline)(frequencies, values, axis=1)(at)
+        joined: Any = np.repeat(values, len(at), axis=1)
+    else:
+        joined = (PchipInterpolator if monotone else CubicSpline)(frequencies, values, axis=1)(within)
+    if np.iscomplexobj(joined) and frequencies[0] > 0.0:
+        joined.imag *= np.sin(0.5 * math.pi * np.minimum(at / (0.5 * frequencies[0]), 1.0)) ** 2
+    return joined

@@ -63,9 +63,11 @@ class DirectivityTableModel(Model):
     path: str
     phases_path: str | None = None
     scale: Literal["linear", "db"] | None = None
-    angles: str | None = None
-    frequencies: str | None = None
+    variable: str | None = None
+    angle: str | None = None
+    frequency: str | None = None
     values: str | None = None
+    angle_unit: Literal["degree", "radian"] | None = None
     rear: Literal["hold", "mirror", "zero"] | None = None
     side: Literal["positive", "negative", "mean"] | None = None
     outside: Literal["hold"] | None = None
@@ -77,14 +79,16 @@ class DirectivityTableModel(Model):
         options: dict[str, Any] = {
             name: getattr(self, name) for name in ("rear", "side", "outside", "relative_to_axis")
         } | {"name": path.stem}
-        names = {
-            name: getattr(self, name) for name in ("angles", "frequencies", "values") if getattr(self, name) is not None
+        layout = {
+            name: getattr(self, name)
+            for name in ("variable", "angle", "frequency", "values", "angle_unit")
+            if getattr(self, name) is not None
         }
         suffix = path.suffix.lower()
         if suffix in (".csv", ".txt"):
-            for name in names:
+            for name in layout:
                 raise InputError(
-                    name, f"must be left out for text files, whose layout is fixed, but is {names[name]!r}"
+                    name, f"must be left out for text files, whose layout is fixed, but is {layout[name]!r}"
                 )
             phases = None if self.phases_path is None else base / self.phases_path
             return DirectivityTable.from_csv(path, phases, self.scale or "db", **options)
@@ -92,8 +96,12 @@ class DirectivityTableModel(Model):
             raise InputError("path", f"must end in .csv, .txt, .npz or .mat, but is {self.path!r:.80}")
         if self.phases_path is not None:
             raise InputError("phases_path", f"must be left out for {suffix} files, which can hold complex values")
+        if suffix == ".npz" and self.variable is not None:
+            raise InputError(
+                "variable", f"must be left out for .npz files, which hold no structs, but is {self.variable!r}"
+            )
         read = DirectivityTable.from_npz if suffix == ".npz" else DirectivityTable.from_mat
-        return read(path, self.scale, **names, **options)
+        return read(path, self.scale, **layout, **options)
 
 
 class SofaModel(Model):

@@ -136,7 +136,7 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
     tracks, rng = plan.tracks, np.random.default_rng(5)
     from clsim.paths.arrivals import arrivals
     from clsim.paths.responses import Responses
-    from clsim.render.basis import chebyshev_points
+    from clsim.render.sampled import chebyshev_points
 
     # The chirp's spectrum fades towards the ends of its band, and so does what is asked there.
     times, f = rng.uniform(0.0, 0.05, 7), chebyshev_points(low + 0.15 * (high - low), high - 0.15 * (high - low), 40)

@@ -128,12 +128,32 @@ def test_a_moving_scene_is_frozen_and_convolved(engine: str) -> None:
 def test_a_close_receiver_rings_before_time_0() -> None:
     near = (1.1, 1.3, 1.21)
     scene = fixed(b=near)
-    found = clsim.impulse_responses(scene, clsim.find_paths(scene, 1), RATE)
+    found = clsim.impulse_responses(scene, clsim.find_paths(scene, 1), RATE, lead="keep")
     assert 200 < found.lead < 2000
     assert found.times[found.lead] == 0.0
     f = np.linspace(1e3, 91e3, 200)
     exact = frozen_sums.response(f, SIZE, (A, near), 1, [lambda f: np.full(len(f), 0.9)] * 6, AIR)
     assert np.abs(spectrum(found, f) - exact).max() < 10 ** (-110 / 20) * np.abs(exact).max()
+
+
+def test_sample_0_is_time_0() -> None:
+    """What rings earlier is cut, and told; nothing else changes."""
+    near = (1.1, 1.3, 1.21)
+    scene = fixed(b=near)
+    paths = clsim.find_paths(scene, 1)
+    kept = clsim.impulse_responses(scene, paths, RATE, lead="keep")
+    with pytest.warns(clsim.ClsimWarning, match=r"rings before time 0 is cut.*-\d+ dB.*lead=\"keep\" keeps it"):
+        found = clsim.impulse_responses(scene, paths, RATE)
+    assert found.lead == 0
+    assert found.times[0] == 0.0
+    np.testing.assert_array_equal(found.samples, kept.samples[:, :, kept.lead :])
+    late = np.linalg.norm(np.subtract(A, near)) / AIR.sound_speed
+    assert found.first_arrivals[0, 0] == pytest.approx(late, rel=1e-12)
+    assert abs(int(found.samples[0, 0].argmax()) - late * RATE) <= 0.5
+    early, whole = (np.sum(np.square(kept.samples[0, 0, :n])) for n in (kept.lead, None))
+    assert found.cut_db[0, 0] == pytest.approx(10 * np.log10(early / whole), abs=1e-6)
+    assert kept.cut_db[0, 0] == -np.inf
+    assert f"at sample {late * RATE:.1f}" in found.describe()[0]
 
 
 def test_several_pairs_share_one_axis_of_time() -> None:

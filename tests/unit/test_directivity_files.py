@@ -100,11 +100,11 @@ def test_numpy_and_matlab_files(tmp_path: Path, arrays: dict[str, np.ndarray], k
     write(path, **arrays)
     np.testing.assert_array_equal(read(path).values, arrays["values"])
     write(path, theta=arrays["angles"], f=arrays["frequencies"], H=arrays["values"])
-    names = {"angles": "theta", "frequencies": "f", "values": "H"}
+    names = {"angle": "theta", "frequency": "f", "values": "H"}
     np.testing.assert_array_equal(read(path, **names).angles_degrees, arrays["angles"])
     with pytest.raises(clsim.InputError, match=r"must be one of 'H', 'f', 'theta', but is 'angles'") as error:
         read(path)
-    assert error.value.field == "angles"
+    assert error.value.field == "angle"
     write(path, **(arrays | {"values": -np.abs(arrays["values"])}))
     with pytest.raises(clsim.InputError) as error:
         read(path)
@@ -112,8 +112,72 @@ def test_numpy_and_matlab_files(tmp_path: Path, arrays: dict[str, np.ndarray], k
     assert read(path, scale="db").gain(1.0, 40e3, 343.0) == pytest.approx(10 ** (-2.1 / 20))
     assert read(path, scale="linear").gain(1.0, 40e3, 343.0) == pytest.approx(-2.1)
     write(path, **(arrays | {"values": arrays["values"].T}))
-    with pytest.raises(clsim.InputError, match="7 x 3, but are 3 x 7; transpose them"):
+    np.testing.assert_array_equal(read(path).values, arrays["values"])
+    write(path, **(arrays | {"values": arrays["values"][:-1]}))
+    with pytest.raises(clsim.InputError, match="7 x 3, but are 6 x 3"):
         read(path)
+    write(path, **(arrays | {"angles": np.radians(arrays["angles"]).astype(np.float32)}))
+    np.testing.assert_array_equal(read(path, angle_unit="radian").angles_degrees, arrays["angles"])
+    with pytest.raises(clsim.InputError, match='"degree", "radian"') as error:
+        read(path, angle_unit="turn")
+    assert error.value.field == "angle_unit"
+
+
+def laboratory(path: Path, *, offset: float = 0.0, **changes: np.ndarray) -> np.ndarray:
+    """Write a struct of a beam from -5° to 185° in radians, frequencies x angles; return its degrees and values."""
+    degrees = np.arange(-5.0, 186.0, 5.0) + offset
+    f = np.arange(38e3, 42e3, 34.0)
+    turned = np.radians(degrees)[:, None]
+    gain = (1.1 + np.cos(turned) + 0.02 * np.sin(turned)) * np.exp(-2j * np.pi * f * 1e-5)
+    field = {"a": np.radians(degrees)[None, :], "f": f[:, None], "X": gain.T, "note": "rig 3"} | changes
+    scipy.io.savemat(path, {"L10R": field, "other": np.arange(3.0)})
+    return gain
+
+
+STRUCT = {"variable": "L10R", "angle": "a", "frequency": "f", "values": "X", "angle_unit": "radian"}
+
+
+@pytest.mark.parametrize("transposed", [False, True])
+def test_a_struct_as_laboratories_store_it(tmp_path: Path, transposed: bool) -> None:
+    gain = laboratory(tmp_path / "beam.mat")
+    if transposed:
+        laboratory(tmp_path / "beam.mat", X=gain)
+    with pytest.warns(clsim.ClsimWarning, match=r"from -5° to 185°; .* within 0.0017 of"):
+        table = DirectivityTable.from_mat(tmp_path / "beam.mat", **STRUCT)
+    np.testing.assert_allclose(table.angles_degrees, np.arange(0.0, 181.0, 5.0), atol=1e-9)
+    np.testing.assert_array_equal(table.values, gain[1:-1])
+
+
+def test_angles_beside_the_axis_make_its_values(tmp_path: Path) -> None:
+    laboratory(tmp_path / "beam.mat", offset=2.5)
+    with pytest.warns(clsim.ClsimWarning, match=r"from -2.5° to 187.5°"):
+        table = DirectivityTable.from_mat(tmp_path / "beam.mat", **STRUCT)
+    assert table.angles_degrees[[0, 1, -2, -1]].tolist() == [0.0, 2.5, 177.5, 180.0]
+    np.testing.assert_allclose(np.abs(table.values[[0, -1]]), [[2.1] * 118, [0.1] * 118], atol=1e-4)
+
+
+def test_levels_beyond_the_axis_are_told_in_db() -> None:
+    with pytest.warns(clsim.ClsimWarning, match=r"from -10° to 180°.* within 1.5 dB"):
+        table = DirectivityTable([-10, 0, 10, 180], [1e3], [[-2.0], [0.0], [-0.5], [-20.0]], scale="db")
+    assert table.values.ravel().tolist() == [0.0, -0.5, -20.0]
+
+
+@pytest.mark.parametrize(
+    ("asked", "field", "message"),
+    [
+        ({"variable": None}, "angle", "'L10R' is a struct: give variable=\"L10R\""),
+        ({"variable": "R10L"}, "variable", "must be one of 'L10R', 'other', but is 'R10L'"),
+        ({"variable": "other"}, "variable", "must be a struct"),
+        ({"angle": "b"}, "angle", "must be one of 'X', 'a', 'f', 'note', but is 'b'"),
+        ({"values": "note"}, "values", "numbers"),
+    ],
+)
+def test_structs_that_lack_something(tmp_path: Path, asked: dict, field: str, message: str) -> None:
+    laboratory(tmp_path / "beam.mat")
+    with pytest.raises(clsim.InputError) as error:
+        DirectivityTable.from_mat(tmp_path / "beam.mat", **(STRUCT | asked), scale="linear")
+    assert error.value.field == field
+    assert message in error.value.problem
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"PK\x03\x04" + bytes(100), b"MATLAB" + bytes(300), b"angle,1\n0,0\n"])

@@ -6,6 +6,7 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+import scipy.io
 
 import clsim
 from clsim.cli import main
@@ -56,7 +57,7 @@ def refused(folder: Path, directivity: str) -> clsim.InputError:
 
 def test_tables_by_path(folder: Path) -> None:
     csv = scene(folder, '{ kind = "table", path = "beam.csv", rear = "hold" }').sources[0].directivity
-    npz = scene(folder, '{ kind = "table", path = "beam.npz", rear = "hold", angles = "theta" }').sources[0].directivity
+    npz = scene(folder, '{ kind = "table", path = "beam.npz", rear = "hold", angle = "theta" }').sources[0].directivity
     cosine = np.cos(np.radians([0.0, 45.0, 90.0]))
     np.testing.assert_allclose(20 * np.log10(csv.gain(cosine, 50e3, 343.0)), [0, -6, -20], atol=1e-9)
     np.testing.assert_allclose(npz.gain(cosine, 50e3, 343.0), csv.gain(cosine, 50e3, 343.0), atol=1e-9)
@@ -65,6 +66,18 @@ def test_tables_by_path(folder: Path) -> None:
     complex_ = scene(folder, both).sources[0].directivity
     assert np.degrees(np.angle(complex_.gain(0.0, 50e3, 343.0))) == pytest.approx(-40.0)
     assert complex_.band == (0.0, np.inf)
+
+
+def test_a_struct_by_its_fields(folder: Path) -> None:
+    field = {
+        "a": np.radians([0.0, 45.0, 90.0]),
+        "f": [30e3, 50e3],
+        "X": np.array([[1.0, 0.8, 0.3], [1.0, 0.5, 0.1]]) + 0j,
+    }
+    scipy.io.savemat(folder / "beam.mat", {"L10R": field})
+    told = 'variable = "L10R", angle = "a", frequency = "f", values = "X", angle_unit = "radian", rear = "hold"'
+    beam = scene(folder, f'{{ kind = "table", path = "beam.mat", {told} }}').sources[0].directivity
+    np.testing.assert_allclose(beam.gain(np.cos(np.radians([0.0, 45.0, 90.0])), 50e3, 343.0), [1.0, 0.5, 0.1])
 
 
 def test_names(folder: Path) -> None:
@@ -99,8 +112,10 @@ def test_sofa_files(folder: Path) -> None:
         ('{ kind = "table", path = "beam.csv", rear = "back" }', "rear", "'hold'"),
         ('{ kind = "table", path = "missing.csv" }', "path", "cannot be read"),
         ('{ kind = "table", path = "beam.wav" }', "path", "must end in"),
-        ('{ kind = "table", path = "beam.csv", angles = "a", rear = "hold" }', "angles", "left out"),
-        ('{ kind = "table", path = "beam.npz", rear = "hold" }', "angles", "'theta'"),
+        ('{ kind = "table", path = "beam.csv", angle = "a", rear = "hold" }', "angle", "left out"),
+        ('{ kind = "table", path = "beam.csv", angle_unit = "radian" }', "angle_unit", "left out"),
+        ('{ kind = "table", path = "beam.npz", variable = "L10R" }', "variable", "left out"),
+        ('{ kind = "table", path = "beam.npz", rear = "hold" }', "angle", "'theta'"),
         ('{ kind = "table", path = "beam.npz", phases_path = "phase.csv" }', "phases_path", "left out"),
         ('{ kind = "table", path = "beam.csv", phases_path = "no.csv", rear = "hold" }', "phases_path", "no.csv"),
         ('{ kind = "table", path = "beam.csv", rear = "hold", surprise = 1 }', "surprise", "no known key"),

@@ -294,3 +294,14 @@ def test_phases_must_have_the_shape_of_levels():
     with pytest.raises(clsim.InputError) as error:
         DirectivityTable.from_db([0, 180], [1e3], [[0.0], [-3.0]], [[0.0]])
     assert error.value.field == "phases_degrees"
+
+
+def test_no_phase_at_0_hz() -> None:
+    """Held below its lowest frequency, a table becomes real towards 0 Hz; above half of it nothing changes."""
+    table = DirectivityTable([0.0, 180.0], [1e3, 2e3], [[1j, 1j], [0.5j + 0.5, 0.5j + 0.5]], outside="hold")
+    gain = table.gain(1.0, np.array([1e3, 600.0, 500.0]), 343.0)
+    turn = np.exp(-2j * np.pi * np.array([1e3, 600.0, 500.0]) * table.delay.sum())
+    np.testing.assert_allclose(gain / turn, gain[0] / turn[0], atol=1e-12)
+    assert abs(table.gain(1.0, 1e-3, 343.0).imag) < 1e-5
+    halfway = table.gain(1.0, 250.0, 343.0) * np.exp(2j * np.pi * 250.0 * table.delay.sum())
+    assert halfway.imag == pytest.approx(0.5 * (gain[0] / turn[0]).imag)

@@ -1,5 +1,6 @@
 """`clsim rir` and the files that it writes."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,8 @@ def test_wav(scene: Path, tmp_path: Path, capsys, wanted) -> None:
     assert printed.out.splitlines() == [
         *(str(out / name) for name in names),
         f"{wanted.samples.shape[2]} samples at 48000 Hz, exact from 2000 to 20000 Hz",
+        "sample 0 is time 0, that of the emission; the first arrival, robot at left/1, is at sample "
+        f"{np.sqrt(3.25) / wanted.scene.air.sound_speed * 48e3:.1f}",
     ]
     for r, name in enumerate(names):
         samples, rate = soundfile.read(out / name, dtype="float32")
@@ -105,7 +108,7 @@ def test_sofa(scene: Path, tmp_path: Path, wanted) -> None:
 
 
 def test_sofa_of_a_mesh_with_two_sources(tmp_path: Path) -> None:
-    """Receivers run fastest; a lead is a negative delay; a room without a box has no corners."""
+    """Receivers run fastest; a lead that is kept is a negative delay; a room without a box has no corners."""
     sofar = pytest.importorskip("sofar", reason="sofar is not installed")
     room = clsim.MeshRoom.from_plan([(0, 0), (5, 0), (5, 4), (0, 4)], 3.0, clsim.Material.from_reflection(0.8))
     tone = clsim.Signal.tone(10e3, 0.01, 48e3)
@@ -113,7 +116,7 @@ def test_sofa_of_a_mesh_with_two_sources(tmp_path: Path) -> None:
     sources = [clsim.Source(n, tone, still(p)) for n, p in (("a", (1, 1, 1)), ("b", (2, 3, 1)))]
     receivers = [clsim.Receiver(n, still(p)) for n, p in (("c", (1.05, 1, 1)), ("d", (4, 3, 2)), ("e", (3, 1, 2)))]
     scene = clsim.Scene(room, clsim.Air(), sources, receivers)
-    found = clsim.impulse_responses(scene, clsim.find_paths(scene, 1, engine="reference"), 48e3)
+    found = clsim.impulse_responses(scene, clsim.find_paths(scene, 1, engine="reference"), 48e3, lead="keep")
     assert found.lead > 0
     write_responses(found, tmp_path / "two.sofa")
     sofa = sofar.read_sofa(str(tmp_path / "two.sofa"), verbose=False)
@@ -124,6 +127,36 @@ def test_sofa_of_a_mesh_with_two_sources(tmp_path: Path) -> None:
         np.testing.assert_array_equal(sofa.Data_IR[row, 0], found.samples[s, r])
         np.testing.assert_allclose(sofa.SourcePosition[row], sources[s].trajectory.position(0.0))
         np.testing.assert_allclose(sofa.ListenerPosition[row], receivers[r].trajectory.position(0.0))
+
+
+@pytest.mark.parametrize("form", ["wav", "npz", "sofa"])
+def test_a_lead_is_cut_unless_it_is_asked_for(form: str, tmp_path: Path, capsys) -> None:
+    if form == "sofa":
+        pytest.importorskip("sofar", reason="sofar is not installed")
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE.replace("[3.0, 1.0, 2.0]", "[1.1, 1.0, 1.05]"), "utf-8")
+    made = {}
+    for lead in ("cut", "keep"):
+        out = tmp_path / (lead if form == "wav" else f"{lead}.{form}")
+        assert main(["rir", str(scene), "-o", str(out), *([] if lead == "cut" else ["--lead", "keep"])]) == 0
+        made[lead], printed = _responses(out, form), capsys.readouterr()
+        early = int(re.search(r"sample (\d+) is time 0", printed.out)[1])
+        assert ("rings before time 0 is cut" in printed.out) == (lead == "cut")
+        assert printed.err.count("warning") == (lead == "cut")
+        assert early == 0 if lead == "cut" else early > 20
+    np.testing.assert_array_equal(made["cut"], made["keep"][early:])
+
+
+def _responses(path: Path, form: str) -> np.ndarray:
+    """Return the taps of the first receiver."""
+    if form == "wav":
+        return soundfile.read(path / "robot_left_1.wav", dtype="float32")[0]
+    if form == "npz":
+        with np.load(path) as file:
+            return file["samples"][0, 0]
+    import sofar
+
+    return sofar.read_sofa(str(path), verbose=False).Data_IR[0, 0]
 
 
 @pytest.mark.parametrize(
