@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import io
+import os
+import subprocess
+import sys
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.errors import InputError
+from clsim.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, open_file, read_file
+from clsim.scene.mat_process import VERSION_73
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,6 +22,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
 
+_PATIENCE = 60.0  # s, for a MATLAB file to be read
 _SEPARATORS = ("\t", ";", ",")  # a comma may be part of a number where one of the others separates
 
 
@@ -34,7 +42,7 @@ def read_csv_table(field: str, path: str | PathLike[str]) -> tuple[Floats, Float
         If the file cannot be read, or a row is no such row; the message names the line.
     """
     try:
-        text = Path(path).read_text("utf-8-sig")
+        text = read_file(path, LARGEST_TEXT).decode("utf-8-sig")
     except OSError as error:
         raise InputError(field, f"cannot be read: {path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -74,10 +82,9 @@ def read_npz_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tu
         If the file cannot be read or lacks one.
     """
     try:
-        with Path(path).open("rb") as stream:  # np.load leaves a broken file open
+        with open_file(path, LARGEST_BINARY) as stream:  # np.load leaves a broken file open
+            check_archive(stream)
             file = np.load(stream, allow_pickle=False)
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise InputError("path", f"must be a .npz file of several arrays, but is one array: {path}")
             return _picked(file, names, path)
     except OSError as error:
         raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
@@ -95,21 +102,44 @@ def read_mat_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tu
     InputError
         If the file cannot be read or lacks one.
     """
-    from scipy.io import loadmat
-
-    if not Path(path).is_file():
-        raise InputError("path", f"cannot be read: {path}: no such file")
     try:
-        angles, frequencies, values = _picked(loadmat(path, appendmat=False), names, path)
-    except NotImplementedError as error:
-        raise InputError("path", f"must be a MATLAB file up to version 7.2; save it with -v7: {path}") from error
+        content = read_file(path, LARGEST_BINARY)
     except OSError as error:
         raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
-    except InputError:
-        raise
-    except Exception as error:  # whatever a parser meets in a broken file
-        raise InputError("path", f"must be a MATLAB file, but is not: {path}") from error
+    try:
+        angles, frequencies, values = _picked(dict(_mat_variables(content, names)), names, path)
+    except NotImplementedError as error:
+        raise InputError("path", f"must be a MATLAB file up to version 7.2; save it with -v7: {path}") from error
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("path", f"must be a MATLAB file, but is not: {path} ({error})") from error
     return np.ravel(angles), np.ravel(frequencies), values
+
+
+@lru_cache(maxsize=4)
+def _mat_variables(content: bytes, names: tuple[str, ...]) -> tuple[tuple[str, Any], ...]:
+    """Return the variables of a MATLAB file by name; those that are not asked for are None.
+
+    Another process reads it, because SciPy can end the one in which it meets a broken file.
+    """
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
+    }  # fmt: skip
+    # -P: the modules beside the script are none of its own.
+    command = [sys.executable, "-P", str(Path(__file__).with_name("mat_process.py")), str(LARGEST_BINARY), *names]
+    try:
+        done = subprocess.run(command, input=content, capture_output=True, env=environment, timeout=_PATIENCE)
+    except subprocess.TimeoutExpired as error:
+        raise ValueError(f"reading it takes more than {_PATIENCE:g} s") from error
+    if done.returncode == VERSION_73:
+        raise NotImplementedError
+    if done.returncode:
+        said = done.stderr.decode("utf-8", "replace").strip().splitlines()
+        raise ValueError(said[-1][:200] if said and done.returncode > 0 else "reading it ends the process")
+    file = np.load(io.BytesIO(done.stdout), allow_pickle=False)
+    asked = {str(name): file[f"value{i}"] for i, name in enumerate(file["asked"])}
+    return tuple((str(name), asked.get(str(name))) for name in file["names"])
 
 
 def _picked(file: Mapping[str, Any], names: tuple[str, str, str], path: str | PathLike[str]) -> tuple[Any, Any, Any]:
