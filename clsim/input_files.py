@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import errno
+import os
 import stat
 import tomllib
 import zipfile
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    import os
 
 LARGEST_TEXT = 2**27  # bytes; numbers in memory take up to ten times as much
 LARGEST_BINARY = 2**28  # bytes, also of what a compressed file holds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 _LARGEST = 2**35  # bytes of a file, whatever its channels
 _LONGEST = 2**28  # samples of a channel, 1 GiB: 23 minutes at 192 kHz
+_MOST_PER_BYTE, _MPEG_PER_BYTE = 5000, 25  # samples: silence in FLAC, and 24 kHz at 8 kbit/s
 _BLOCK = 2**20  # samples of all channels read at a time
 _PADDING = 5000  # samples by which compressed sound can be shorter than its file says
 
@@ -43,9 +45,11 @@ def read_sound_file(path: str | PathLike[str], channel: int) -> tuple[NDArray[np
         with soundfile.SoundFile(path) as file:
             if channel >= file.channels:
                 raise InputError("channel", f"must be below {file.channels}, the file's channels, but is {channel}")
-            if not 0 < file.frames <= _LONGEST:
+            densest = _MPEG_PER_BYTE if file.format == "MP3" else _MOST_PER_BYTE
+            most = min(_LONGEST, densest * Path(path).stat().st_size)
+            if not 0 < file.frames <= most:
                 told = f"{path} says that it holds {file.frames} samples" if file.frames else f"{path} is empty"
-                raise InputError("path", f"must hold sound, {_LONGEST} samples at most, but {told}")
+                raise InputError("path", f"must hold sound, and its bytes hold {most} samples at most, but {told}")
             return _channel(file, channel, path), float(file.samplerate)
     except FileNotFoundError as error:
         raise InputError("path", f"must be a sound file, but there is no file {str(path)!r}") from error

@@ -307,7 +307,8 @@ def explain(error: ValidationError, content: Any) -> InputError:
             continue  # the name of a union's member, which no file holds
         if isinstance(step, str) and not known and first["type"] not in ("missing", "extra_forbidden"):
             continue
-        field += f"[{step}]" if isinstance(step, int) else f".{step}" if field else step
+        word = step or '""'  # an empty key is one, too
+        field += f"[{step}]" if isinstance(step, int) else f".{word}" if field else str(word)
         at = at[step] if known else None
     kind, context = first["type"], first.get("ctx", {})
     if kind == "missing":

@@ -335,7 +335,7 @@ def test_up(tmp_path, up, turned):
 @pytest.mark.parametrize(
     ("more", "field", "part"),
     [
-        ({"scale": 0.0}, "scale", "above 0"),
+        ({"scale": 0.0}, "scale", "at least 1e-09"),
         ({"scale": math.nan}, "scale", "finite"),
         ({"scale": "1"}, "scale", "a number"),
         ({"up": "w"}, "up", 'one of "x", "y", "z"'),
