@@ -26,7 +26,22 @@ NASTY: list[Any] = [
     {"a": 1}, {"": 1}, {"value": {"value": {"value": 1}}},
 ]  # fmt: skip
 # Their cost grows with their value, so that large ones are another test's.
-PACE = {"duration", "start", "end", "times", "count", "time_offset", "x", "y", "z", "repeats", "sampling_rate", "rate"}
+PACE = {
+    "duration",
+    "start",
+    "end",
+    "times",
+    "count",
+    "time_offset",
+    "x",
+    "y",
+    "z",
+    "repeats",
+    "sampling_rate",
+    "rate",
+    "normal",
+    "bits",
+}
 MODERATE = 20.0
 
 OBJ = """o box
@@ -62,11 +77,11 @@ def write_files(folder: Path) -> None:
         ("poses.tum", TUM), ("poses.euroc", EUROC),
     ):  # fmt: skip
         (folder / name).write_text(text)
-    samples = (2e4 * np.sin(np.arange(400) / 3.0)).astype("<i2")
+    samples = (2e4 * np.sin(np.arange(480) * 1.5) * np.hanning(480)).astype("<i2")
     with wave.open(str(folder / "sound.wav"), "wb") as file:
         file.setnchannels(1)
         file.setsampwidth(2)
-        file.setframerate(48_000)
+        file.setframerate(64_000)
         file.writeframes(samples.tobytes())
     stl = b"\0" * 80 + struct.pack("<I", 1) + struct.pack("<12fH", 0, 0, 1, 2, 2.5, 1, 2.2, 2.5, 1, 2, 2.7, 1, 0)
     (folder / "thing.stl").write_bytes(stl)
@@ -82,10 +97,10 @@ DAMAGED = ("room.obj", "thing.off", "thing.stl", "beam.csv", "beam.npz", "places
 MATERIALS: list[Any] = [
     {"reflection": 0.9}, {"reflection": 0.0}, {"reflection": -0.5}, {"reflection": [0.5, 0.4]}, {"named": "concrete"},
     {"reflection": 0.5, "roughness": 0.001},
-    {"absorption": {"frequencies": [1e3, 8e3], "coefficients": [0.1, 0.3]}},
-    {"table": {"frequencies": [1e3, 8e3], "factors": [0.9, [0.5, 0.2]], "outside": "hold"}},
-    {"impedance": {"frequencies": [1e3, 8e3], "impedances": [[3.0, 1.0], [4.0, -1.0]], "outside": "hold"}},
-    {"impulse_response": {"samples": [0.5, 0.1], "sampling_rate": 16e3, "reference": 0.0, "band": [100.0, 7e3], "outside": "hold", "tolerance": 0.05}},
+    {"absorption": {"frequencies": [8e3, 24e3], "coefficients": [0.1, 0.3]}},
+    {"table": {"frequencies": [8e3, 24e3], "factors": [0.9, [0.5, 0.2]], "outside": "hold"}},
+    {"impedance": {"frequencies": [8e3, 24e3], "impedances": [[3.0, 1.0], [4.0, -1.0]], "outside": "hold"}},
+    {"impulse_response": {"samples": [0.5, 0.1], "sampling_rate": 64e3, "reference": 0.0, "band": [100.0, 3e4], "outside": "hold", "tolerance": 0.05}},
     {"solid": {"density": 2300.0, "sound_speed": 3500.0}},
     {"porous": {"flow_resistivity": 5e4, "thickness": 0.02, "outside": "extend"}},
     {"wav": {"path": "sound.wav", "scale": 0.001, "outside": "hold"}},
@@ -93,16 +108,16 @@ MATERIALS: list[Any] = [
 
 
 def signal(random: np.random.Generator) -> dict[str, Any]:
-    tone = {"kind": "tone", "frequency": 4e3, "duration": 0.004, "sampling_rate": 16e3, "fade": 0.001}
+    # Far from 0 Hz and from half the sampling rate, where filters are long.
+    tone = {"kind": "tone", "frequency": 16e3, "duration": 0.01, "sampling_rate": 64e3, "fade": 0.005}
+    chirp = {"kind": "chirp", "start": 12e3, "stop": 20e3, "duration": 0.01, "sampling_rate": 64e3, "window": "hann"}
     return pick(random, [
-        tone, tone | {"amplitude": 2.0, "phase": 1.0},
-        {"kind": "chirp", "start": 2e3, "stop": 6e3, "duration": 0.004, "sampling_rate": 16e3, "window": "hann"},
-        {"kind": "chirp", "start": 2e3, "stop": 6e3, "duration": 0.004, "sampling_rate": 16e3, "method": "exponential"},
-        {"kind": "noise", "duration": 0.004, "sampling_rate": 16e3, "seed": 1, "band": [2e3, 6e3], "rms": 0.1},
-        {"kind": "sequence", "carrier": 4e3, "chip_rate": 1e3, "sampling_rate": 16e3, "bits": 3, "code": 1, "repeats": 2},
-        {"kind": "sequence", "sequence": "gold", "carrier": 4e3, "chip_rate": 1e3, "sampling_rate": 16e3, "bits": 5},
+        tone, tone | {"amplitude": 2.0, "phase": 1.0}, chirp, chirp | {"method": "exponential"},
+        {"kind": "noise", "duration": 0.01, "sampling_rate": 64e3, "seed": 1, "band": [12e3, 20e3], "rms": 0.1},
+        {"kind": "sequence", "carrier": 16e3, "chip_rate": 4e3, "sampling_rate": 64e3, "bits": 3, "code": 1, "repeats": 2},
+        {"kind": "sequence", "sequence": "gold", "carrier": 16e3, "chip_rate": 4e3, "sampling_rate": 64e3, "bits": 5},
         {"kind": "wav", "path": "sound.wav", "scale": 2.0, "channel": 0},
-        {"kind": "pulses", "pulse": tone, "period": 0.01, "count": 3},
+        {"kind": "pulses", "pulse": tone, "period": 0.02, "count": 3},
     ])  # fmt: skip
 
 
@@ -133,10 +148,10 @@ def directivity(random: np.random.Generator) -> dict[str, Any]:
 
 def transducer(random: np.random.Generator) -> dict[str, Any]:
     return pick(random, [
-        {"kind": "resonance", "frequency": 4e3, "width": 1e3, "sensitivity": 0.5},
-        {"kind": "table", "frequencies": [1e3, 4e3, 7e3], "magnitudes": [0.1, 0.5, 0.1], "outside": "zero"},
-        {"kind": "table", "frequencies": [1e3, 4e3, 7e3], "magnitudes": [0.1, 0.5, 0.1], "phases": [0.0, -0.5, -1.0], "outside": "hold"},
-        {"kind": "impulse-response", "samples": [1.0, 0.5], "sampling_rate": 16e3},
+        {"kind": "resonance", "frequency": 16e3, "width": 4e3, "sensitivity": 0.5},
+        {"kind": "table", "frequencies": [4e3, 16e3, 28e3], "magnitudes": [0.1, 0.5, 0.1], "outside": "zero"},
+        {"kind": "table", "frequencies": [4e3, 16e3, 28e3], "magnitudes": [0.1, 0.5, 0.1], "phases": [0.0, -0.5, -1.0], "outside": "hold"},
+        {"kind": "impulse-response", "samples": [1.0, 0.5], "sampling_rate": 64e3},
         {"kind": "wav", "path": "sound.wav", "scale": 0.1},
     ], [3, 1, 1, 2, 1])  # fmt: skip
 
@@ -144,7 +159,7 @@ def transducer(random: np.random.Generator) -> dict[str, Any]:
 def electronics(random: np.random.Generator) -> dict[str, Any]:
     return pick(random, [
         {"ambient_noise_db": 10.0, "seed": 1}, {"snr_db": 20.0, "reference_level_db": 60.0}, {"self_noise_db": 3.0, "gain_db": 20.0},
-        {"low_cut": 100.0, "high_cut": 6e3, "order": 3}, {"adc_bits": 12, "adc_full_scale": 1.0}, {"clock_ppm": 20.0, "clock_offset": 0.001},
+        {"low_cut": 100.0, "high_cut": 24e3, "order": 3}, {"adc_bits": 12, "adc_full_scale": 1.0}, {"clock_ppm": 20.0, "clock_offset": 0.001},
     ])  # fmt: skip
 
 
@@ -186,7 +201,7 @@ def options(random: np.random.Generator, makers: dict[str, Any]) -> dict[str, An
 
 def settings(random: np.random.Generator, plain: bool) -> dict[str, Any]:
     made: dict[str, Any] = {
-        "sampling_rate": 16e3, "engine": "reference", "interpolator": {"kind": "lagrange", "order": 3},
+        "sampling_rate": 64e3, "engine": "reference", "interpolator": {"kind": "lagrange", "order": 3},
         "response_error_db": "centre" if plain else -20.0,
     }  # fmt: skip
     choices: dict[str, list[Any]] = {
@@ -195,7 +210,7 @@ def settings(random: np.random.Generator, plain: bool) -> dict[str, Any]:
             {"kind": "bandlimited", "error_db": -40.0},
         ],
         "motion": ["quasi-static"], "amplitude": ["static", "convective"], "transition": ["gate", 0.001],
-        "baseband": [{"carrier": 4e3, "bandwidth": 2e3}],
+        "baseband": [{"carrier": 16e3, "bandwidth": 8e3}],
         "quietest_db": [-60.0, -100.0], "duration": [0.01], "chunk": [1000], "convolve_at_rest": [False], "engine": ["opencl"],
     }  # fmt: skip
     for name, values in choices.items():
@@ -277,7 +292,7 @@ def _tamed(value: Any) -> Any:
     if isinstance(value, list):
         return [_tamed(part) for part in value]
     large = isinstance(value, int | float) and not isinstance(value, bool) and MODERATE < abs(value) < 1e15
-    return MODERATE if large and value not in (16e3, 48e3, 1e5, 192e3, 2e3, 6e3, 4e3) else value
+    return MODERATE if large and value not in (64e3, 48e3, 192e3, 12e3, 20e3) else value
 
 
 def scene_text(seed: int, number: int) -> bytes:
