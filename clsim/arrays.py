@@ -109,7 +109,7 @@ def as_number(
     try:
         number = float(value)
     except OverflowError:  # a whole number beyond all floats
-        number = math.copysign(math.inf, value)
+        number = math.inf if value > 0 else -math.inf
     unit = f" {unit}" if unit else ""
     for holds, rule in (
         (math.isfinite(number), "finite"),

@@ -64,7 +64,7 @@ def _channel(file: Any, channel: int, path: str | PathLike[str]) -> NDArray[np.f
         part = block[:, channel].copy()
         bad = np.flatnonzero(~(np.abs(part) <= LOUDEST))
         if len(bad):
-            raise InputError("path", f"must hold finite samples, but [{count + bad[0]}] of {path} is {part[bad[0]]}")
+            raise InputError("path", f"must hold finite samples, but [{count + bad[0]}] of {path} is {part[bad[0]]:g}")
         parts.append(part)
         count += len(part)
     if not count or count < file.frames - _PADDING:
