@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test clean
+.PHONY: demo test fuzz clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
@@ -10,6 +10,9 @@ demo: .venv/installed
 
 test: .venv/tested
 	$(BIN)/python -m pytest
+
+fuzz: .venv/tested
+	CLSIM_FUZZ=20000 $(BIN)/python -m pytest -n 2 --dist load tests/unit/test_fuzz.py
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
