@@ -27,8 +27,8 @@ NASTY: list[Any] = [
 ]  # fmt: skip
 # What grows with these only takes time, which has tests of its own; of COUNTED, absurd numbers are refused at once.
 PACE = {"duration", "start", "end", "times", "time_offset", "normal", "range"}
-COUNTED = {"count", "period", "repeats", "bits", "x", "y", "z", "draws"}
-MODERATE, FASTEST, ABSURD = 20, 192e3, 1e15
+COUNTED = {"count", "period", "repeats", "bits", "x", "y", "z", "draws", "position", "positions", "center", "translate"}
+MODERATE, FASTEST, ABSURD = 20, 192e3, 1e9
 
 OBJ = """o box
 v 0 0 0
