@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, open_file, read_file
+from clsim.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, check_file, open_file, read_file
 from clsim.scene.mat_process import VERSION_73
 
 if TYPE_CHECKING:
@@ -103,11 +103,13 @@ def read_mat_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tu
         If the file cannot be read or lacks one.
     """
     try:
-        content = read_file(path, LARGEST_BINARY)
+        check_file(path, LARGEST_BINARY)
+        found = Path(path).stat()
     except OSError as error:
         raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
     try:
-        angles, frequencies, values = _picked(dict(_mat_variables(content, names)), names, path)
+        variables = _mat_variables(Path(path).absolute(), (found.st_mtime_ns, found.st_size, found.st_ino), names)
+        angles, frequencies, values = _picked(dict(variables), names, path)
     except NotImplementedError as error:
         raise InputError("path", f"must be a MATLAB file up to version 7.2; save it with -v7: {path}") from error
     except (OSError, ValueError) as error:
@@ -118,10 +120,11 @@ def read_mat_table(path: str | PathLike[str], names: tuple[str, str, str]) -> tu
 
 
 @lru_cache(maxsize=4)
-def _mat_variables(content: bytes, names: tuple[str, ...]) -> tuple[tuple[str, Any], ...]:
+def _mat_variables(path: Path, stamp: tuple[int, ...], names: tuple[str, ...]) -> tuple[tuple[str, Any], ...]:
     """Return the variables of a MATLAB file by name; those that are not asked for are None.
 
-    Another process reads it, because SciPy can end the one in which it meets a broken file.
+    Another process reads it, because SciPy can end the one in which it meets a broken file. `stamp` makes a file that
+    is another one now be read again.
     """
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
@@ -129,7 +132,8 @@ def _mat_variables(content: bytes, names: tuple[str, ...]) -> tuple[tuple[str, A
     # -P: the modules beside the script are none of its own.
     command = [sys.executable, "-P", str(Path(__file__).with_name("mat_process.py")), str(LARGEST_BINARY), *names]
     try:
-        done = subprocess.run(command, input=content, capture_output=True, env=environment, timeout=_PATIENCE)
+        with open_file(path, LARGEST_BINARY) as file:
+            done = subprocess.run(command, stdin=file, capture_output=True, env=environment, timeout=_PATIENCE)
     except subprocess.TimeoutExpired as error:
         raise ValueError(f"reading it takes more than {_PATIENCE:g} s") from error
     if done.returncode == VERSION_73:
@@ -137,9 +141,9 @@ def _mat_variables(content: bytes, names: tuple[str, ...]) -> tuple[tuple[str, A
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip().splitlines()
         raise ValueError(said[-1][:200] if said and done.returncode > 0 else "reading it ends the process")
-    file = np.load(io.BytesIO(done.stdout), allow_pickle=False)
-    asked = {str(name): file[f"value{i}"] for i, name in enumerate(file["asked"])}
-    return tuple((str(name), asked.get(str(name))) for name in file["names"])
+    told = np.load(io.BytesIO(done.stdout), allow_pickle=False)
+    asked = {str(name): told[f"value{i}"] for i, name in enumerate(told["asked"])}
+    return tuple((str(name), asked.get(str(name))) for name in told["names"])
 
 
 def _picked(file: Mapping[str, Any], names: tuple[str, str, str], path: str | PathLike[str]) -> tuple[Any, Any, Any]:

@@ -14,7 +14,7 @@ from clsim.input_files import LARGEST_BINARY, check_archive, check_file, open_fi
 KNOWN_FORMATS = ("OBJ", "STL", "PLY", "GLB", "GLTF", "OFF", "3MF")
 
 _ARCHIVES = ("zip", "bz2", "tar.gz", "tar.bz2")  # of whatever files, which are not read
-_MOST_NUMBERS = LARGEST_BINARY // 4  # in the arrays of a glTF file
+_MOST_POINTS = LARGEST_BINARY // 16  # points in the arrays of a glTF file
 
 
 def load_by_trimesh(file: Path) -> Any:
@@ -35,6 +35,8 @@ def load_by_trimesh(file: Path) -> Any:
     try:
         _check_unpacked(file, kind)
         return trimesh.load_scene(file, process=False, resolver=_beside(file))
+    except InputError:
+        raise
     except Exception as error:  # the readers of trimesh raise whatever a broken file leads to
         reason = f"{type(error).__name__}: {error}"
         problem = f"must be a {kind.upper()} file of a mesh, but trimesh says {reason:.200}"
@@ -50,9 +52,9 @@ def _check_unpacked(file: Path, kind: str) -> None:
         data = read_file(file, LARGEST_BINARY)
         header = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]] if kind == "glb" else data)
         # Arrays without data of their own are zeros, as many as the file says.
-        numbers = sum(16 * int(array["count"]) for array in header.get("accessors", ()))
-        if numbers > 16 * _MOST_NUMBERS:
-            raise InputError("accessors", f"must be of at most {_MOST_NUMBERS} numbers, but are of {numbers // 16}")
+        points = sum(int(array["count"]) for array in header.get("accessors", ()))
+        if points > _MOST_POINTS:
+            raise InputError(str(file), f"must hold at most {_MOST_POINTS} points, but says {points}")
 
 
 def _beside(file: Path) -> Any:
