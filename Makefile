@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test study-kills clean
+.PHONY: demo test study-kills fuzz clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
@@ -14,6 +14,9 @@ test: .venv/tested
 # Fifty workers of studies killed at random: some minutes.
 study-kills: .venv/tested
 	STUDY_KILLS=50 $(BIN)/python -m pytest -n 0 tests/unit/test_study_killed.py -k killed_at_random
+
+fuzz: .venv/tested
+	CLSIM_FUZZ=20000 $(BIN)/python -m pytest -n 2 --dist load tests/unit/test_fuzz.py
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv

@@ -13,6 +13,13 @@ from clsim.errors import InputError
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
+# Bounds that more than one field has, generous beyond all use: no product of what they allow overflows float64.
+SLOWEST, FASTEST = 1e-3, 100e6  # Hz, of frequencies
+FARTHEST = 1e8  # m, of coordinates: where float64 still resolves 15 nm
+LARGEST_ROOM, SMALLEST_ROOM = 1e5, 1e-4  # m, of lengths of a room
+LOUDEST = 1e12  # Pa or V, of samples, amplitudes and what full scale means; Pa/V or V/Pa of sensitivities
+QUIETEST = 1e-15  # the same, of what must not be 0
+
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a contiguous read-only view, copied only where needed."""
@@ -23,7 +30,9 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
-def as_floats(field: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
+def as_floats(
+    field: str, value: Any, shape: tuple[int | None, ...], *, within: float = math.inf, unit: str = ""
+) -> Floats:
     """Convert to a read-only float64 array of finite values.
 
     Parameters
@@ -34,6 +43,10 @@ def as_floats(field: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
         What the user gave.
     shape : tuple of int or None
         Wanted shape; ``None`` stands for any positive length.
+    within : float
+        Largest magnitude.
+    unit : str
+        Named with it in the error.
 
     Returns
     -------
@@ -43,12 +56,12 @@ def as_floats(field: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
     Raises
     ------
     InputError
-        If the value is not numeric, has another shape, is empty or holds NaN or infinity.
+        If the value is not numeric, has another shape, is empty or holds NaN, infinity or more than `within`.
     """
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(field, f"must be numbers, but is {value!r:.80}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(field, f"must be numbers, but is {_told(value)}") from error
     wanted = " x ".join("n" if n is None else str(n) for n in shape) or "a single number"
     if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
         got = " x ".join(map(str, array.shape)) or "a single number"
@@ -59,7 +72,19 @@ def as_floats(field: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
     if len(bad):
         index = "".join(f"[{i}]" for i in bad[0])
         raise InputError(f"{field}{index}", f"must be finite, but is {array[tuple(bad[0])]}")
+    if max(-array.min(), array.max()) > within:
+        place = np.unravel_index(np.argmax(np.abs(array)), array.shape)
+        index, unit = "".join(f"[{i}]" for i in place), f" {unit}" if unit else ""
+        raise InputError(f"{field}{index}", f"must be within {within:g}{unit}, but is {array[place]:g}{unit}")
     return read_only(array)
+
+
+def _told(value: Any) -> str:
+    """Return the beginning of what Python shows of a value."""
+    try:
+        return f"{value!r:.80}"
+    except (ValueError, RecursionError):  # thousands of digits, or of lists within each other
+        return "too long to be shown"
 
 
 def as_number(
@@ -80,8 +105,11 @@ def as_number(
         If it is no number (a bool is none), not finite or out of bounds; the message names bound and value.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
-        raise InputError(field, f"must be a number, but is {value!r:.80}")
-    number = float(value)
+        raise InputError(field, f"must be a number, but is {_told(value)}")
+    try:
+        number = float(value)
+    except OverflowError:  # a whole number beyond all floats
+        number = math.inf if value > 0 else -math.inf
     unit = f" {unit}" if unit else ""
     for holds, rule in (
         (math.isfinite(number), "finite"),
@@ -104,10 +132,10 @@ def as_count(field: str, value: Any, *, at_least: int = 0, at_most: int | None =
         If it is no whole number or out of bounds.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise InputError(field, f"must be a whole number, but is {value!r:.80}")
+        raise InputError(field, f"must be a whole number, but is {_told(value)}")
     if value < at_least or (at_most is not None and value > at_most):
         rule = f"at least {at_least}" if at_most is None else f"from {at_least} to {at_most}"
-        raise InputError(field, f"must be {rule}, but is {value}")
+        raise InputError(field, f"must be {rule}, but is {_told(value)}")
     return int(value)
 
 

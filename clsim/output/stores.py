@@ -6,6 +6,7 @@ is not sound is on the disk before the first sample.
 
 from __future__ import annotations
 
+import io
 import shutil
 import warnings
 from dataclasses import dataclass
@@ -223,11 +224,23 @@ class _WavStore(_RowStore):
         return SoundFile(path) if self._sound.carrier is None else EnvelopeFile(path)
 
 
+class _Image(io.BytesIO):
+    """The beginning of a file in memory; how long the file is, is only noted."""
+
+    length = 0
+
+    def truncate(self, size: int | None = None) -> int:
+        """Note the file's length, and forget what lies beyond."""
+        self.length = self.tell() if size is None else size
+        return super().truncate(self.length)  # which adds nothing where that is more
+
+
 class _Hdf5Store(_RowStore):
     """A netCDF-4 file whose sound is one unbroken block, written past the HDF5 library.
 
-    A process that dies within the library can leave a file that no longer opens. Here all that the library writes is on
-    the disk before the first sample, and does not change any more.
+    A process that dies within the library can leave a file that no longer opens, and a full disk can end the process
+    within the library. Here it writes into memory; what it wrote is on the disk before the first sample, and does not
+    change any more.
     """
 
     def __init__(self, folder: Path, sound: StoredSound) -> None:
@@ -237,15 +250,19 @@ class _Hdf5Store(_RowStore):
     def create(self) -> None:
         import h5netcdf
         import h5py
+        from xarray.backends import H5NetCDFStore
 
-        path = self.paths[0]
-        self._sound.coordinates().to_netcdf(path, engine="h5netcdf")
-        with h5netcdf.File(path, "a") as file:
+        image = _Image()
+        with h5netcdf.File(image, "w") as file:
+            self._sound.coordinates().dump_to_store(H5NetCDFStore(file))
             file.dimensions["time"] = self._sound.samples
             variable = file.create_variable("sound", ("receiver", "time"), np.dtype(self._sound.sample_type))
             variable.attrs.update(self._sound.sound_attributes)
-        with h5py.File(path, "r+") as raw:
+        with h5py.File(image, "r+") as raw:
             raw["sound"][0, 0] = 0.0  # gives the block its place in the file
+        with self.paths[0].open("wb") as out:
+            out.write(image.getbuffer())
+            out.truncate(image.length)
         self.reserve()
 
     def places(self) -> list[tuple[Path, int]]:

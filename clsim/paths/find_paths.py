@@ -87,7 +87,7 @@ def find_paths(
     as_choice("finder", finder, FINDERS)
     as_choice("engine", engine, ENGINES)
     if resolution is not None:
-        resolution = as_number("resolution", resolution, at_least=1e-9, unit="s")
+        resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
     limit = as_count("path_limit", path_limit, at_least=1)
     if isinstance(scene.room, Shoebox):
         return _shoebox_paths(scene, scene.room, as_count("max_order", max_order, at_most=LARGEST_ORDER), limit)

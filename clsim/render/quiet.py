@@ -67,9 +67,9 @@ def without_quiet(tracks: SceneTracks, below_db: float, until: float) -> tuple[S
         path_groups=tuple(group.part(rows) for group, rows in zip(tracks.path_groups, kept, strict=True)),
         path_rows=tuple(all_rows[rows] for all_rows, rows in zip(tracks.path_rows, kept, strict=True)),
     )
+    together = f"reach at most {20.0 * math.log10(lost):.1f} dB" if lost > 0.0 else "are silent"
     return reduced, (
-        f"{count} paths that stay below {below_db:g} dB of the strongest are left out; "
-        f"all of them together reach at most {20.0 * math.log10(lost):.1f} dB"
+        f"{count} paths that stay below {below_db:g} dB of the strongest are left out; all of them together {together}"
     )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from clsim.errors import ClsimWarning
+from clsim.errors import ClsimWarning, InputError
 from clsim.render.plan import SEGMENT, Plan
 from clsim.scene.electronics import Electronics
 from clsim.scene.filtering import StreamFilter
@@ -46,10 +46,18 @@ class Receiving:
         return tuple(self._ends[i].clipped if i in self._ends else 0 for i in range(self._plan.receiver_count))
 
     def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[Any]:
-        """Return what is recorded of pressure (receivers, n) in Pa from sample `start` on."""
-        out = np.array(pressure, dtype=self._plan.sample_type)
-        for i, end in self._ends.items():
-            out[i] = end(start, np.asarray(pressure[i], dtype=np.float64))
+        """Return what is recorded of pressure (receivers, n) in Pa from sample `start` on.
+
+        Raises
+        ------
+        InputError
+            If a sample is not finite.
+        """
+        with np.errstate(over="ignore"):  # what float32 does not hold is refused
+            out = np.array(pressure, dtype=self._plan.sample_type)
+            for i, end in self._ends.items():
+                out[i] = end(start, np.asarray(pressure[i], dtype=np.float64))
+        _check_finite(start, out)
         return out
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -81,6 +89,19 @@ class Receiving:
                     ClsimWarning,
                     stacklevel=4,
                 )
+
+
+def _check_finite(start: int, samples: NDArray[Any]) -> None:
+    """Refuse samples (receivers, n) from `start` on that are not finite."""
+    parts = samples.view(np.float32)  # of envelopes, too
+    if parts.size and np.isfinite(parts.max()) and np.isfinite(parts.min()):  # NaN is both
+        return
+    for i, k in np.argwhere(~np.isfinite(samples))[:1]:
+        raise InputError(
+            f"receivers[{i}]",
+            f"must hear what float32 holds, but sample {start + k} is {samples[i, k]}: lower amplitudes, sensitivities "
+            "or gain_db",
+        )
 
 
 class ReceiverEnd:

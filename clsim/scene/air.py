@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _COLDEST, _HOTTEST = -73.0, 100.0  # °C: 200 K, where ISO 9613-1 stops claiming anything, and boiling water
 _THINNEST, _DENSEST = 1e4, 1e6  # Pa
+_SLOWEST, _FASTEST = 100.0, 2000.0  # m/s: heavy gases, hydrogen, water
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ class Air:
     pressure : float
         Static pressure, 10 kPa to 1 MPa, Pa.
     speed_of_sound : float or "iso9613" or None
-        A speed, m/s; ISO 9613-1's formula by name; or None for Cramer's formula (1993, 314 ppm CO2).
+        A speed, 100 to 2000 m/s; ISO 9613-1's formula by name; or None for Cramer's formula (1993, 314 ppm CO2).
     absorption : bool
         Whether the air absorbs sound, by ISO 9613-1; without it closed forms of walls and spreading hold exactly.
 
@@ -159,7 +160,7 @@ def _checked_speed(value: float | str | None) -> float | str | None:
         return None
     if isinstance(value, str):
         return as_choice("speed_of_sound", value, ("iso9613",))
-    return as_number("speed_of_sound", value, above=0.0, unit="m/s")
+    return as_number("speed_of_sound", value, at_least=_SLOWEST, at_most=_FASTEST, unit="m/s")
 
 
 def _doubt_in_speed(air: Air, vapour: float) -> str:

@@ -191,7 +191,7 @@ class Piston:
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", as_number("radius", self.radius, above=0.0, unit="m"))
+        object.__setattr__(self, "radius", as_number("radius", self.radius, at_least=1e-6, at_most=1e3, unit="m"))
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return the gain; see `Directivity.gain`."""

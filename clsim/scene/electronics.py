@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from clsim.arrays import as_count, as_number
+from clsim.arrays import FASTEST, LOUDEST, QUIETEST, SLOWEST, as_count, as_number
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -95,10 +95,13 @@ class Electronics:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, as_number(name, value, at_least=low, at_most=high, unit=unit))
-        for name in ("low_cut", "high_cut", "adc_full_scale"):
-            if getattr(self, name) is not None:
-                unit = "" if name == "adc_full_scale" else "Hz"
-                object.__setattr__(self, name, as_number(name, getattr(self, name), above=0.0, unit=unit))
+        for name, least, most, unit in (
+            ("low_cut", SLOWEST, FASTEST, "Hz"), ("high_cut", SLOWEST, FASTEST, "Hz"),
+            ("adc_full_scale", QUIETEST, LOUDEST, ""),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, as_number(name, value, at_least=least, at_most=most, unit=unit))
         as_count("seed", self.seed, at_least=0, at_most=2**64 - 1)
         as_count("order", self.order, at_least=1, at_most=8)
         if self.adc_bits is not None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, as_number
+from clsim.arrays import FARTHEST, LARGEST_ROOM, SMALLEST_ROOM, Floats, as_floats, as_number
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def extruded_plan(
     """
     from mapbox_earcut import triangulate_float64
 
-    height = as_number("height", height, above=0.0, unit="m")
+    height = as_number("height", height, at_least=SMALLEST_ROOM, at_most=LARGEST_ROOM, unit="m")
     rings = [_ring("outline", outline)] + [_ring(f"pillars[{i}]", p) for i, p in enumerate(pillars)]
     plan = np.concatenate(rings)
     ends = np.cumsum([len(ring) for ring in rings])
@@ -68,7 +68,7 @@ def extruded_plan(
 
 
 def _ring(field: str, value: ArrayLike) -> Floats:
-    ring = as_floats(field, value, (None, 2))
+    ring = as_floats(field, value, (None, 2), within=FARTHEST, unit="m")
     if len(ring) < 3 or not abs(_area(ring)) > 0.0:
         raise InputError(field, f"must be three corners or more around an area, but is {ring.tolist()!r:.80}")
     return ring

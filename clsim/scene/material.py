@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import as_choice, as_count, as_floats, as_number
+from clsim.arrays import LOUDEST, as_choice, as_count, as_floats, as_number
 from clsim.errors import InputError
 from clsim.scene.material_checks import (
     ROUNDING,
@@ -22,7 +22,7 @@ from clsim.scene.material_library import LIBRARY
 from clsim.scene.material_surfaces import PorousLayer, SolidWall
 from clsim.scene.material_tables import AbsorptionTable, ConstantFactor, FactorTable, ImpedanceTable, MeasuredEcho
 from clsim.scene.reflecting_surface import ReflectingSurface
-from clsim.scene.sound_files import read_sound_file
+from clsim.scene.sound_files import as_scale, read_sound_file
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 MATERIAL_NAMES = tuple(LIBRARY)
 
 _RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
+_DENSEST, _STIFFEST = 1e7, 1e7  # kg/m³ and m/s, beyond all solids
 _HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
 
 
@@ -240,7 +241,7 @@ class Material(ReflectingSurface):
         0.8
         """
         rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
-        taps = as_floats("samples", samples, (None,))
+        taps = as_floats("samples", samples, (None,), within=LOUDEST)
         reference = as_number("reference", reference, at_least=-1e6, at_most=1e6)
         tolerance = as_number("tolerance", tolerance, at_least=0.0, at_most=1.0)
         low, high = (0.0, 0.5 * rate) if band is None else as_floats("band", band, (2,)).tolist()
@@ -282,7 +283,7 @@ class Material(ReflectingSurface):
         InputError
             If the file is missing or no sound file, has no such channel, or holds no passive response.
         """
-        channel, scale = as_count("channel", channel, at_least=0), as_number("scale", scale)
+        channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel)
         taps = scale * samples.astype(np.float64)
         return cls.from_impulse_response(taps, rate, reference, band, outside, tolerance, name)
@@ -319,8 +320,8 @@ class Material(ReflectingSurface):
         >>> abs(concrete.reflection_at(40e3, [1.0, 0.1])).round(3).tolist()
         [0.996, 0.889]
         """
-        density = as_number("density", density, above=0.0, unit="kg/m³")
-        sound_speed = as_number("sound_speed", sound_speed, above=0.0, unit="m/s")
+        density = as_number("density", density, above=0.0, at_most=_DENSEST, unit="kg/m³")
+        sound_speed = as_number("sound_speed", sound_speed, above=0.0, at_most=_STIFFEST, unit="m/s")
         if density * sound_speed < _HARD:
             raise InputError(
                 "density",

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import as_choice, as_number, read_only
+from clsim.arrays import FARTHEST, as_choice, as_number, read_only
 from clsim.errors import InputError
+from clsim.input_files import LARGEST_BINARY, LARGEST_TEXT, open_file, read_file
+from clsim.scene.mesh_loading import load_by_trimesh
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -20,11 +22,12 @@ if TYPE_CHECKING:
 
 Ints = NDArray[np.int64]
 
-KNOWN_FORMATS = ("OBJ", "STL", "PLY", "GLB", "GLTF", "OFF", "3MF")
-
 _AREA_TOLERANCE = 1e-6  # relative, between a polygon's own area and that of its triangles
 _PLANE_TOLERANCE = 1e-3  # of a polygon's size, beyond which it is called not planar
 _FLAT = 1e-12  # of the size squared, below which an area is rounding
+_LARGEST_SCALE = 1e9
+_MOST_TRIANGLES = 10_000_000
+_FARTHEST = _LARGEST_SCALE * FARTHEST  # in the unit of a file
 _NAMELESS = (".stl", ".ply", ".off")  # formats whose single geometry has no name of its own
 
 # Rows are the new x, y and z as read from the file's axes; each is a rotation (determinant 1).
@@ -111,17 +114,16 @@ def read_mesh(path: Any, *, scale: float = 1.0, up: Literal["x", "y", "z"] = "z"
     >>> len(mesh.triangles), mesh.groups, mesh.notes
     (3, ('carpet',), ('1 concave polygon was ear-clipped.',))
     """
-    scale = as_number("scale", scale, above=0.0)
+    scale = as_number("scale", scale, at_least=1.0 / _LARGEST_SCALE, at_most=_LARGEST_SCALE)
     turn = _TO_Z_UP[as_choice("up", up, ("x", "y", "z"))]
     try:
         file = Path(path)
     except TypeError as error:
         raise InputError("path", f"must be a path, but is {path!r:.80}") from error
     try:
-        with file.open("rb"):
-            pass
-    except (OSError, ValueError) as error:
-        raise InputError(str(path), f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        open_file(file, LARGEST_BINARY).close()
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
     mesh = _read_obj(file) if file.suffix.lower() == ".obj" else _read_by_trimesh(file)
     # Adding zero turns -0 into 0.
     vertices = (mesh.vertices @ turn.T) * scale + 0.0
@@ -203,7 +205,10 @@ def _parse_obj(file: Path) -> tuple[Floats, list[_Face]]:
 
 def _statements(file: Path) -> Iterator[tuple[int, str, str]]:
     """Yield number of line, keyword and the rest, without comments and with continued lines joined."""
-    data = file.read_bytes()
+    try:
+        data = read_file(file, LARGEST_TEXT)
+    except OSError as error:
+        raise InputError(str(file), f"cannot be read: {error.strerror or error}") from error
     if b"\0" in data:
         raise InputError(str(file), "must be an OBJ file, which is text, but holds a zero byte")
     try:
@@ -321,15 +326,17 @@ def _areas(flat: Floats, cut: Ints) -> Floats:
 
 def _read_by_trimesh(file: Path) -> MeshFile:
     """Read a file in its own axes and unit, its geometries joined."""
-    scene = _load_scene(file)
+    scene = load_by_trimesh(file)
     vertices: list[Floats] = []
     triangles: list[Ints] = []
-    names, others = [], 0
+    names, others, count = [], 0, 0
     rank = {key: i for i, key in enumerate(scene.geometry)}
     # trimesh lists nodes in no order of the file's.
     nodes = sorted(scene.graph.nodes_geometry, key=lambda node: (rank[scene.graph[node][1]], str(node)))
     for node in nodes:
         transform, key = scene.graph[node]
+        if not np.all(np.abs(transform) <= _FARTHEST):
+            raise InputError(str(file), f"must place its parts by finite numbers, but has {transform.tolist()!s:.80}")
         geometry = scene.geometry[key]
         if not len(getattr(geometry, "faces", ())):
             others += 1
@@ -339,6 +346,9 @@ def _read_by_trimesh(file: Path) -> MeshFile:
         _check_corners(file, points, faces.ravel(), lambda i: f"face {i // 3 + 1}", first=0)
         if np.linalg.det(transform[:3, :3]) < 0.0:  # a mirror: outside stays outside
             faces = faces[:, ::-1]
+        count += len(faces)
+        if count > _MOST_TRIANGLES:  # a few copied by many nodes may be more than memory holds
+            raise InputError(str(file), f"must hold at most {_MOST_TRIANGLES} triangles")
         triangles.append(faces + sum(len(v) for v in vertices))
         vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
         names.append(_name(file, geometry, key, alone=len(nodes) == 1))
@@ -352,22 +362,6 @@ def _read_by_trimesh(file: Path) -> MeshFile:
     return MeshFile(np.concatenate(vertices), np.concatenate(triangles), group, groups, notes)
 
 
-def _load_scene(file: Path) -> Any:
-    import trimesh
-
-    known = ", ".join(KNOWN_FORMATS)
-    kind = file.suffix.lower().removeprefix(".")
-    if kind not in trimesh.available_formats():
-        extra = " (3MF needs the packages networkx and lxml)" if kind == "3mf" else ""
-        raise InputError(str(file), f"must be of a known format ({known}), but ends with {file.suffix!r}{extra}")
-    try:
-        return trimesh.load_scene(file, process=False)
-    except Exception as error:  # the readers of trimesh raise whatever a broken file leads to
-        reason = f"{type(error).__name__}: {error}"
-        problem = f"must be a {kind.upper()} file of a mesh, but trimesh says {reason:.200}"
-        raise InputError(str(file), problem) from error
-
-
 def _check_corners(file: Path, vertices: Floats, corners: Ints, where: Callable[[int], str], first: int) -> None:
     """Refuse corners beyond the vertices, and vertices that are not finite; `first` is the file's first index."""
     for i in np.flatnonzero((corners < 0) | (corners >= len(vertices)))[:1]:
@@ -375,11 +369,11 @@ def _check_corners(file: Path, vertices: Floats, corners: Ints, where: Callable[
         raise InputError(
             str(file), f"{where(i)} must use vertices from {first} to {last}, but uses {corners[i] + first}"
         )
-    finite = np.all(np.isfinite(vertices), axis=1)
-    for i in np.flatnonzero(~finite[corners])[:1]:
+    near = np.all(np.abs(vertices) <= _FARTHEST, axis=1)
+    for i in np.flatnonzero(~near[corners])[:1]:
         k = corners[i]
         raise InputError(str(file), f"{where(i)} must have finite corners, but vertex {k + first} is {vertices[k]}")
-    for k in np.flatnonzero(~finite)[:1]:
+    for k in np.flatnonzero(~near)[:1]:
         raise InputError(str(file), f"vertices must be finite, but vertex {k + first} (of no face) is {vertices[k]}")
 
 

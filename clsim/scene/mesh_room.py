@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Complexes, Floats, as_floats, as_number, read_only
+from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.floor_plan import extruded_plan
 from clsim.scene.material import Material
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Materials = Material | Mapping[str, Material] | Sequence[Material]
 # Directions that no wall is likely to lie along; where one of them meets an edge, the two others outvote it.
 _RAYS = np.array([[0.3607, 0.4783, 0.8007], [-0.7321, 0.5519, -0.3991], [0.5297, -0.8081, 0.2577]])
+_BENT = 10.0  # m, beyond which nothing is flat
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,13 +86,13 @@ class MeshRoom:
     wall_materials: tuple[Material, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        vertices = as_floats("vertices", self.vertices, (None, 3))
+        vertices = as_floats("vertices", self.vertices, (None, 3), within=FARTHEST, unit="m")
         triangles = _checked_triangles(self.triangles, len(vertices))
         materials = _per_triangle("materials", self.materials, len(triangles))
         labels = ("",) * len(triangles) if self.labels is None else tuple(self.labels)
         if len(labels) != len(triangles):
             raise InputError("labels", f"must be one per triangle, {len(triangles)}, but are {len(labels)}")
-        flatness = as_number("flatness", self.flatness, at_least=0.0, unit="m")
+        flatness = as_number("flatness", self.flatness, at_least=0.0, at_most=_BENT, unit="m")
         clean = clean_mesh(vertices, triangles)
         kept = [materials[i] for i in clean.kept]
         kinds = {id(m): i for i, m in enumerate({id(m): m for m in kept}.values())}

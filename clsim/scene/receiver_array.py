@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_count, as_floats, as_number
+from clsim.arrays import FARTHEST, Floats, as_count, as_number
 from clsim.errors import InputError
+from clsim.input_files import LARGEST_TEXT, read_file
 from clsim.scene.scene import Receiver
 from clsim.scene.trajectory import Trajectory
+from clsim.scene.trajectory_checks import as_places
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -45,7 +46,7 @@ def receiver_array(name: str, positions: ArrayLike, **arguments: Any) -> list[Re
     """
     if not isinstance(name, str) or not name.strip():
         raise InputError("name", f"must be a text that is not empty, but is {name!r:.80}")
-    places = as_floats("positions", positions, (None, 3))
+    places = as_places("positions", positions, (None, 3))
     if len(places) > _MOST:
         raise InputError("positions", f"must be at most {_MOST}, but are {len(places)}")
     return [Receiver(f"{name}-{i}", Trajectory.fixed(place), **arguments) for i, place in enumerate(places)]
@@ -91,7 +92,7 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
         If the file cannot be read, holds no positions, or a line has not three finite numbers; the message names it.
     """
     try:
-        lines = Path(path).read_text("utf-8").splitlines()
+        lines = read_file(path, LARGEST_TEXT).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError("path", f"{path}: cannot be read: {reason}") from error
@@ -113,15 +114,17 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
         found.append(values)
     if not found:
         raise InputError("path", f"{path}: must hold positions, but holds none")
-    return as_floats("positions", found, (None, 3))
+    return as_places("positions", found, (None, 3))
 
 
 def _axis(field: str, value: Any) -> Floats:
     if np.ndim(value) == 0:
-        return np.array([as_number(field, value, unit="m")])
+        return np.array([as_number(field, value, at_least=-FARTHEST, at_most=FARTHEST, unit="m")])
     if len(value) != 3:
         raise InputError(field, f"must be a number or first, last and count, but is {value!r:.80}")
-    first, last = (as_number(f"{field}[{i}]", value[i], unit="m") for i in range(2))
+    first, last = (
+        as_number(f"{field}[{i}]", value[i], at_least=-FARTHEST, at_most=FARTHEST, unit="m") for i in range(2)
+    )
     count = value[2]
     if isinstance(count, float) and count.is_integer():
         count = int(count)

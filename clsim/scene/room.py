@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import Complexes, Floats, as_floats, as_number, read_only
+from clsim.arrays import LARGEST_ROOM, SMALLEST_ROOM, Complexes, Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.material import Material
 
@@ -33,7 +33,7 @@ class Shoebox:
     Raises
     ------
     InputError
-        If a length is not positive, or a wall is unknown or missing.
+        If a length is not from 0.1 mm to 100 km, or a wall is unknown or missing.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class Shoebox:
     def __post_init__(self) -> None:
         size = as_floats("size", self.size, (3,))
         for i, length in enumerate(size):
-            as_number(f"size[{i}]", length, above=0.0, unit="m")
+            as_number(f"size[{i}]", length, at_least=SMALLEST_ROOM, at_most=LARGEST_ROOM, unit="m")
         object.__setattr__(self, "size", size)
         object.__setattr__(self, "walls", _checked_walls(self.walls))
 

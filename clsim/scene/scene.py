@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.geometry import quaternion_from_direction
-from clsim.arrays import Floats, as_floats, as_number
+from clsim.arrays import FARTHEST, Floats, as_number
 from clsim.errors import InputError
 from clsim.scene.air import Air
 from clsim.scene.directivity import AnyDirectivity, Directivity, Omni, SphericalDirectivity
@@ -21,11 +21,13 @@ from clsim.scene.placement import check_distances, check_motions, check_sides
 from clsim.scene.plausibility import warn_of_units
 from clsim.scene.room import Shoebox
 from clsim.scene.trajectory import Trajectory
-from clsim.scene.trajectory_checks import LONGEST
+from clsim.scene.trajectory_checks import LONGEST, as_direction
 from clsim.scene.transducer import Transducer
 
 if TYPE_CHECKING:
     from clsim.scene.signal import Signal
+
+_NEAREST = 1e-6  # m, least bound of the distance between ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +178,7 @@ class Scene:
     def __post_init__(self) -> None:
         object.__setattr__(self, "sources", _checked_list("sources", self.sources, Source))
         object.__setattr__(self, "receivers", _checked_list("receivers", self.receivers, Receiver))
-        distance = as_number("min_distance", self.min_distance, above=0.0, unit="m")
+        distance = as_number("min_distance", self.min_distance, at_least=_NEAREST, at_most=FARTHEST, unit="m")
         object.__setattr__(self, "min_distance", distance)
         if not isinstance(self.room, Shoebox | MeshRoom):
             raise InputError("room", f"must be a Shoebox or a MeshRoom, but is {self.room!r:.80}")
@@ -225,10 +227,7 @@ def _checked_ends(item: Source | Receiver) -> Floats | None:
         return None
     if item.trajectory.has_orientation:
         raise InputError("aim", "must be left out, because the trajectory has orientations of its own")
-    aim = as_floats("aim", item.aim, (3,))
-    if not np.linalg.norm(aim) > 0.0:
-        raise InputError("aim", "must be a direction, but is 0, 0, 0")
-    return aim
+    return as_direction("aim", item.aim)
 
 
 def _orientation(item: Source | Receiver, times: Floats) -> Floats:

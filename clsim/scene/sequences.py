@@ -26,6 +26,8 @@ _PREFERRED: dict[int, tuple[tuple[int, ...], tuple[int, ...]]] = {
     10: ((3,), (2, 3, 8)),
     11: ((2,), (2, 5, 8)),
 }
+_MOST_SAMPLES = 2**26  # of a sequence, which is kept
+_BLOCK = 2**16  # samples made at a time
 _HALF_CHIPS = 16  # chips on either side over which a chip's pulse is kept
 
 
@@ -71,6 +73,28 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
     return np.asarray(first * np.roll(second, code - 2))
 
 
+def shaped_count(chips: int, chip_rate: float, sampling_rate: float) -> int:
+    """Return the number of samples of a sequence on a carrier."""
+    return math.ceil((chips - 1 + 2 * _HALF_CHIPS) * sampling_rate / chip_rate) + 1
+
+
+def most_repeats(chips: int, chip_rate: float, sampling_rate: float) -> int:
+    """Return how many periods of a sequence can be kept, 1 at least.
+
+    Raises
+    ------
+    InputError
+        If not even one can.
+    """
+    if shaped_count(chips, chip_rate, sampling_rate) > _MOST_SAMPLES:
+        raise InputError(
+            "chip_rate",
+            f"must be high enough for a period of {chips} chips to take at most {_MOST_SAMPLES} samples, "
+            f"but is {chip_rate:g} Hz",
+        )
+    return max(1, int((_MOST_SAMPLES * chip_rate / sampling_rate - 2 * _HALF_CHIPS) / chips))
+
+
 @lru_cache(maxsize=4)
 def shaped_sequence(
     kind: str,
@@ -91,16 +115,18 @@ def shaped_sequence(
     J. G. Proakis, Digital Communications, 4th ed., eq. 9.2-27.
     """
     chips = np.tile(binary_sequence(kind, bits, code), repeats)
-    count = math.ceil((len(chips) - 1 + 2 * _HALF_CHIPS) * sampling_rate / chip_rate) + 1
-    n = np.arange(count)
-    place = n * (chip_rate / sampling_rate) - _HALF_CHIPS  # in chips
-    base = np.zeros(count)
-    nearest = np.floor(place).astype(np.int64)
-    for offset in range(-_HALF_CHIPS, _HALF_CHIPS + 1):
-        k = nearest + offset
-        inside = (k >= 0) & (k < len(chips))
-        base[inside] += chips[k[inside]] * _pulse(place[inside] - k[inside], rolloff)
-    return read_only(base * np.cos(2.0 * math.pi * np.mod(n * (carrier / sampling_rate), 1.0)))
+    out = np.empty(shaped_count(len(chips), chip_rate, sampling_rate))
+    for first in range(0, len(out), _BLOCK):
+        n = np.arange(first, min(first + _BLOCK, len(out)))
+        place = n * (chip_rate / sampling_rate) - _HALF_CHIPS  # in chips
+        base = np.zeros(len(n))
+        nearest = np.floor(place).astype(np.int64)
+        for offset in range(-_HALF_CHIPS, _HALF_CHIPS + 1):
+            k = nearest + offset
+            inside = (k >= 0) & (k < len(chips))
+            base[inside] += chips[k[inside]] * _pulse(place[inside] - k[inside], rolloff)
+        out[n] = base * np.cos(2.0 * math.pi * np.mod(n * (carrier / sampling_rate), 1.0))
+    return read_only(out)
 
 
 def _pulse(x: Floats, rolloff: float) -> Floats:

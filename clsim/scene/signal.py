@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError
-from clsim.scene.sequences import SEQUENCES, binary_sequence
-from clsim.scene.sound_files import read_sound_file
+from clsim.scene.sequences import SEQUENCES, binary_sequence, most_repeats
+from clsim.scene.sound_files import as_scale, read_sound_file
 from clsim.scene.waveforms import Chirp, Noise, Pulses, Samples, Sequence, Tone, Waveform
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ _SPECTRUM_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
 _WINDOW = 0.04  # s, of a short-time spectrum
 _QUIET_WINDOW = 1e-6  # energy of a window relative to the loudest, below which it is taken relative to this level
+_LONGEST = 1e7  # s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,8 +166,8 @@ class Signal:
         fade = as_number("fade", fade, at_least=0.0, at_most=duration / 2, unit="s")
         return cls(
             Tone(
-                _frequency("frequency", frequency, rate), duration, as_number("amplitude", amplitude),
-                as_number("phase", phase), fade,
+                _frequency("frequency", frequency, rate), duration, _amplitude(amplitude),
+                as_number("phase", phase, at_least=-1e9, at_most=1e9, unit="rad"), fade,
             ),
             rate,
         )  # fmt: skip
@@ -218,7 +219,7 @@ class Signal:
         return cls(
             Chirp(
                 _frequency("start", start, rate), _frequency("stop", stop, rate), _duration(duration, rate), method,
-                {"none": 0.0, "tukey": 0.1, "hann": 0.5}[window], as_number("amplitude", amplitude),
+                {"none": 0.0, "tukey": 0.1, "hann": 0.5}[window], _amplitude(amplitude),
             ),
             rate,
         )  # fmt: skip
@@ -234,7 +235,7 @@ class Signal:
         period : float
             From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
         count : int
-            At least 1.
+            At least 1; the train lasts 1e7 s at most.
 
         Raises
         ------
@@ -248,15 +249,12 @@ class Signal:
         """
         if not isinstance(pulse, Signal):
             raise InputError("pulse", f"must be a Signal, but is {pulse!r:.80}")
-        period = as_number("period", period, at_least=pulse.duration, unit="s")
         if isinstance(pulse.waveform, Pulses):
             raise InputError("pulse", "must be a single pulse, but is a train")
-        return cls(
-            Pulses(pulse.waveform, pulse.sampling_rate, period, as_count("count", count, at_least=1)).checked(
-                pulse.sampling_rate
-            ),
-            pulse.sampling_rate,
-        )
+        period = as_number("period", period, at_least=pulse.duration, at_most=_LONGEST, unit="s")
+        count = as_count("count", count, at_least=1, at_most=max(1, math.floor(_LONGEST / period)))
+        rate = pulse.sampling_rate
+        return cls(Pulses(pulse.waveform, rate, period, count).checked(rate), rate)
 
     @classmethod
     def noise(
@@ -306,7 +304,7 @@ class Signal:
         return cls(
             Noise(
                 _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), edges,
-                as_number("rms", rms, at_least=0.0, unit="Pa"),
+                as_number("rms", rms, at_least=0.0, at_most=LOUDEST, unit="Pa"),
             ),
             rate,
         )  # fmt: skip
@@ -338,7 +336,7 @@ class Signal:
         code : int
             Which Gold sequence, from 0 to ``2**bits``; for "mls" the number of chips by which it is rotated.
         repeats : int
-            Periods.
+            Periods; the whole signal has at most 67 million samples.
         rolloff : float
             From 0.05 to 1.
         amplitude : float
@@ -356,14 +354,13 @@ class Signal:
         """
         rate = _rate(sampling_rate)
         as_choice("kind", kind, SEQUENCES)
-        chip_rate = as_number("chip_rate", chip_rate, above=0.0, below=0.5 * rate, unit="Hz")
+        chip_rate = as_number("chip_rate", chip_rate, at_least=SLOWEST, below=0.5 * rate, unit="Hz")
         rolloff = as_number("rolloff", rolloff, at_least=0.05, at_most=1.0)
         half = 0.5 * chip_rate * (1.0 + rolloff)
         carrier = as_number("carrier", carrier, at_least=half, at_most=0.5 * rate - half, unit="Hz")
-        repeats = as_count("repeats", repeats, at_least=1)
-        binary_sequence(kind, bits, code)  # refuses what there is not
-        amplitude = as_number("amplitude", amplitude)
-        return cls(Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, amplitude), rate)
+        chips = len(binary_sequence(kind, bits, code))  # refuses what there is not
+        repeats = as_count("repeats", repeats, at_least=1, at_most=most_repeats(chips, chip_rate, rate))
+        return cls(Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, _amplitude(amplitude)), rate)
 
     @classmethod
     def from_array(cls, samples: Any, sampling_rate: float) -> Signal:
@@ -375,7 +372,7 @@ class Signal:
         array([0., 0., 1.])
         """
         rate = _rate(sampling_rate)
-        return cls(_with_centroid(as_floats("samples", samples, (None,)), rate), rate)
+        return cls(_with_centroid(as_floats("samples", samples, (None,), within=LOUDEST, unit="Pa"), rate), rate)
 
     @classmethod
     def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0) -> Signal:
@@ -384,14 +381,10 @@ class Signal:
         Raises
         ------
         InputError
-            If the file is missing or no sound file, has no such channel, or holds NaN.
+            If the file is missing or no sound file, has no such channel, is too long, or holds what is no finite sound.
         """
-        channel = as_count("channel", channel, at_least=0)
-        scale = as_number("scale", scale)
+        channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel)
-        bad = np.flatnonzero(~np.isfinite(samples))
-        if len(bad):
-            raise InputError("path", f"must hold finite samples, but [{bad[0]}] of {path} is {samples[bad[0]]}")
         samples *= scale
         return cls(_with_centroid(read_only(samples), _rate(rate)), rate)
 
@@ -427,9 +420,13 @@ def _rate(sampling_rate: float) -> float:
     return as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
 
 
+def _amplitude(amplitude: float) -> float:
+    return as_number("amplitude", amplitude, at_least=-LOUDEST, at_most=LOUDEST, unit="Pa")
+
+
 def _duration(duration: float, rate: float) -> float:
-    return as_number("duration", duration, at_least=1.0 / rate, at_most=1e7, unit="s")
+    return as_number("duration", duration, at_least=1.0 / rate, at_most=_LONGEST, unit="s")
 
 
 def _frequency(field: str, frequency: float, rate: float) -> float:
-    return as_number(field, frequency, above=0.0, below=0.5 * rate, unit="Hz")
+    return as_number(field, frequency, at_least=SLOWEST, below=0.5 * rate, unit="Hz")

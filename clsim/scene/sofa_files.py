@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from clsim.arrays import Floats, as_count
 from clsim.errors import InputError
+from clsim.input_files import LARGEST_BINARY, check_file
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 # like GeneralFIR.
 _CONVENTIONS = ("FreeFieldDirectivityTF", "FreeFieldDirectivityIR", "GeneralTF", "GeneralFIR")
 _ROUND = 0.02  # by which distances to the receivers may differ
+_MOST_UNPACKED = 2**29  # bytes
 _PADDING = 4  # lengths of an impulse response over which it is transformed
 
 
@@ -55,13 +58,32 @@ def _opened(path: Path) -> Any:
         raise InputError("path", f"needs the package sofar, pip install 'clsim[sofa]', to be read: {path}") from error
     if path.suffix != ".sofa":
         raise InputError("path", f"must end in .sofa, but is {path}")
-    if not path.is_file():
-        raise InputError("path", f"cannot be read: {path}: no such file")
+    try:
+        check_file(path, LARGEST_BINARY)
+    except OSError as error:
+        raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
+    _check_size(path)
     try:
         # Conventions that sofar does not know and versions that it no longer has are read all the same.
         return sofar.read_sofa_as_netcdf(str(path))
     except (OSError, ValueError, KeyError, AttributeError, RuntimeError) as error:
         raise InputError("path", f"must be a SOFA file, but cannot be read as one: {path}: {error}") from error
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a file that unpacks to more than anyone measures."""
+    from netCDF4 import Dataset
+
+    try:
+        with Dataset(path) as file:
+            numbers = sum(math.prod(map(float, variable.shape)) for variable in file.variables.values())
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError("path", f"must be a SOFA file, but cannot be read as one: {path}: {error}") from error
+    if 8 * numbers > _MOST_UNPACKED:
+        raise InputError(
+            "path",
+            f"must hold at most {_MOST_UNPACKED / 2**20:g} MiB, but unpacks to {8 * numbers / 2**20:.4g}: {path}",
+        )
 
 
 def _read(sofa: Any, measurement: int) -> tuple[Floats, Floats, NDArray[np.complex128]]:

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
+from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.curves import Circular, Still, Straight, frame_about, kinks, legs_through, spline_through
 from clsim.scene.motion import Motion
 from clsim.scene.trajectory_checks import (
-    FARTHEST,
     LONGEST,
     as_choices,
+    as_direction,
     as_increasing,
     as_path,
     as_places,
@@ -151,7 +151,7 @@ class Trajectory(Motion):
         array([[5. , 3. , 1.5],
                [4. , 4. , 1.5]])
         """
-        e1, e2 = frame_about(as_floats("axis", axis, (3,)))
+        e1, e2 = frame_about(as_direction("axis", axis))
         curve = Circular(
             as_places("center", center, (3,)),
             read_only(e1),
@@ -322,7 +322,7 @@ class Trajectory(Motion):
             as_choice("format", format, trajectory_files.FORMATS),
             scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
             repair=as_choices("repair", repair, trajectory_files.REPAIRS),
-            max_speed=as_number("max_speed", max_speed, above=0.0, unit="m/s"),
+            max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
             max_gap=None if max_gap is None else as_span("max_gap", max_gap),
         )
         place = measured.Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))

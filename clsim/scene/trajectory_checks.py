@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number
+from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number
 from clsim.errors import InputError
 
-FARTHEST = 1e8  # m, bound of coordinates: where float64 still resolves 15 nm
 SHORTEST, LONGEST = 1e-9, 1e9  # s, bounds of lengths of time
+_NO_LENGTH = 1e-100  # of a direction
 
 
 def as_span(field_name: str, value: Any) -> float:
@@ -35,12 +35,21 @@ def as_places(field_name: str, value: Any, shape: tuple[int | None, ...]) -> Flo
     InputError
         If they are not finite or have another shape, or a coordinate is absurd.
     """
-    places = as_floats(field_name, value, shape)
-    far = np.argwhere(np.abs(places) > FARTHEST)
-    if len(far):
-        index = "".join(f"[{i}]" for i in far[0])
-        raise InputError(field_name + index, f"must be within {FARTHEST:g} m, but is {places[tuple(far[0])]:g} m")
-    return places
+    return as_floats(field_name, value, shape, within=FARTHEST, unit="m")
+
+
+def as_direction(field_name: str, value: Any) -> Floats:
+    """Return a direction (3,) of any length.
+
+    Raises
+    ------
+    InputError
+        If it is not finite, has another shape or no length, or one at which float64 gives up.
+    """
+    direction = as_floats(field_name, value, (3,), within=1.0 / _NO_LENGTH)
+    if not np.linalg.norm(direction) > _NO_LENGTH:
+        raise InputError(field_name, f"must be a direction, but is {', '.join(f'{x:g}' for x in direction)}")
+    return direction
 
 
 def as_increasing(times: Any) -> Floats:

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.arrays import FARTHEST
 from clsim.errors import ClsimWarning, InputError
-from clsim.scene.trajectory_checks import FARTHEST, LONGEST
+from clsim.input_files import LARGEST_TEXT, read_file
+from clsim.scene.trajectory_checks import LONGEST
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
@@ -25,6 +27,7 @@ _LONGEST_STEP = 5.0  # median steps, beyond which a step is a gap
 _LONGEST_INVENTED = 1.0  # s of motion that gaps may make up without a warning
 _SHORTEST_STEP = 1e-3  # median steps, below which two times are the same
 _FEWEST_ROWS = 4
+_MOST_DIGITS = 30  # of a time before the point
 _UNIT_TOLERANCE = 1e-2  # largest error of a quaternion's norm that counts as rounding
 
 Bools = NDArray[np.bool_]
@@ -194,7 +197,7 @@ def _rows(path: Path, form: str) -> tuple[list[tuple[int, list[str]]], list[int]
 
 def _text(path: Path) -> str:
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = read_file(path, LARGEST_TEXT).decode("utf-8-sig")
     except OSError as error:
         raise InputError("path", f"{path} cannot be read: {error.strerror or error}") from error
     except ValueError as error:
@@ -239,7 +242,7 @@ def _clock(cell: str, whole: bool) -> Decimal:
         time = Decimal(cell.strip()) if "_" not in cell else Decimal("nan")
     except DecimalException:
         time = Decimal("nan")
-    if not time.is_finite() or abs(time) > Decimal("1e30"):
+    if not time.is_finite() or time.adjusted() > _MOST_DIGITS:
         raise ValueError(f"t must be a finite number, but is {cell.strip()!r:.40}")
     if whole and time != time.to_integral_value():
         raise ValueError(f"t must be whole nanoseconds, but is {cell.strip()!r:.40}")

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.air import absorption_iso9613
-from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.filtering import Filtered
 from clsim.scene.responses import ImpulseResponse, Resonance, ResponseTable
 from clsim.scene.signal import Signal
-from clsim.scene.sound_files import read_sound_file
+from clsim.scene.sound_files import as_scale, read_sound_file
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -136,7 +136,9 @@ class Transducer:
         """
         frequency = as_number("frequency", frequency, at_least=1.0, at_most=50e6, unit="Hz")
         width = as_number("width", width, at_least=1e-3 * frequency, below=frequency, unit="Hz")
-        return cls(Resonance(frequency, width, as_number("sensitivity", sensitivity, above=0.0)), name)
+        return cls(
+            Resonance(frequency, width, as_number("sensitivity", sensitivity, at_least=QUIETEST, at_most=LOUDEST)), name
+        )
 
     @classmethod
     def from_table(cls, frequencies: ArrayLike, values: Any, outside: str | None = None, name: str = "") -> Transducer:
@@ -181,11 +183,11 @@ class Transducer:
             as_choice("outside", outside, ("zero", "hold"))
         given = np.asarray(values)
         if given.dtype.kind == "c":
-            parts = [as_floats("values", part, (len(f),)) for part in (given.real, given.imag)]
+            parts = [as_floats("values", part, (len(f),), within=LOUDEST) for part in (given.real, given.imag)]
             magnitudes, phases = np.hypot(*parts), read_only(np.unwrap(np.arctan2(parts[1], parts[0])))
         else:
-            magnitudes, phases = as_floats("values", values, (len(f),)), None
-        for i in np.flatnonzero(magnitudes <= 0.0)[:1]:
+            magnitudes, phases = as_floats("values", values, (len(f),), within=LOUDEST), None
+        for i in np.flatnonzero(magnitudes < QUIETEST)[:1]:
             raise InputError(f"values[{i}]", f"must have a magnitude above 0, but is {given[i]}")
         return cls(ResponseTable(f, read_only(magnitudes), phases, outside), name)
 
@@ -208,8 +210,8 @@ class Transducer:
             If the samples are all zero or not finite.
         """
         rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
-        taps = as_floats("samples", samples, (None,))
-        if not np.any(taps):
+        taps = as_floats("samples", samples, (None,), within=LOUDEST)
+        if not np.abs(taps).max() >= QUIETEST:
             raise InputError("samples", "must not all be 0")
         return cls(ImpulseResponse(taps, rate), name)
 
@@ -222,7 +224,7 @@ class Transducer:
         InputError
             If the file is missing or no sound file, has no such channel, or holds NaN or silence.
         """
-        channel, scale = as_count("channel", channel, at_least=0), as_number("scale", scale)
+        channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel)
         return cls.from_impulse_response(scale * samples.astype(np.float64), rate, name)
 

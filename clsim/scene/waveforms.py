@@ -331,8 +331,8 @@ def _taper(out: Floats, first: int, sampling_rate: float, duration: float, fade:
     fall = slice(max(rise.stop, math.floor((duration - fade) * sampling_rate) - first), None)
     for part in (rise, fall):
         t = (np.arange(len(out))[part] + first) / sampling_rate
-        edge = np.minimum(t, duration - t) / fade
-        out[part] *= np.sin(0.5 * math.pi * np.clip(edge, 0.0, 1.0)) ** 2
+        edge = np.clip(np.minimum(t, duration - t), 0.0, fade) / fade
+        out[part] *= np.sin(0.5 * math.pi * edge) ** 2
 
 
 def _count(duration: float, sampling_rate: float) -> int:

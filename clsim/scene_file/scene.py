@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +12,7 @@ from pydantic import Discriminator, Field, Tag, ValidationError
 
 from clsim.arrays import Floats
 from clsim.errors import InputError
+from clsim.input_files import read_toml
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.baseband import Baseband
 from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
@@ -229,13 +229,7 @@ def load_scene(path: str | os.PathLike[str]) -> SceneFile:
         If the file is missing or no TOML, or a field breaks a rule; the message names file or field, rule and value.
     """
     path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(path), f"is no TOML file: {error}") from error
-    return build_scene(content, path.parent)
+    return build_scene(read_toml(path), path.parent)
 
 
 def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
@@ -316,7 +310,8 @@ def explain(error: ValidationError, content: Any) -> InputError:
             continue  # the name of a union's member, which no file holds
         if isinstance(step, str) and not known and first["type"] not in ("missing", "extra_forbidden"):
             continue
-        field += f"[{step}]" if isinstance(step, int) else f".{step}" if field else step
+        word = step or '""'  # an empty key is one, too
+        field += f"[{step}]" if isinstance(step, int) else f".{word}" if field else str(word)
         at = at[step] if known else None
     kind, context = first["type"], first.get("ctx", {})
     if kind == "missing":

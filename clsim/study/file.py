@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import tomllib
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from pydantic import Field, ValidationError
 
 from clsim.arrays import as_count, as_number
 from clsim.errors import InputError
+from clsim.input_files import read_toml
 from clsim.scene_file import build_scene, referenced_files
 from clsim.scene_file.model import Model
 from clsim.scene_file.scene import explain
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 Keep = Literal["recording", "truth", "paths", "metrics"]
 DEFAULT_LIMIT = 1000
+_COUNTABLE = 10**18  # members
+_MOST_DRAWN = 10**7  # numbers
+_LARGEST = 1e300  # of them: sums and products stay finite
 TAKEN = ("member", "status", "seconds", "error", "receiver")  # names in the summary
 
 
@@ -165,7 +168,7 @@ def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Stud
         If a file cannot be read, a field breaks a rule, or there are too many members.
     """
     path = Path(path)
-    content = _read(path)
+    content = read_toml(path)
     try:
         model = _StudyModel.model_validate(content)
     except ValidationError as error:
@@ -185,22 +188,13 @@ def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Stud
         raise InputError("metrics", f'must be "module:function", but is {model.metrics!r:.80}')
     scene = path.parent / model.scene
     try:
-        base = _read(scene)
+        base = read_toml(scene)
     except InputError as error:
         raise InputError("scene", str(error)) from error
     members = _members(model, base, as_count("limit", limit, at_least=1))
     return Study(
         base, scene.parent.resolve(), path.parent.resolve(), tuple(keep), model.metrics or "", model.table_rate, members
     )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(path), f"is no TOML file: {error}") from error
 
 
 def _members(model: _StudyModel, content: dict[str, Any], limit: int) -> tuple[Member, ...]:
@@ -233,7 +227,8 @@ def _members(model: _StudyModel, content: dict[str, Any], limit: int) -> tuple[M
 
 def _check_count(count: int, limit: int) -> None:
     if count > limit:
-        raise InputError("vary", f"must give at most {limit} members, but gives {count} (--limit {count} allows them)")
+        told = f"{count} (--limit {count} allows them)" if count < _COUNTABLE else f"more than {_COUNTABLE}"
+        raise InputError("vary", f"must give at most {limit} members, but gives {told}")
 
 
 def _fields(vary: _Vary, content: dict[str, Any], names: dict[str, str]) -> list[str]:
@@ -265,6 +260,8 @@ def _fields(vary: _Vary, content: dict[str, Any], names: dict[str, str]) -> list
 
 def _values(vary: _Vary, fields: list[str]) -> list[dict[str, Any]]:
     if vary.range is not None:
+        if not math.isfinite(vary.range.stop - vary.range.start):
+            raise InputError("range", f"must be of finite width, but is {vary.range.start:g} to {vary.range.stop:g}")
         steps = np.linspace(vary.range.start, vary.range.stop, vary.range.count).tolist()
         return [{fields[0]: value} for value in steps]
     values = vary.values or []
@@ -298,15 +295,19 @@ def _draws(random: _Random, fields: list[str], model: _StudyModel) -> list[Any]:
         raise InputError(field, f"must be two numbers, or two lists of them, but are {len(value)}")
     try:
         low, high = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in value))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(field, f"must be two numbers, or two lists of them, but is {value!r:.80}") from error
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
         raise InputError(field, f"must be finite, but is {value!r:.80}")
+    if max(np.abs(low).max(initial=0.0), np.abs(high).max(initial=0.0)) > _LARGEST:
+        raise InputError(field, f"must be within {_LARGEST:g}, but is {value!r:.80}")
+    if count * low.size > _MOST_DRAWN:
+        raise InputError(field, f"must draw at most {_MOST_DRAWN} numbers, but draws {count * low.size}")
     shape = (count, *low.shape)
     if name == "normal":
         if (high < 0.0).any():
             raise InputError(field, f"must be mean and standard deviation, but the latter is {value[1]!r:.60}")
-        drawn = generator.normal(low, high, shape)
+        drawn = generator.normal(low, high + 0.0, shape)  # NumPy refuses -0
     else:
         if (low > high).any():
             raise InputError(field, f"must be low and high, but is {value!r:.80}")

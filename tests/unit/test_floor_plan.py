@@ -52,7 +52,7 @@ def test_a_rectangle_has_the_paths_of_a_shoebox() -> None:
         ([(0, 0), (2, 2), (2, 0), (0, 1)], 3.0, [], "outline: must not cross"),
         ([(0, 0), (1, 0)], 3.0, [], "outline: must be three corners"),
         ([(0, 0), (1, 0), (np.nan, 1)], 3.0, [], r"outline\[2\]\[0\]: must be finite"),
-        (L, 0.0, [], "height: must be above 0 m"),
+        (L, 0.0, [], "height: must be at least 0.0001 m"),
         (L, 3.0, [[(9, 9), (10, 9), (10, 10)]], "outline: must not cross"),
         (L, 3.0, [PILLAR, PILLAR], "outline: must not cross"),
         (L, 3.0, [[(1, 1), (2, 2)]], r"pillars\[0\]: must be three corners"),

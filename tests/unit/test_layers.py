@@ -11,7 +11,7 @@ import clsim
 
 PACKAGE = Path(clsim.__file__).parent
 LAYERS = [
-    ("errors", "arrays"),
+    ("errors", "arrays", "input_files"),
     ("acoustics",),
     ("scene",),
     ("opencl",),

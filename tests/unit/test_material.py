@@ -154,7 +154,7 @@ def test_bad_tables_are_refused_by_name(values, frequencies, given, field):
         (lambda: Material.from_impedance([1e3], [1.0], outside="extend"), r'outside: must be one of "hold"'),
         (lambda: Material.from_impedance([1e3], [-0.1 + 2j]), r"impedances\[0\]: must have a real part of at least 0 \(passive\), but is -0.1\+2j"),
         (lambda: Material.from_impedance([1e3, 2e3], [1.0, 1e300j]), r"impedances\[1\]: must have a magnitude of at most 1e\+12"),
-        (lambda: Material.from_impulse_response([1e300, 1e308], 192e3), r"samples: must send back no more"),
+        (lambda: Material.from_impulse_response([1e300, 1e308], 192e3), r"samples\[1\]: must be within 1e\+12"),
         (lambda: Material.from_solid(0.0, 3500.0), "density: must be above 0"),
         (lambda: Material.from_solid(2300.0, np.nan), "sound_speed: must be finite"),
         (lambda: Material.from_solid(30.0, 400.0), "density: must be that of a hard solid, .* but that is 12000 Pa s/m"),

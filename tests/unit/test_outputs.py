@@ -1,5 +1,7 @@
 """Files are whole or absent, and hold what they should."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -132,3 +134,25 @@ def test_pictures_are_drawn(tmp_path, table: PathTable) -> None:
 def test_silence_is_drawn(tmp_path) -> None:
     spectrogram(np.zeros(3), 48e3, tmp_path / "s.png", title="silence")
     assert (tmp_path / "s.png").exists()
+
+
+def test_a_disk_too_full_for_an_hdf5_file_is_an_error_and_ends_nothing(tmp_path) -> None:
+    pytest.importorskip("resource")
+    pytest.importorskip("h5netcdf")
+    code = """
+import resource, signal, sys
+from pathlib import Path
+import numpy as np
+from clsim.output.stores import StoredSound, sound_store
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sound = StoredSound(("a", "b"), ("Pa", "Pa"), np.zeros((2, 3)), 192e3, 20_000, 18_432, "text" * 9000, "1", None)
+for limit in (500, 30_000, 100_000):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    try:
+        sound_store("hdf5", Path(sys.argv[1]), sound, ["a", "b"]).create()
+    except OSError as error:
+        print(error.strerror)
+"""
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line[:14] for line in done.stdout.splitlines()] == ["File too large"] * 3

@@ -263,7 +263,7 @@ def test_shoeboxes_and_plans_with_obstacles(tmp_path: Path) -> None:
         ({"kind": "mesh", "path": "floor.obj", "materials": {"wood": {"reflection": 1.9}}}, r"room\.materials\.wood\.reflection: must be from"),
         (
             {"kind": "mesh", "path": "floor.obj", "materials": {"reflection": 0.9}, "obstacles": [{"path": "screen.obj", "scale": 0.0, "materials": {"reflection": 0.9}}]},
-            r"room\.obstacles\[0\]\.scale: must be above 0",
+            r"room\.obstacles\[0\]\.scale: must be at least 1e-09",
         ),
         ({"kind": "plan", "outline": [[0.0, 0.0], [1.0, 0.0]], "height": 3.0, "materials": {"reflection": 0.9}}, r"room\.outline: must be three"),
         ({"kind": "barn"}, r"room\.kind: must be one of"),

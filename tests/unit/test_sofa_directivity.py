@@ -150,7 +150,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         assert error.value.field == "path"
     for missing in (tmp_path / "missing.sofa", tmp_path / "folder.sofa"):
         (tmp_path / "folder.sofa").mkdir(exist_ok=True)
-        with pytest.raises(clsim.InputError, match="no such file"):
+        with pytest.raises(clsim.InputError, match="cannot be read"):
             SphericalTable.from_sofa(missing)
     with pytest.raises(clsim.InputError, match=r"must end in \.sofa"):
         SphericalTable.from_sofa(tmp_path / "beam.csv")

@@ -1,0 +1,128 @@
+"""Opening the files that users name: nothing but regular files of bounded size, so that none hangs or eats memory."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import IO, Any
+
+from clsim.errors import InputError
+
+LARGEST_TEXT = 2**27  # bytes; numbers in memory take up to ten times as much
+LARGEST_BINARY = 2**28  # bytes, also of what a compressed file holds
+_LARGEST_TOML = 2**24  # bytes
+_DEEPEST = 64  # tables and lists within each other
+_WHOLE = range(-(2**63), 2**64)  # TOML's whole numbers, and seeds
+
+_KINDS = (
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)
+
+
+def check_file(path: str | os.PathLike[str], largest: int) -> None:
+    """See that a path leads to a regular file of at most `largest` bytes.
+
+    Raises
+    ------
+    OSError
+        If it does not; ``strerror`` says why.
+    """
+    try:
+        found = Path(path).stat()
+    except ValueError as error:  # a zero character, or one that the system cannot write
+        raise OSError(errno.EINVAL, f"no file can be called {str(path)!r:.80}") from error
+    if stat.S_ISDIR(found.st_mode):
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(found.st_mode):
+        kind = next((name for holds, name in _KINDS if holds(found.st_mode)), "something else")
+        raise OSError(errno.EINVAL, f"it is {kind}, not a file")
+    if found.st_size > largest:
+        raise OSError(
+            errno.EINVAL, f"it has {found.st_size / 2**20:.4g} MiB, and {largest / 2**20:.4g} are the most that is read"
+        )
+
+
+def open_file(path: str | os.PathLike[str], largest: int) -> IO[bytes]:
+    """Return a regular file of at most `largest` bytes, opened for reading.
+
+    Raises
+    ------
+    OSError
+        If it is none, or cannot be read; ``strerror`` says why.
+    """
+    check_file(path, largest)
+    return Path(path).open("rb")
+
+
+def read_file(path: str | os.PathLike[str], largest: int) -> bytes:
+    """Return the content of a regular file of at most `largest` bytes.
+
+    Raises
+    ------
+    OSError
+        If it is none, or cannot be read; ``strerror`` says why.
+    """
+    with open_file(path, largest) as file:
+        return file.read(largest + 1)  # bounded even if it grows, or tells no size, as those of /proc
+
+
+def check_archive(file: IO[bytes], largest: int = LARGEST_BINARY) -> None:
+    """See that a ZIP archive says of itself that it unpacks to at most `largest` bytes.
+
+    Raises
+    ------
+    OSError
+        If it unpacks to more; ``strerror`` says why.
+    zipfile.BadZipFile
+        If it is none.
+    """
+    with zipfile.ZipFile(file) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > largest:
+        raise OSError(
+            errno.EINVAL, f"it unpacks to {size / 2**20:.4g} MiB, and {largest / 2**20:.4g} are the most that is read"
+        )
+    file.seek(0)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is no TOML, holds numbers beyond 64 bits, or tables and lists deeper than anyone needs.
+    """
+    try:
+        content = tomllib.loads(read_file(path, _LARGEST_TOML).decode("utf-8-sig"))
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
+    except RecursionError as error:
+        raise InputError(str(path), "must not hold tables and lists so deep within each other") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), f"is no TOML file: {error}") from error
+    except ValueError as error:  # Python does not turn so many digits into a number
+        raise InputError(str(path), "must hold numbers of 64 bits, but holds one of thousands of digits") from error
+    _check_content(content, "", 1)
+    return content
+
+
+def _check_content(content: dict[str, Any] | list[Any], field: str, depth: int) -> None:
+    """Refuse whole numbers that no field can hold, and depths at which Python gives up."""
+    if depth > _DEEPEST:
+        raise InputError(f"{field:.80}", f"must not be deeper than {_DEEPEST} tables and lists within each other")
+    table = isinstance(content, dict)
+    for key, value in content.items() if isinstance(content, dict) else enumerate(content):
+        inner = isinstance(value, dict | list)
+        if inner or (isinstance(value, int) and value not in _WHOLE):
+            name = f"{field}[{key}]" if not table else f"{field}.{key}" if field else str(key)
+            if not inner:
+                raise InputError(name, f"must be a number of 64 bits, but is one of {value.bit_length()}")
+            _check_content(value, name, depth + 1)
