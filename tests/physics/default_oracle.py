@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 WINDOW = 0.02  # s, in which errors are compared with what is heard then
+RUN = 64  # samples that are looked at together
 QUIET_DB = -60.0  # relative to the loudest window, below which a window is not looked at
 
 
@@ -275,20 +276,28 @@ def truth(
 
 
 def chosen(samples: int, rate: float, count: int, seed: int = 0) -> np.ndarray:
-    """Return sorted samples, as many in every 20 ms."""
+    """Return about `count` samples, in runs of `RUN`, as many in every 20 ms: (n,), sorted."""
     rng, windows = np.random.default_rng(seed), max(1, round(samples / rate / WINDOW))
-    edges = np.linspace(0, samples, windows + 1).astype(np.int64)
-    each = -(-count // windows)
-    parts = [
+    edges = np.linspace(0, samples // RUN, windows + 1).astype(np.int64)
+    each = max(1, round(count / RUN / windows))
+    runs = [
         first + np.sort(rng.choice(last - first, min(each, last - first), replace=False))
         for first, last in zip(edges[:-1], edges[1:], strict=True)
     ]
-    return np.concatenate(parts)
+    return np.asarray((RUN * np.concatenate(runs)[:, None] + np.arange(RUN)).ravel())
 
 
 def error_db(got: np.ndarray, exact: np.ndarray) -> float:
     """Return the error's RMS over that of what is heard, dB."""
     return float(20.0 * np.log10(np.linalg.norm(got - exact) / np.linalg.norm(exact)))
+
+
+def error_below_db(got: np.ndarray, exact: np.ndarray, rate: float, frequency: float) -> float:
+    """Return the error's part below a frequency over that of what is heard, dB, of runs of samples under a Hann window."""
+    hann = np.sin(np.pi * (np.arange(RUN) + 0.5) / RUN) ** 2
+    below = np.arange(RUN // 2 + 1) * (rate / RUN) < frequency
+    wrong, heard = (np.abs(np.fft.rfft(x.reshape(-1, RUN) * hann)) for x in (got - exact, exact))
+    return float(20.0 * np.log10(np.linalg.norm(wrong[:, below]) / np.linalg.norm(heard)))
 
 
 def local_errors(got: np.ndarray, exact: Truth, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
