@@ -122,10 +122,10 @@ class Room:
 class Fineness:
     """How finely the truth is worked out; more of everything must change nothing."""
 
-    oversampling: int = 8
-    points: int = 10  # of the polynomial in time
-    nodes: int = 7  # distances of the polynomial in distance
-    padding: int = 16_384  # samples of silence about the signal, at least
+    oversampling: int = 4
+    points: int = 14  # of the polynomial in time
+    nodes: int = 6  # distances of the polynomial in distance
+    padding: int = 4096  # samples of silence about the signal, four times as many if nothing limits its band
 
 
 class Emitted:
@@ -140,7 +140,7 @@ class Emitted:
         band_limit: float | np.ndarray | None = None, fineness: Fineness | None = None,
     ) -> None:  # fmt: skip
         self.rate, self.start, self.room, self.fine = rate, start, room, fineness or Fineness()
-        self.before = max(self.fine.padding, len(samples) // 2)
+        self.before = max(self.fine.padding * (4 if band_limit is None else 1), len(samples) // 4)
         self.length = next_fast_len(len(samples) + 2 * self.before, real=True)
         self.length += self.length % 2
         padded = np.zeros(self.length)
@@ -179,9 +179,9 @@ class Emitted:
             nodes = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * (np.arange(count) + 0.5) / count)
             if self.room.lossless:
                 nodes = np.array([low])
-            streams = np.stack([self.stream(node) for node in nodes], axis=1)
-            for part in np.array_split(some, -(-len(some) // 100_000)):
-                out[part] = self._between(streams, nodes, place[part], distance[part])
+            streams = [self.stream(node) for node in nodes]
+            for part in (some[k : k + 20_000] for k in range(0, len(some), 20_000)):
+                out[part] = self._between(streams, place[part], lagrange(nodes, distance[part]))
         return out
 
     def _stretches(self, low: float, high: float) -> Iterator[tuple[float, float]]:
@@ -192,14 +192,13 @@ class Emitted:
             yield low, low + step
             low += step
 
-    def _between(self, streams: np.ndarray, nodes: np.ndarray, place: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    def _between(self, streams: list[np.ndarray], place: np.ndarray, in_distance: np.ndarray) -> np.ndarray:
         count = self.fine.points
         first = np.floor(place).astype(np.int64) - (count // 2 - 1)
         in_time = lagrange(np.arange(float(count)), place - first)
-        in_distance = lagrange(nodes, distance)
         out = np.zeros(len(place))
-        for j in range(count):
-            out += in_time[j] * np.einsum("np,pn->n", streams[first + j], in_distance)
+        for stream, weight in zip(streams, in_distance, strict=True):
+            out += weight * sum(in_time[j] * stream[first + j] for j in range(count))
         return out
 
 
@@ -230,17 +229,15 @@ def delays(
     delay = apart(low)[0] / c
     for _ in range(200):
         distance, mach = apart(delay)
-        short = c * delay < distance  # grows with the delay, since Mach numbers are below 1
+        step = (delay - distance / c) / (1.0 - mach)
+        if np.max(np.abs(step)) < 1e-14:
+            return delay - step, mach
+        short = step < 0.0  # delay c less distance grows with the delay, since Mach numbers are below 1
         low, high = np.where(short, delay, low), np.where(short, high, delay)
-        new = delay - (delay - distance / c) / (1.0 - mach)
-        out = (new < low) | (new > high)
-        new = np.where(out, np.where(np.isfinite(high), 0.5 * (low + high), 2.0 * delay), new)
-        moved, delay = np.max(np.abs(new - delay)), new
-        if moved < 1e-15 + 4e-16 * np.max(delay):
-            break
-    else:
-        assert moved < 1e-13
-    return delay, apart(delay)[1]
+        new = delay - step
+        inside = (new >= low) & (new <= high)
+        delay = np.where(inside, new, np.where(np.isfinite(high), 0.5 * (low + high), 2.0 * delay))
+    raise AssertionError("no time of emission found")
 
 
 @dataclass(frozen=True)
