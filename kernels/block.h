@@ -82,7 +82,8 @@ static chunk falling(chunk g0, chunk g1, chunk g2, chunk g3, chunk third_squared
 
 // Square of the largest error of those cubics as pressure at full scale: the Hermite remainder h^4 f''''/384 of the delay
 // turned into phase, and 0.02 of the gains' third differences (0.016 is that of Catmull-Rom), both from differences of
-// nodes. Of envelopes the septic's, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
+// nodes; and what groups leave out of the cubics but for FINE ones: the delay's third power, the gains' second one. Of
+// envelopes the septic's, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
 static float block_error_squared(const window* node, __global const chunk* sizes, float angular_frequency,
                                  double block_time)
 {
@@ -90,7 +91,15 @@ static float block_error_squared(const window* node, __global const chunk* sizes
 #if DELAY_TERMS == 8
     const float late = septic_error(node->delay, r, block_time);
 #else
-    const float late = (float)((r[3] - r[0] + 3.0 * (r[1] - r[2])) * block_time) / 384.0f;
+    const float remainder = (float)((r[3] - r[0] + 3.0 * (r[1] - r[2])) * block_time) / 384.0f;
+#if FINE
+    const float late = remainder;
+#else
+    const float part = (float)GROUP / (float)BLOCK;
+    const float cubed = (float)(0.125 * block_time * (r[1] + r[2]) - 0.25 * (node->delay[2] - node->delay[1]));
+    const float twist = cubed * part * part * part;
+    const float late = (remainder < 0.0f ? -remainder : remainder) + (twist < 0.0f ? -twist : twist);
+#endif
 #endif
     const float phase = angular_frequency * late;
     chunk change = 0.0f;
@@ -101,6 +110,9 @@ static float block_error_squared(const window* node, __global const chunk* sizes
         chunk squared = third * third;
 #if DELAY_TERMS == 8
         squared *= falling(g0, g1, g2, g3, squared);
+#elif !FINE
+        const chunk second = (0.0625f / GAIN_ERROR * part * part) * ((g3 - g2) - (g1 - g0));
+        squared += second * second;
 #endif
         change += squared * sizes[i] * sizes[i];
     }

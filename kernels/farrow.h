@@ -3,7 +3,7 @@
 
 // Add one path's share of one function; `branches` points at the group's first sample in the first of its `rows` rows.
 static void add_function(__global const float* branches, int stride, const int rows, const vec* sample, const vec* mu,
-                         float gain, float slope, int worker, vec* sum)
+                         float gain, float slope, float bend, int worker, vec* sum)
 {
     __global const float* row = branches + (rows - 1) * (long)stride;
     vec value[VECTORS];
@@ -17,7 +17,13 @@ static void add_function(__global const float* branches, int stride, const int r
         for (int j = 0; j < VECTORS; j++) value[j] = value[j] * mu[j] + LOAD(row + (worker * VECTORS + j) * LANES);
     }
 #pragma unroll
-    for (int j = 0; j < VECTORS; j++) sum[j] += (sample[j] * slope + gain) * value[j];
+    for (int j = 0; j < VECTORS; j++) {
+#if FINE
+        sum[j] += ((sample[j] * bend + slope) * sample[j] + gain) * value[j];
+#else
+        sum[j] += (sample[j] * slope + gain) * value[j];
+#endif
+    }
 }
 
 // Add one of the expanded paths; `branches` points at the group's first sample in the first row of the first function.
@@ -28,11 +34,21 @@ static void add_path(__global const float* branches, int stride, const EXPANDED 
 #pragma unroll
     for (int j = 0; j < VECTORS; j++) {
         sample[j] = RAMP + ((float)((worker * VECTORS + j) * LANES) - 0.5f * (GROUP - 1));
+#if FINE
+        mu[j] = ((sample[j] * paths->twist[p] + paths->curve[p]) * sample[j] + paths->rate[p]) * sample[j] +
+                paths->fraction[p];
+#else
         mu[j] = (sample[j] * paths->curve[p] + paths->rate[p]) * sample[j] + paths->fraction[p];
+#endif
     }
     __global const float* row = branches - paths->whole[p];
-#define ADD(k, rows)                                                                                       \
-    add_function(row, stride, rows, sample, mu, paths->gain[k][p], paths->slope[k][p], worker, sum[k]); \
+#if FINE
+#define BEND(k) paths->bend[k][p]
+#else
+#define BEND(k) 0.0f
+#endif
+#define ADD(k, rows)                                                                                             \
+    add_function(row, stride, rows, sample, mu, paths->gain[k][p], paths->slope[k][p], BEND(k), worker, sum[k]); \
     row += rows * (long)stride;
     EACH_FUNCTION
 #undef ADD

@@ -1,6 +1,7 @@
 // A group is GROUP = WORKERS * VECTORS * LANES neighbouring samples that share the whole part of a path's delay.
 // A batch is BATCH paths whose polynomials are expanded at a group's centre before any of them is summed: neighbours
-// side by side; where signals pause a single one, the terms of its functions side by side.
+// side by side; where signals pause a single one, the terms of its functions side by side. About the centre a delay goes
+// on with two more terms and a gain with one; where blocks are short because motion is near (FINE), with their cubics.
 
 #if WORKERS == 1
 #define SHARED __private
@@ -26,6 +27,10 @@ typedef struct {
     float curve[BATCH];             // its change per sample squared
     float gain[FUNCTIONS][BATCH];
     float slope[FUNCTIONS][BATCH];  // of the gain per sample
+#if FINE
+    float twist[BATCH];             // of the delay per sample cubed
+    float bend[FUNCTIONS][BATCH];   // of the gain per sample squared
+#endif
 } batch;
 
 #if SPARSE
@@ -64,6 +69,9 @@ static void expand(int delay, __global const float* c, int functions, int first,
     out->fraction[0] = at - whole;
     out->rate[0] = per_sample * CUBIC_SLOPE(c[1], c[2], c[3], t);
     out->curve[0] = per_sample * per_sample * CUBIC_CURVE(c[2], c[3], t);
+#if FINE
+    out->twist[0] = per_sample * per_sample * per_sample * c[3];
+#endif
     chunk g[4];
     for (int i = 0; i < 4; i++) g[i] = *(__global const loose_chunk*)(c + DELAY_TERMS + i * functions + first);
     const chunk gain = CUBIC(g[0], g[1], g[2], g[3], t), slope = per_sample * CUBIC_SLOPE(g[1], g[2], g[3], t);
@@ -72,6 +80,11 @@ static void expand(int delay, __global const float* c, int functions, int first,
         out->gain[k][0] = ((const float*)&gain)[k];
         out->slope[k][0] = ((const float*)&slope)[k];
     }
+#if FINE
+    const chunk bend = per_sample * per_sample * CUBIC_CURVE(g[2], g[3], t);
+#pragma unroll
+    for (int k = 0; k < FUNCTIONS; k++) out->bend[k][0] = ((const float*)&bend)[k];
+#endif
 }
 #else
 // Expand a batch about the group's centre t in [-1, 1] of its block, with the gains of `functions` from a first one on.
@@ -86,6 +99,9 @@ static void expand(__global const int* delay, __global const float* node, int sl
         *(SHARED loose_vec*)(out->fraction + p) = at - whole;
         *(SHARED loose_vec*)(out->rate + p) = per_sample * CUBIC_SLOPE(c1, c2, c3, t);
         *(SHARED loose_vec*)(out->curve + p) = per_sample * per_sample * CUBIC_CURVE(c2, c3, t);
+#if FINE
+        *(SHARED loose_vec*)(out->twist + p) = per_sample * per_sample * per_sample * c3;
+#endif
 #pragma unroll
         for (int k = 0; k < FUNCTIONS; k++) {
             __global const float* g = c + (DELAY_TERMS + first + k) * slots;
@@ -93,6 +109,9 @@ static void expand(__global const int* delay, __global const float* node, int sl
             const vec g1 = LOAD(g + power), g2 = LOAD(g + 2 * power), g3 = LOAD(g + 3 * power);
             *(SHARED loose_vec*)(out->gain[k] + p) = CUBIC(LOAD(g), g1, g2, g3, t);
             *(SHARED loose_vec*)(out->slope[k] + p) = per_sample * CUBIC_SLOPE(g1, g2, g3, t);
+#if FINE
+            *(SHARED loose_vec*)(out->bend[k] + p) = per_sample * per_sample * CUBIC_CURVE(g2, g3, t);
+#endif
         }
     }
 }

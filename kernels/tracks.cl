@@ -113,7 +113,9 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             w.delay[3] = a->delay - here->ahead;
             w.rate[3] = a->rate * here->pace - (here->pace - 1.0);
             w.strength[3] = path_gains(a, speed_of_sound, &around, slots, slot, here->frame, w.gain[3], &left_over);
-            const float delay_now = (float)w.delay[3];
+        }
+        for (int i = 1; i < 3; i++) {
+            const float delay_now = (float)w.delay[i];
             shortest = delay_now < shortest ? delay_now : shortest;
             longest = delay_now > longest ? delay_now : longest;
         }

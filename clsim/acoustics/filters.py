@@ -9,10 +9,13 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from clsim.arrays import Complexes, Floats
 
 _OUTSIDE_WEIGHT = 1e-4  # of the least squares beyond the band, where the response at its end is wanted
 _LONGEST = 2049
+_BETWEEN = 4  # places between neighbouring points at which deviations are looked at
 
 
 class NoFilterError(ValueError):
@@ -24,8 +27,9 @@ def band_filters(
     low: float,
     high: float,
     sampling_rate: float,
-    error_db: float,
     importance: Floats,
+    error: Callable[[Floats], float],
+    allowed: float,
 ) -> Floats:
     """Return filters with given responses over a band.
 
@@ -37,15 +41,17 @@ def band_filters(
         The band, Hz.
     sampling_rate : float
         Hz.
-    error_db : float
-        Bound on the largest deviation within the band, times its importance, dB relative to 1.
     importance : ndarray (m,)
-        Of the band's frequencies, at Chebyshev points from high to low; 1 at most.
+        Weight of deviations at Chebyshev points of the band, from high to low.
+    error : callable
+        Returns the error that deviations (K, m) about these points amount to.
+    allowed : float
+        Its bound.
 
     Returns
     -------
     ndarray (K, L)
-        Taps about the middle one; all of one odd length, the shortest tried that is within the error. Symmetric where
+        Taps about the middle one; all of one odd length, the shortest tried that is within the bound. Symmetric where
         the response is real, so that nothing is shifted.
 
     Raises
@@ -55,11 +61,14 @@ def band_filters(
 
     Notes
     -----
-    Weighted least squares over all frequencies, of cosines for the real part and sines for the imaginary one: 1 within
-    the band, 1e-4 beyond it, where the values at the ends are continued, so that the filters are small there too.
+    Weighted least squares over all frequencies, of cosines for the real part and sines for the imaginary one: by
+    importance within the band, 1e-4 beyond it, where the values at the ends are continued, so that the filters are
+    small there too.
     """
-    edges = 2.0 * math.pi * np.array([low, high]) / sampling_rate
-    points = np.cos(math.pi * (np.arange(len(importance)) + 0.5) / len(importance))
+    edges, count = 2.0 * math.pi * np.array([low, high]) / sampling_rate, len(importance)
+    points = np.cos(math.pi * (np.arange(count) + 0.5) / count)
+    looked_at = np.cos(math.pi * (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count))
+    wanted = np.atleast_2d(chebyshev.chebval(looked_at, coefficients.T))
     half = 8
     while 2 * half + 1 <= _LONGEST:
         w = np.union1d(np.linspace(0.0, math.pi, 8 * half + 64), np.linspace(edges[0], edges[1], 4 * half + 64))
@@ -67,24 +76,30 @@ def band_filters(
         x = np.clip((2.0 * w - edges.sum()) / max(edges[1] - edges[0], 1e-12), -1.0, 1.0)
         target = np.atleast_2d(chebyshev.chebval(x, coefficients.T))
         weight = np.where(inside, np.interp(x, points[::-1], importance[::-1]), _OUTSIDE_WEIGHT)
-        even, left = _fitted(w, weight, target.real, half, odd=False)
+        even = _fitted(w, weight, target.real, half, odd=False)
         odd = np.zeros_like(even[:, 1:])
         if np.iscomplexobj(target):
-            odd, left_too = _fitted(w, weight, target.imag, half, odd=True)
-            left = np.hypot(left, left_too)
-        if (left * weight)[:, inside].max() <= 10 ** (error_db / 20):
+            odd = _fitted(w, weight, target.imag, half, odd=True)
+        at = 0.5 * (edges.sum() + looked_at * (edges[1] - edges[0]))
+        left = np.abs(even @ _waves(at, half, odd=False).T + 1j * (odd @ _waves(at, half, odd=True).T) - wanted)
+        if error(left.reshape(len(left), count, _BETWEEN).max(axis=2)) <= allowed:
             # h[n] + h[-n] = even[n] and h[-n] - h[n] = odd[n]: exp(-jwn) turns sines of positive n to -j.
             before, after = 0.5 * (even[:, 1:] + odd), 0.5 * (even[:, 1:] - odd)
             return np.concatenate([before[:, ::-1], even[:, :1], after], axis=1)
         half = math.ceil(1.3 * half)
-    raise NoFilterError(f"no filter of up to {_LONGEST} taps is within {error_db:g} dB from {low:g} to {high:g} Hz")
+    reached = 20.0 * math.log10(allowed)
+    raise NoFilterError(f"no filter of up to {_LONGEST} taps is within {reached:.0f} dB from {low:g} to {high:g} Hz")
 
 
-def _fitted(w: Floats, weight: Floats, target: Floats, half: int, *, odd: bool) -> tuple[Floats, Floats]:
-    """Return coefficients (K, n) of cosines from 0, or sines from 1, to `half` times w, and what they leave (K, w)."""
-    waves = np.sin(np.outer(w, np.arange(1, half + 1))) if odd else np.cos(np.outer(w, np.arange(half + 1)))
-    found = _least_squares(w, waves, weight**2, target, odd=odd)
-    return found, np.abs(found @ waves.T - target)
+def _waves(w: Floats, half: int, *, odd: bool) -> Floats:
+    """Return sines from 1, or cosines from 0, to `half` times w, (w, n)."""
+    angles = np.outer(w, np.arange(int(odd), half + 1))
+    return np.asarray(np.sin(angles) if odd else np.cos(angles))
+
+
+def _fitted(w: Floats, weight: Floats, target: Floats, half: int, *, odd: bool) -> Floats:
+    """Return coefficients (K, n) of cosines from 0, or sines from 1, to `half` times w."""
+    return _least_squares(w, _waves(w, half, odd=odd), weight**2, target, odd=odd)
 
 
 def _least_squares(w: Floats, waves: Floats, weight: Floats, target: Floats, *, odd: bool) -> Floats:

@@ -188,7 +188,7 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
         found.update(np.ascontiguousarray(getattr(paths, name)).tobytes())
     filters = hashlib.sha256()  # linear algebra on another number of threads may round otherwise
     for emission in plan.emissions:
-        for array in (emission.basis.projection, emission.basis.filters, *(bank.taps for bank in emission.banks)):
+        for array in (emission.basis.projection, emission.filters, *(bank.taps for bank in emission.banks)):
             filters.update(np.ascontiguousarray(array).tobytes())
     return {
         "scene": content,

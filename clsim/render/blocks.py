@@ -58,7 +58,13 @@ def block_polynomials(
 
 
 def block_error(
-    delay: Floats, rate: Floats, gain: Floats, angular_frequency: float, block_time: float, terms: int = 4
+    delay: Floats,
+    rate: Floats,
+    gain: Floats,
+    angular_frequency: float,
+    block_time: float,
+    part: float = 0.0,
+    terms: int = 4,
 ) -> Floats:
     """Return the largest error of the polynomials of every path and block (paths, blocks), as pressure at full scale.
 
@@ -66,9 +72,10 @@ def block_error(
     -----
     The remainder of cubic Hermite interpolation is ``h^4 f / 384``, with ``h^3 f`` the third difference of the
     rate; that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used), that of the cubic through
-    all four nodes 3/128 of the fourth (0.03 is used). With eight terms the septic's distance at mid-block from the
-    quintic through the middle nodes and all four rates is taken, times its ratio to the cubic's, where that is below 1:
-    as if the terms went on falling like this. Motion without higher derivatives gains nothing.
+    all four nodes 3/128 of the fourth (0.03 is used). Groups that are a `part` of the block leave out the third power
+    of the delay and the second one of the gains; 0 where they do not. With eight terms the septic's distance at
+    mid-block from the quintic through the middle nodes and all four rates is taken, times its ratio to the cubic's,
+    where that is below 1: as if the terms went on falling like this. Motion without higher derivatives gains nothing.
     """
     late = np.abs(np.diff(rate, 3, axis=1)) * block_time / 384.0
     if terms == 8:
@@ -77,7 +84,13 @@ def block_error(
         septic = (243.0 * (d1 + d2) + 13.0 * (d0 + d3) - 162.0 * (e2 - e1) - 6.0 * (e3 - e0)) / 512.0
         rest = np.abs(septic - quintic)
         late = rest * np.minimum(rest / np.maximum(late, 1e-20), 1.0)
+    else:
+        cubed = 0.125 * block_time * (rate[:, 1:-2] + rate[:, 2:-1]) - 0.25 * np.diff(delay, axis=1)[:, 1:-1]
+        late = late + np.abs(cubed) * part**3
     change = (0.03 * _fourth(gain) if terms == 8 else 0.02 * np.abs(np.diff(gain, 3, axis=2))).sum(axis=0)
+    if terms == 4:
+        g0, g1, g2, g3 = _nodes(gain)
+        change = np.hypot(change, 0.0625 * part**2 * np.abs((g3 - g2) - (g1 - g0)).sum(axis=0))
     return np.asarray(np.hypot(angular_frequency * late * np.abs(gain[:, :, 1:-2]).sum(axis=0), change))
 
 

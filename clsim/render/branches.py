@@ -88,7 +88,9 @@ class BranchSignals:
         for i, group in enumerate(plan.tracks.groups):
             if group.source == source and i not in plan.at_rest.groups:
                 rate = plan.sampling_rate
-                low, high = plan.tracks.delay_range(i, start / rate, (start + length) / rate)
+                # Nodes lie up to a block before and two after what is rendered.
+                begin, end = start - plan.blocks[0], start + length + 2 * plan.blocks[0]
+                low, high = plan.tracks.delay_range(i, begin / rate, end / rate)
                 found.append(Active(i, np.arange(len(group)), low, high).during(plan, start, start + length))
         return [group for group in found if len(group.rows)]
 

@@ -39,9 +39,8 @@ class DeviceNodes:
     delay: Any
     cubics: Any
     spans: Any  # groups of each block and path in which something sounds; None if all are looked at
-    error: Floats  # (segments,), relative to the strongest arrival of each receiver
-    strongest: Floats  # (receivers,) arrival
-    unheld: Floats  # (receivers,) largest part of a response that no function holds
+    error: Floats  # (segments,), of all paths together, relative to what is heard, of the receiver where it is most
+    unheld: Floats  # (segments,), the same of what no function of frequency holds
     shortest: float  # s
     longest: float
 
@@ -73,7 +72,7 @@ class DeviceTracks:
         for source, emission in zip(scene.sources, plan.emissions, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
             error_db = getattr(plan.interpolator, "error_db", -90.0)
-            tolerance = 10 ** ((error_db - 6.0) / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.band)
+            tolerance = 10 ** ((error_db - 6.0) / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.swiftness)
             self._knot_rates.append(
                 knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
             )
@@ -168,7 +167,7 @@ class DeviceTracks:
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
         receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
         around = self._surroundings[chunk.source]
-        spread = emission.basis.half / rate  # by which the functions' filters are longer than what is emitted
+        spread = emission.filter_half / rate  # by which the functions' filters are longer than what is emitted
         spans, cells = None, (delay, delay, np.int32(0))
         if chunk.sounding is not None:
             spans, cells = self._scratch.take(("spans", block), 4 * blocks * slots.count), chunk.sounding
@@ -182,7 +181,8 @@ class DeviceTracks:
             np.float64(start / rate), np.float64(rate), np.float64(c),
             *around.basis, np.float64(emission.start * rate - emission.bank.shift),
             np.float64(emission.start - spread), np.float64(emission.start + emission.signal.duration + spread),
-            np.float32(2.0 * math.pi * emission.band), *around.tables, self._upload(around.beam_of[slots.receiver]),
+            np.float32(2.0 * math.pi * emission.swiftness), *around.tables,
+            self._upload(around.beam_of[slots.receiver]),
             np.int32(blocks), delay, cubics, found_there, unheld_there, *cells, np.float64(start - chunk.first),
             np.float64(self._max_rates[chunk.source]), delay if spans is None else spans,
         )  # fmt: skip
@@ -191,13 +191,14 @@ class DeviceTracks:
         cl.enqueue_copy(self._queue, found, found_there)
         cl.enqueue_copy(self._queue, unheld, unheld_there)
         first = slots.first_slot[:-1]
-        error, strongest, left = (
-            np.sqrt(np.maximum.reduceat(square, first, axis=1), dtype=np.float64)
+        # Errors of paths add up like the paths themselves: as the root of the sum of squares.
+        error, heard, left = (
+            np.sqrt(np.add.reduceat(square, first, axis=1), dtype=np.float64)
             for square in (found[..., 0], found[..., 1], unheld)
         )
-        relative = (error / np.maximum(strongest, 1e-30)).max(axis=1)
+        heard = np.maximum(heard, 1e-30)
         return DeviceNodes(
-            delay, cubics, spans, relative, strongest.max(axis=0), left.max(axis=0), float(found[..., 2].min()),
+            delay, cubics, spans, (error / heard).max(axis=1), (left / heard).max(axis=1), float(found[..., 2].min()),
             float(found[..., 3].max()),
         )  # fmt: skip
 
@@ -214,7 +215,8 @@ class DeviceTracks:
         return self._motion_constants(source) | {
             "BLOCK": block,
             "TOGETHER": self._together,
-            "GROUP": self._plan.emissions[source].bank.group,
+            "GROUP": self._plan.group(source, block),
+            "FINE": int(self._plan.is_fine(block)),
             "CELL": CELL,
             "WALK": self._plan.segment // block,
             "DELAY_TERMS": self._plan.delay_terms,
@@ -265,7 +267,7 @@ class _Surroundings:
         padding = -len(basis) % 8 if len(basis) > 1 else 0  # of gains, which stand side by side
         columns = (
             self._responses.nepers, np.pad(basis.projection.T, ((0, 0), (0, padding))), basis.functions, basis.weight,
-            np.pad(basis.sizes, (0, padding)),
+            np.pad(basis.strengths, (0, padding)),
         )  # fmt: skip
         self.basis = tuple(put(column.astype(np.float32)) for column in columns)
         beams = [r.directivity for r in scene.receivers]

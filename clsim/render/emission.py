@@ -16,7 +16,7 @@ from clsim.paths.known import check_known
 from clsim.paths.responses import is_complex
 from clsim.render.basis import Basis, band_of, flat_basis, scene_basis, turning_basis
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
-from clsim.render.occupied import occupied_band, shares
+from clsim.render.occupied import CELLS, ShortTimeSpectra, share_above, shares
 from clsim.render.tracks import SceneTracks, Tracks
 
 if TYPE_CHECKING:
@@ -26,13 +26,16 @@ if TYPE_CHECKING:
     from clsim.paths.impulse_response import ImpulseResponse
     from clsim.scene.signal import Signal
 
-DEFAULT_RESPONSE_ERROR_DB = -80.0  # of air, walls and beams over a signal's band
+DEFAULT_RESPONSE_ERROR_DB = -90.0  # of air, walls and beams over a signal's band, of all paths together
 AT_CENTRE = "centre"  # instead of that error: all of them as at the centre of the signal's band
 EXACT_DB = -100.0  # the same for the reference engine
 _MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, for which walls and beams need not be known
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
 _LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
 _WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
+_LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
+_LIMIT_WIDTH, _LEAST_LIMIT_WIDTH = 0.08, 0.02  # of half the sampling rate, over which it falls to that
+_MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may weaken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +52,14 @@ class Emission:
         Branch filters, for each function of the basis; fewer for those that add little.
     basis : Basis
         Functions of frequency that carry the responses of its paths.
+    filters : ndarray (K, L)
+        The functions of the basis behind the band limit, as filters of odd length about their middle tap.
+    band_limit : ndarray (M,)
+        Low-pass without delay that removes what lies above the band, of odd length; a single 1 where nothing does.
     band : float
         Highest frequency that the bank holds, Hz.
+    swiftness : float
+        Frequency by which an error of a delay is heard, Hz.
     removed_db : float
         Share of the signal's energy above the band, dB; -inf for none.
     """
@@ -59,13 +68,26 @@ class Emission:
     start: float
     banks: tuple[Bank, ...]
     basis: Basis
+    filters: Floats
+    band_limit: Floats
     band: float
+    swiftness: float
     removed_db: float
 
     @property
     def bank(self) -> Bank:
         """The branch filters of the strongest function."""
         return self.banks[0]
+
+    @property
+    def filter_half(self) -> int:
+        """Taps on either side of the filters' middle."""
+        return int(self.filters.shape[1] // 2)
+
+    @property
+    def reach(self) -> int:
+        """Samples by which the filters look to either side: so much sounds before a path's first arrival at most."""
+        return self.filter_half + self.bank.reach
 
     @property
     def rows(self) -> NDArray[Any]:
@@ -84,23 +106,7 @@ class Emission:
 
         What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
         """
-        reach = 2 * self.basis.half  # of a sample, into those of the streams before it
-        signal = self.signal.read(first - self.basis.half, last + self.basis.half)
-        heard = np.flatnonzero(signal)
-        if not len(heard):
-            return heard, np.zeros((len(self.basis), 0))
-        pause = np.flatnonzero(np.diff(heard) > reach + 1)
-        begins = np.maximum(heard[np.concatenate([[0], pause + 1])] - reach, 0)
-        lengths = np.minimum(heard[np.concatenate([pause, [-1]])] + 1, last - first) - begins
-        places = _ranges(begins, lengths)
-        if reach == 0:
-            return places, signal[places] * self.basis.filters
-        from scipy.signal import oaconvolve
-
-        together = signal[_ranges(begins, lengths + reach)]  # without the pauses
-        made = oaconvolve(together[None], self.basis.filters, mode="valid", axes=1)
-        within = _ranges(np.cumsum(lengths + reach) - lengths - reach, lengths)
-        return places, np.asarray(made[:, within])
+        return _filtered(self.signal, self.filters, first, last)
 
     def turned(self, late: Floats) -> Floats | Complexes | float:
         """Return the factor by which delays (P, n), samples, turn the phase of what is carried: 1 of sound as it is."""
@@ -113,7 +119,10 @@ class Emission:
 
     def emitted(self, first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last` of what impulse responses are convolved with."""
-        return self.signal.read(first, last)
+        places, values = _filtered(self.signal, self.band_limit[None], first, last)
+        out = np.zeros(last - first)
+        out[places] = values[0]
+        return out
 
     def acting(self, response: ImpulseResponse) -> ImpulseResponse:
         """Return an impulse response at the signal's sampling rate as it acts on what is emitted."""
@@ -122,9 +131,11 @@ class Emission:
     def describe_filters(self) -> str:
         """Return how delays are carried."""
         removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
+        reach = self.reach / self.signal.sampling_rate
         return (
             f"filters of {len(self.bank.taps)} branches hold up to {self.band:.0f} Hz within "
-            f"{self.bank.error_db:.1f} dB; share of the signal above: {removed}"
+            f"{self.bank.error_db:.1f} dB; share of the signal above, which is removed: {removed}; they sound up to "
+            f"{self.reach} samples ({1e3 * reach:.3g} ms) before an arrival"
         )
 
     def describe(self) -> str:
@@ -186,11 +197,13 @@ def design_emission(
     """
     check_response_error(response_error_db)
     signal = signal.at_rate(sampling_rate)
-    spectrum = signal.energy_spectrum()
-    high, removed_db, bank = _delay_filters(index, spectrum, interpolator, tracks, sampling_rate)
-    basis = basis_of(index, signal, spectrum, high, tracks, until, sampling_rate, response_error_db, exact, at_rest)
-    banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
-    return Emission(signal, start, banks, basis, high, removed_db)
+    sound = ShortTimeSpectra.of(signal)
+    high, removed_db, limit = _band(index, signal, sound, interpolator, tracks.max_rate(index))
+    basis = basis_of(index, signal, sound, high, tracks, until, sampling_rate, response_error_db, exact, at_rest)
+    banks = _banks(index, basis, sound, high, interpolator, tracks.max_rate(index), sampling_rate)
+    filters = np.stack([np.convolve(f, limit) for f in basis.filters])
+    swiftness = min(sound.swiftness(), high) or high
+    return Emission(signal, start, banks, basis, filters, limit, high, swiftness, removed_db)
 
 
 def check_response_error(response_error_db: float | str) -> None:
@@ -202,32 +215,66 @@ def check_response_error(response_error_db: float | str) -> None:
     as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
 
 
-def _delay_filters(
-    index: int, spectrum: tuple[Floats, Floats], interpolator: Interpolator, tracks: Tracks, rate: float
-) -> tuple[float, float, Bank]:
-    """Return the end of the band that matters, the share above it in dB, and the filters for band and speed."""
-    field, max_rate = f"signals[{index}]", tracks.max_rate(index)
+def _band(
+    index: int, signal: Signal, sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float
+) -> tuple[float, float, Floats]:
+    """Return the end of the band that matters, Hz, the share above it in dB, and the band limit."""
+    rate = signal.sampling_rate
     widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
     floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
-    band, removed_db = occupied_band(spectrum, widest, floor_db - 6.0)
-    bank = interpolator.bank(2.0 * math.pi * band / rate, max_rate)
+    band = max(sound.bounds(10 ** ((floor_db - 6.0) / 10))[1], 0.05 * widest)
+    if band <= widest:
+        return band, -math.inf, np.ones(1)
+    removed_db = share_above(signal.energy_spectrum(), widest)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
-            f"{field}: {removed_db:.0f} dB of its energy lies above {band:.0f} Hz, the band of the delay filters "
-            "at this sampling rate and speed, and is removed or distorted; fade or window the signal, or sample faster"
+            f"signals[{index}]: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
+            "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
         )
-    if bank.error_db > _WEAK_ERROR_DB:
+    return widest, removed_db, _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate)
+
+
+def _banks(
+    index: int,
+    basis: Basis,
+    sound: ShortTimeSpectra,
+    high: float,
+    interpolator: Interpolator,
+    max_rate: float,
+    rate: float,
+) -> tuple[Bank, ...]:
+    """Return the delay filters for each function of the basis, by what it carries of the sound."""
+    edge = min(math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi)  # rounded up: designs are found again
+    importance = sound.importance(edge * rate / (2.0 * math.pi), basis.loudness)
+    fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
+    taps = np.arange(basis.filters.shape[1]) - basis.half
+    carried = np.abs(basis.filters @ np.exp(-1j * np.outer(taps, fine))).reshape(len(basis), CELLS, 8).max(axis=2)
+    banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist())) for row in carried)
+    if banks[0].error_db > _WEAK_ERROR_DB:
         _warn(
-            f"{field}: the delay filters are wrong by up to {bank.error_db:.0f} dB for content at {band:.0f} Hz; "
-            'sample faster or use the "bandlimited" interpolator'
+            f"signals[{index}]: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
+            f'{high:.0f} Hz; sample faster or use the "bandlimited" interpolator'
         )
-    return band, removed_db, bank
+    return banks
+
+
+def _band_limit(main: float, stop: float, rate: float) -> Floats:
+    """Return a low-pass without delay that stops at `stop` Hz and leaves what lies below `main` Hz, if there is room.
+
+    By the window method (Kaiser): wide where there is room, so that it rings shortly.
+    """
+    from scipy.signal import firwin, kaiserord
+
+    width = float(np.clip((stop - main) / (0.5 * rate), _LEAST_LIMIT_WIDTH, _LIMIT_WIDTH))
+    length, beta = kaiserord(_LIMIT_DB, width)
+    length += 1 - length % 2
+    return np.asarray(firwin(length, stop - 0.25 * width * rate, window=("kaiser", beta), fs=rate))
 
 
 def basis_of(
     index: int,
     signal: Signal,
-    spectrum: tuple[Floats, Floats],
+    sound: ShortTimeSpectra,
     high: float,
     tracks: Tracks,
     until: float,
@@ -240,23 +287,46 @@ def basis_of(
     """Return the functions of frequency that a source's paths need, from `least` to `high` Hz at most."""
     if not isinstance(tracks, SceneTracks):
         return flat_basis(signal.centre_frequency)
-    frequencies, energy = spectrum
-    below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
-    if not energy.any():  # silence needs nothing
+    if not len(sound.energy):  # silence needs nothing
         return flat_basis(signal.centre_frequency)
-    check_known(tracks.scene, [index], *shares(spectrum, _MAIN_SHARE), f"the signal of source {index}")
+    told = shares(signal.energy_spectrum(), _MAIN_SHARE)
+    check_known(tracks.scene, [index], *told, f"the signal of source {index}")
     if at_rest:
         return flat_basis(signal.centre_frequency)
     floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
-    low = float(frequencies[np.searchsorted(below, 10 ** ((floor_db - 6.0) / 10))])
-    low = min(max(low, least, frequencies[1]), 0.999 * high)
+    low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
+    low = min(max(low, least, float(sound.frequencies[1])), 0.999 * high)
     if not isinstance(error_db, str):
         floor_db = min(floor_db, error_db)
-        band = partial(band_of, low, high, frequencies, energy)
-        return scene_basis(tracks, index, band, until, rate, floor_db)
+        return scene_basis(tracks, index, partial(band_of, low, high, sound), until, rate, floor_db)
     if is_complex(tracks.scene):
         return turning_basis(signal.centre_frequency, low, high, rate, floor_db)
     return flat_basis(signal.centre_frequency)
+
+
+def _filtered(signal: Signal, filters: Floats, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
+    """Return where a signal through filters sounds from `first` to `last`, from there on (n,), and what (K, n).
+
+    What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
+    """
+    half = filters.shape[1] // 2
+    reach = 2 * half  # of a sample, into what is filtered before it
+    samples = signal.read(first - half, last + half)
+    heard = np.flatnonzero(samples)
+    if not len(heard):
+        return heard, np.zeros((len(filters), 0))
+    pause = np.flatnonzero(np.diff(heard) > reach + 1)
+    begins = np.maximum(heard[np.concatenate([[0], pause + 1])] - reach, 0)
+    lengths = np.minimum(heard[np.concatenate([pause, [-1]])] + 1, last - first) - begins
+    places = _ranges(begins, lengths)
+    if reach == 0:
+        return places, samples[places] * filters
+    from scipy.signal import oaconvolve
+
+    together = samples[_ranges(begins, lengths + reach)]  # without the pauses
+    made = oaconvolve(together[None], filters, mode="valid", axes=1)
+    within = _ranges(np.cumsum(lengths + reach) - lengths - reach, lengths)
+    return places, np.asarray(made[:, within])
 
 
 def _ranges(begins: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import GROUP, WIDEST_GROUP, half_band
 from clsim.render.emission import Emission, basis_of, check_response_error
 from clsim.render.interpolator import Bandlimited, Bank
+from clsim.render.occupied import ShortTimeSpectra
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,8 +28,7 @@ if TYPE_CHECKING:
     from clsim.render.tracks import Tracks
     from clsim.scene.signal import Signal
 
-_MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters, and responses are better than asked
-_LEAST_DB = -120.0  # of responses
+_MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
 _ROWS = 2048  # samples of envelopes made at a time: what is mixed down then stays in cache
 
@@ -180,29 +180,31 @@ def design_envelope(
         raise InputError("interpolator", f"must be Bandlimited in baseband, but is {interpolator!r:.80}")
     check_response_error(response_error_db)
     signal, max_rate = signal.at_rate(sampling_rate), tracks.max_rate(index)
-    spectrum = signal.energy_spectrum()
-    half, removed_db = half_band(index, signal, spectrum, baseband, max_rate)
+    half, removed_db = half_band(index, signal, signal.energy_spectrum(), baseband, max_rate)
     low, high = baseband.carrier - half, baseband.carrier + half
-    asked = response_error_db
-    if not isinstance(asked, str):  # a narrow band asks little more, and errors of many paths add up as these do
-        asked = max(asked - _MARGIN_DB, _LEAST_DB)
-    basis = basis_of(index, signal, spectrum, high, tracks, until, sampling_rate, asked, exact, at_rest, least=low)
-    if not isinstance(response_error_db, str) and math.isfinite(basis.asked_db):
-        basis = replace(basis, asked_db=response_error_db)  # of which a warning tells
+    basis = basis_of(
+        index, signal, ShortTimeSpectra.of(signal), high, tracks, until, sampling_rate, response_error_db, exact,
+        at_rest, least=low,
+    )  # fmt: skip
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
     mu_max = math.ceil((0.52 + 0.5 * WIDEST_GROUP * max_rate) * 32) / 32
-    taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max)
-    bank = Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, GROUP, reached)
-    banks = tuple(interpolator.weaker(bank, size) for size in basis.sizes)
+    banks = []
+    for size in basis.sizes.tolist():
+        importance = interpolator.rounded((min(size, 1.0),))
+        taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
+        banks.append(Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, GROUP, reached))
     every = round(sampling_rate / rate)
     mixer, plain = (
         _mixer(sampling_rate, every, baseband.carrier, half, filters, interpolator.error_db)
         for filters in (basis.filters, np.ones((1, 1)))
     )
     highest = baseband.carrier + 0.5 * baseband.bandwidth
-    return EnvelopeEmission(signal, start, banks, basis, highest, removed_db, baseband.carrier, half, mixer, plain)
+    return EnvelopeEmission(
+        signal, start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, removed_db, baseband.carrier,
+        half, mixer, plain,
+    )  # fmt: skip
 
 
 def _mixer(rate: float, every: int, carrier: float, half: float, filters: Floats, error_db: float) -> Mixer:

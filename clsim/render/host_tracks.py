@@ -31,7 +31,6 @@ class HostNodes:
     cubics: Any
     spans: None
     error: Floats
-    strongest: Floats
     unheld: Floats
     shortest: float
     longest: float
@@ -80,8 +79,10 @@ class HostTracks:
             here = slots.of_group(i)
             delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
             whole[:, here], made = block_polynomials(delay, change, gain, block, rate, late, plan.delay_terms)
-            sized = gain * emission.basis.sizes[:, None, None]
-            wrong = block_error(delay, change, sized, 2.0 * math.pi * emission.band, block / rate, plan.delay_terms)
+            sized = gain * emission.basis.strengths[:, None, None]
+            part = 0.0 if plan.is_fine(block) else plan.group(source, block) / block
+            swiftness = 2.0 * math.pi * emission.swiftness
+            wrong = block_error(delay, change, sized, swiftness, block / rate, part, plan.delay_terms)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
             terms = plan.delay_terms
             made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
@@ -94,18 +95,20 @@ class HostTracks:
                 out=error,
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
-        nothing = np.zeros(len(slots.groups))  # is noted of responses that are taken here
         if plan.delay_terms == 8:  # as in nodes.h
             cubics = cubics.transpose(0, 2, 1)
-        return HostNodes(self._upload(whole), self._upload(cubics), None, error, nothing, nothing, shortest, longest)
+        return HostNodes(
+            self._upload(whole), self._upload(cubics), None, error, np.zeros(len(error)), shortest, longest
+        )
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
 
 
 def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:
-    """Return the largest error of each segment relative to the strongest gain, both from (paths, blocks)."""
+    """Return the largest error of each segment relative to what is heard, of those of paths (paths, blocks)."""
     first = np.arange(0, wrong.shape[1], step)
-    error = np.maximum.reduceat(wrong.max(axis=0), first)
-    strongest = np.maximum.reduceat(np.abs(gain).max(axis=0), first)
-    return np.asarray(error / np.maximum(strongest, 1e-30))
+    error, heard = (
+        np.sqrt(np.sum(np.maximum.reduceat(values, first, axis=1) ** 2, axis=0)) for values in (wrong, np.abs(gain))
+    )
+    return np.asarray(error / np.maximum(heard, 1e-30))

@@ -37,7 +37,7 @@ class Bank:
     group : int
         Neighbouring samples that share a whole delay.
     error_db : float
-        Largest deviation from a pure delay over all delays and the signal's band, dB.
+        Largest deviation from a pure delay over all delays and the signal's band, times its importance, dB.
     """
 
     taps: Floats
@@ -57,12 +57,11 @@ class Bank:
 class Interpolator(Protocol):
     """A fractional-delay filter."""
 
-    def bank(self, edge: float, max_rate: float) -> Bank:
-        """Return the bank for a signal up to `edge` rad per sample and delays changing by up to `max_rate`."""
-        ...
+    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,)) -> Bank:
+        """Return the bank for a signal up to `edge` rad per sample and delays changing by up to `max_rate`.
 
-    def weaker(self, bank: Bank, size: float) -> Bank:
-        """Return a bank for the same signal and motion that may err more, for what is heard `size` times as loud."""
+        Errors in equal cells from 0 to the edge may be larger the less their `importance`.
+        """
         ...
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
@@ -89,13 +88,9 @@ class Lagrange:
     def __post_init__(self) -> None:
         as_count("order", self.order, at_least=1, at_most=_LARGEST_ORDER)
 
-    def bank(self, edge: float, max_rate: float) -> Bank:
+    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,)) -> Bank:
         """Return the bank: the closed form as polynomials of ``mu``."""
         return _lagrange(lagrange_bank(self.order), self.order // 2, self.order, edge, max_rate)
-
-    def weaker(self, bank: Bank, size: float) -> Bank:
-        """Return the bank itself."""
-        return bank
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the closed-form taps."""
@@ -126,14 +121,10 @@ class TruncatedLagrange:
                 f"must differ from order + 1 = {self.order + 1} by an even number, but is {self.length}",
             )
 
-    def bank(self, edge: float, max_rate: float) -> Bank:
+    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,)) -> Bank:
         """Return the bank: the middle taps as polynomials of ``mu``."""
         centre = self.order // 2 - self._dropped
         return _lagrange(lagrange_bank(self.order, self.length), centre, self.order, edge, max_rate)
-
-    def weaker(self, bank: Bank, size: float) -> Bank:
-        """Return the bank itself."""
-        return bank
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the closed-form taps."""
@@ -152,7 +143,7 @@ class Bandlimited:
     Parameters
     ----------
     error_db : float
-        Bound on the deviation from a pure delay, from -120 to -40 dB.
+        Bound on the deviation from a pure delay, from -120 to -40 dB, relative to what sounds within some 40 ms.
     """
 
     error_db: float = -90.0
@@ -160,30 +151,25 @@ class Bandlimited:
     def __post_init__(self) -> None:
         as_number("error_db", self.error_db, at_least=-120.0, at_most=-40.0, unit="dB")
 
-    def bank(self, edge: float, max_rate: float) -> Bank:
+    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,)) -> Bank:
         """Return the bank: least-squares filters for a Chebyshev series in ``mu``."""
         group, mu_max = _group(GROUP, max_rate)
         if mu_max > _LARGEST_MU:
             group, mu_max = _group(SMALL_GROUP, max_rate)
         # Rounded up, so that designs are found again.
-        edge, mu_max = min(math.ceil(edge * 64) / 64, 0.97 * math.pi), math.ceil(mu_max * 32) / 32
-        return _bandlimited(self.error_db, edge, mu_max, group)
+        mu_max = math.ceil(mu_max * 32) / 32
+        taps, reached = design_bandlimited(self.error_db, edge, mu_max, self.rounded(importance))
+        return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, group, reached)
 
-    def weaker(self, bank: Bank, size: float) -> Bank:
-        """Return a bank of as few branches as `size` allows, in steps of 6 dB."""
-        allowed = self.error_db + 6.0 * math.floor(-20.0 * math.log10(max(size, 1e-6)) / 6.0 - 0.5)
-        return (
-            bank if allowed <= self.error_db else _bandlimited(min(allowed, -12.0), bank.edge, bank.mu_max, bank.group)
-        )
+    def rounded(self, importance: tuple[float, ...]) -> tuple[float, ...]:
+        """Return importances rounded up by steps of 6 dB, and so that no error is above -12 dB."""
+        least = 10.0 ** ((self.error_db + 12.0) / 20.0)
+        steps = np.ceil(20.0 * np.log10(np.maximum(importance, least)) / 6.0)
+        return tuple((10.0 ** (0.3 * steps)).tolist())
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the bank evaluated in float64."""
         return np.asarray(np.vander(mu, len(bank.taps), increasing=True) @ bank.taps)
-
-
-def _bandlimited(error_db: float, edge: float, mu_max: float, group: int) -> Bank:
-    taps, reached = design_bandlimited(error_db, edge, mu_max)
-    return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, group, reached)
 
 
 def _group(samples: int, max_rate: float) -> tuple[int, float]:

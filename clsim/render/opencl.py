@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
 
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
@@ -41,7 +40,7 @@ class Layout:
     sparse_span: int  # the same where signals pause
     nodes: int  # of a path, whose delays are solved side by side
 
-    def constants(self, group: int, *, sparse: bool) -> dict[str, int]:
+    def constants(self, group: int, *, sparse: bool, fine: bool) -> dict[str, int]:
         """Return the compile-time constants of the render kernel for a group length."""
         workers = 1 if self.lanes > 1 else group
         return {
@@ -49,6 +48,7 @@ class Layout:
             "VECTORS": group // (workers * self.lanes),
             "WORKERS": workers,
             "SPARSE": int(sparse),
+            "FINE": int(fine),
             **({} if sparse else {"BATCH": BATCH}),
             "TILE": _TILE,
             "SPAN": (self.sparse_span if sparse else self.span) * (32 // group),
@@ -90,8 +90,8 @@ class OpenclEngine:
             plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts
         )
         self.skips_silence = True
-        shape = (len(plan.emissions), plan.receiver_count)
-        self._strongest, self._unheld = np.zeros(shape), np.zeros(shape)  # arrivals, and what no function holds of any
+        self._unheld = np.zeros(len(plan.emissions))  # largest part of what is heard that no function holds
+        self._coarse = [(0.0, 0.0)] * len(plan.emissions)  # largest error of the shortest blocks, and when, s
         self._tracks: DeviceTracks | HostTracks
         if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
             self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler, self._layout.nodes)
@@ -112,9 +112,8 @@ class OpenclEngine:
 
     def warn(self) -> None:
         """Warn where responses came along that the functions of frequency hold worse than asked."""
-        unheld = (self._unheld / np.maximum(self._strongest, 1e-30)).max(axis=1)
         for i, emission in enumerate(self._plan.emissions):
-            reached = 20.0 * math.log10(max(float(unheld[i]), 1e-15))
+            reached = 20.0 * math.log10(max(float(self._unheld[i]), 1e-15))
             if reached > emission.basis.asked_db + 1.0 > -math.inf:
                 warnings.warn(
                     f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
@@ -123,10 +122,22 @@ class OpenclEngine:
                     stacklevel=3,
                 )
 
-    def note(self, source: int, receivers: NDArray[np.int32], strongest: Floats, unheld: Floats) -> None:
-        """Remember the strongest arrivals (n,) at receivers, and the largest part of any that no function holds."""
-        for seen, value in ((self._strongest, strongest), (self._unheld, unheld)):
-            seen[source, receivers] = np.maximum(seen[source, receivers], value)
+            wrong, time = self._coarse[i]
+            if wrong > 0.0:
+                warnings.warn(
+                    f"source {i}: at about {time:.3f} s ends are so near and fast that even the shortest blocks are "
+                    f"wrong by {20.0 * math.log10(wrong):.0f} dB of what is heard; sample faster, or keep farther away",
+                    ClsimWarning,
+                    stacklevel=3,
+                )
+
+    def note(self, source: int, unheld: float) -> None:
+        """Remember the largest part of what is heard of a source that no function holds."""
+        self._unheld[source] = max(self._unheld[source], unheld)
+
+    def note_coarse(self, source: int, wrong: float, time: float) -> None:
+        """Remember the largest error that the shortest blocks leave of a source, and when."""
+        self._coarse[source] = max(self._coarse[source], (wrong, time))
 
     @property
     def run(self) -> type[Run]:
@@ -154,7 +165,7 @@ class OpenclEngine:
                     group.during(plan, start + first * plan.segment, start + last * plan.segment) for group in active
                 ]
                 node = bytes_per_node(plan, source)
-                per_segment = node * (plan.segment // plan.blocks[-1])
+                per_segment = node * (plan.segment // plan.shortest_block)
                 for some in _batches([group for group in here if len(group.rows)], per_segment):
                     slots = fill_slots(plan, some, BATCH)
                     self.run(self, source, slots, branches, on_device, length, start, first, last).render()
@@ -212,14 +223,23 @@ class Run:
                 lambda: self._engine.branch_signals.look_ahead(self._source, self._start),
             )  # fmt: skip
             self._check(nodes.shortest, nodes.longest)
-            self._engine.note(self._source, self._slots.receiver, nodes.strongest, nodes.unheld)
+            self._engine.note(self._source, float(nodes.unheld.max()))
             coarse = nodes.error > self._tolerance
-            coarse &= level + 1 < len(plan.blocks)
+            if level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1]):
+                for i in np.flatnonzero(coarse).tolist():
+                    middle = self._start + (at + i + 0.5) * segment
+                    self._engine.note_coarse(self._source, float(nodes.error[i]), middle / plan.sampling_rate)
+                coarse[:] = False
             for a, b in _runs(coarse):
                 if coarse[a]:
                     self._cover(at + a, at + b, level + 1)
                 else:
                     self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
+
+    def _fits(self, block: int) -> bool:
+        """Return whether the polynomials of one segment in blocks of a length can be held."""
+        needed = bytes_per_node(self._plan, self._source) * self._slots.count * (self._plan.segment // block)
+        return not self._plan.is_fine(block) or needed <= 4 * NODE_BUDGET
 
     def _check(self, shortest: float, longest: float) -> None:
         """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
@@ -234,10 +254,11 @@ class Run:
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, emission = self._engine, self._plan.emissions[self._source]
         self._render_edges(nodes, segment, end, block, first_block)
-        constants = engine._layout.constants(emission.bank.group, sparse=nodes.spans is not None)
+        group, fine = self._plan.group(self._source, block), self._plan.is_fine(block)
+        constants = engine._layout.constants(group, sparse=nodes.spans is not None, fine=fine)
         spans = nodes.delay if nodes.spans is None else nodes.spans
         begin = segment * self._plan.segment
-        groups = (end - begin) // emission.bank.group
+        groups = (end - begin) // group
         size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
         counts = [len(bank.taps) for bank in emission.banks]
         together = _TOGETHER if nodes.spans is not None else 1
@@ -250,7 +271,7 @@ class Run:
                 engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
                 np.int32(emission.rows[k]), np.int32(self._functions), np.int32(k),
                 np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, self._first_slot,
-                np.int32(self._slots.count), np.int32(block // emission.bank.group), np.int32(first_block),
+                np.int32(self._slots.count), np.int32(block // group), np.int32(first_block),
                 np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
             )  # fmt: skip
 

@@ -17,7 +17,7 @@ from clsim.render.at_rest import NONE_AT_REST, AtRest, find_at_rest
 from clsim.render.baseband import Baseband, as_baseband, check_ends, segmented
 from clsim.render.emission import AT_CENTRE, DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
 from clsim.render.envelope import design_envelope
-from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.interpolator import SMALL_GROUP, Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.quiet import without_quiet
 from clsim.render.tracks import SceneTracks, Tracks, track
 from clsim.render.transition import DEFAULT_TRANSITION
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 ENGINES = ("opencl", "reference")
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
-BLOCKS = (768, 384, 192, 96)  # samples in a block, divisors of a segment, tried in this order
+BLOCKS = (768, 384, 192, 96, 48, 24, 8)  # samples in a block, divisors of a segment, tried in this order
+FINE = 96  # samples, shorter blocks than which are rendered in small groups by all terms of their cubics
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 _PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
 
@@ -56,6 +57,20 @@ class Plan:
     def delay_terms(self) -> int:
         """Coefficients of the polynomial of a block's delay, 4 or 8; of the gains' it is always 4."""
         return 4 if self.baseband is None else 8
+
+    @property
+    def shortest_block(self) -> int:
+        """Samples in the shortest block for which room is made beforehand: shorter ones are rare."""
+        return max(self.blocks[-1], FINE) if self.baseband is None else self.blocks[-1]
+
+    def is_fine(self, block: int) -> bool:
+        """Return whether blocks of a length are rendered in small groups by all terms of their cubics."""
+        return self.baseband is None and block < FINE
+
+    def group(self, source: int, block: int) -> int:
+        """Return how many neighbouring samples of a block share the whole part of a delay."""
+        group = self.emissions[source].bank.group
+        return min(group, SMALL_GROUP) if self.is_fine(block) else group
 
     @property
     def sample_type(self) -> type[np.generic]:
@@ -90,7 +105,7 @@ class Plan:
         functions = max(len(e.basis) for e in self.emissions)
         per_segment = (
             (4 + 4 * self.delay_terms + 16 * functions)
-            * (self.segment // self.blocks[-1])
+            * (self.segment // self.shortest_block)
             * max((len(group) for group in self.tracks.groups), default=0)
         )
         nodes = max(NODE_BUDGET, per_segment)

@@ -15,11 +15,13 @@ from clsim.paths.path_set import PathSet
 from clsim.paths.responses import Responses
 from clsim.render.basis import Basis, flat_basis
 from clsim.render.transition import DEFAULT_TRANSITION, as_transition
+from clsim.scene.curves import CONTINUATION
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.scene.scene import Receiver, Scene
+    from clsim.scene.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -280,7 +282,7 @@ def track(
         path_groups.append(group)
         path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
-    speeds = [1.02 * item.trajectory.peak_speed(*scene.span(item))[0] for _, item in scene.named_ends()]
+    speeds = [1.02 * _peak_speed(item.trajectory, *scene.span(item)) for _, item in scene.named_ends()]
     count = len(scene.sources)
     return SceneTracks(
         paths,
@@ -293,6 +295,11 @@ def track(
         tuple(speeds[count:]),
         as_transition(transition),
     )
+
+
+def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:
+    """Return the largest speed from a start to an end, m/s, and shortly beyond, where a trajectory goes on."""
+    return 0.0 if trajectory.at_rest else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
 
 
 def _told(receiver: Receiver, times: Floats) -> Floats:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 _SPECTRUM_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
+_WINDOW = 0.04  # s, of a short-time spectrum
+_QUIET_WINDOW = 1e-6  # energy of a window relative to the loudest, below which it is taken relative to this level
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,22 +85,40 @@ class Signal:
         first and last segments and, from equal stretches between them, one each are taken, which stand for the rest.
         """
         length, hop = _SPECTRUM_LENGTH, _SPECTRUM_LENGTH // 2
-        last = -(-self.count // hop)
-        picked = np.arange(-1, last)
-        if len(picked) > _ALL_SEGMENTS:
-            stretch = np.arange(_ALL_SEGMENTS // 2)
-            # Anywhere in its stretch: an even step could always meet a train's pauses.
-            place = (stretch + np.random.default_rng(0).random(len(stretch))) / len(stretch)
-            inner = np.unique(8 + (place * (last - 16)).astype(np.int64))
-            picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
-        weight = np.gradient(picked.astype(np.float64)) if len(picked) > _ALL_SEGMENTS // 2 else np.ones(len(picked))
-        window = np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2
+        picked, weight = _picked_segments(self.count, hop)
+        window = _hann(length)
         energy = np.zeros(hop + 1)
         for k, share in zip(picked, weight, strict=True):
             spectrum = np.fft.rfft(self.read(int(k) * hop, int(k) * hop + length) * window)
             energy += share * np.abs(spectrum) ** 2
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         return frequencies, energy / length
+
+    def short_time_spectra(self) -> tuple[Floats, Floats]:
+        """Return frequencies (F,) in Hz and the energy (W, F) at each in windows of some 40 ms.
+
+        Hann windows with half overlap, picked as by `energy_spectrum`; silent ones are left out. Energies are relative
+        to that of the window or its neighbour on either side, whichever is most, so that the end of a sound is seen
+        beside the sound; what is 60 dB below the loudest window is taken relative to that level.
+        """
+        length = 2 ** int(np.clip(round(math.log2(_WINDOW * self.sampling_rate)), 6, 14))
+        hop, window = length // 2, _hann(length)
+        found, levels = [], []
+        for k in _picked_segments(self.count, hop)[0]:
+            around = self.read((int(k) - 1) * hop, (int(k) + 1) * hop + length)
+            if not np.any(around[hop:-hop]):
+                continue
+            spectrum = np.abs(np.fft.rfft(around[hop:-hop] * window)) ** 2
+            spectrum[1:-1] *= 2.0
+            found.append(spectrum)
+            levels.append(
+                max(float(np.sum((around[i : i + length] * window) ** 2)) for i in (0, hop, 2 * hop)) * length
+            )
+        frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
+        if not found:
+            return frequencies, np.zeros((0, hop + 1))
+        level = np.maximum(levels, _QUIET_WINDOW * max(levels))
+        return frequencies, np.array(found) / level[:, None]
 
     def band(self) -> tuple[float, float]:
         """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz."""
@@ -374,6 +394,27 @@ class Signal:
             raise InputError("path", f"must hold finite samples, but [{bad[0]}] of {path} is {samples[bad[0]]}")
         samples *= scale
         return cls(_with_centroid(read_only(samples), _rate(rate)), rate)
+
+
+def _picked_segments(count: int, hop: int) -> tuple[NDArray[np.int64], Floats]:
+    """Return segments of `hop` samples, those before the onset included, and how many each stands for.
+
+    Of many the first and the last are taken, and one each from equal stretches between them.
+    """
+    last = -(-count // hop)
+    picked = np.arange(-1, last)
+    if len(picked) <= _ALL_SEGMENTS:
+        return picked, np.ones(len(picked))
+    stretch = np.arange(_ALL_SEGMENTS // 2)
+    # Anywhere in its stretch: an even step could always meet a train's pauses.
+    place = (stretch + np.random.default_rng(0).random(len(stretch))) / len(stretch)
+    inner = np.unique(8 + (place * (last - 16)).astype(np.int64))
+    picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
+    return picked, np.gradient(picked.astype(np.float64))
+
+
+def _hann(length: int) -> Floats:
+    return np.asarray(np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2)
 
 
 def _with_centroid(samples: NDArray[Any], rate: float) -> Samples:
