@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 WINDOW = 0.02  # s, in which errors are compared with what is heard then
-RUN = 64  # samples that are looked at together
 QUIET_DB = -60.0  # relative to the loudest window, below which a window is not looked at
 
 
@@ -131,30 +130,26 @@ class Fineness:
 class Emitted:
     """Samples from time `start` on, filtered by the air over any distance and interpolated.
 
-    `band_limit` is what the samples pass first: taps (odd, about their middle), or a frequency above which nothing is
-    left (zero-phase, a raised cosine over 2 % of the rate).
+    `band_limit` is what the samples pass first: taps of odd length about their middle.
     """
 
     def __init__(
         self, samples: np.ndarray, rate: float, start: float, room: Room,
-        band_limit: float | np.ndarray | None = None, fineness: Fineness | None = None,
+        band_limit: np.ndarray | None = None, fineness: Fineness = Fineness(),
     ) -> None:  # fmt: skip
-        self.rate, self.start, self.room, self.fine = rate, start, room, fineness or Fineness()
+        self.rate, self.start, self.room, self.fine = rate, start, room, fineness
         self.before = max(self.fine.padding * (4 if band_limit is None else 1), len(samples) // 4)
         self.length = next_fast_len(len(samples) + 2 * self.before, real=True)
         self.length += self.length % 2
         padded = np.zeros(self.length)
         padded[self.before : self.before + len(samples)] = samples
-        self.spectrum, self.frequency = rfft(padded), np.arange(self.length // 2 + 1) * (rate / self.length)
+        self.spectrum = rfft(padded)
         self.spectrum[-1] *= 0.5  # half of it belongs to -rate / 2
-        if isinstance(band_limit, np.ndarray):
+        if band_limit is not None:
             taps = np.zeros(self.length)
             taps[: len(band_limit)] = band_limit
             self.spectrum = self.spectrum * rfft(np.roll(taps, -(len(band_limit) // 2)))
-        elif band_limit is not None:
-            over = np.clip((self.frequency - band_limit) / (0.02 * rate), 0.0, 1.0)
-            self.spectrum = self.spectrum * np.cos(0.5 * np.pi * over) ** 2
-        self.absorption = room.absorption(self.frequency)
+        self.absorption = room.absorption(np.arange(self.length // 2 + 1) * (rate / self.length))
 
     def sounds(self, time: np.ndarray) -> np.ndarray:
         """Return whether times of emission lie where the samples are known."""
@@ -272,29 +267,15 @@ def truth(
     return Truth(pressure, np.sqrt(power))
 
 
-def chosen(samples: int, rate: float, count: int, seed: int = 0) -> np.ndarray:
-    """Return about `count` samples, in runs of `RUN`, as many in every 20 ms: (n,), sorted."""
-    rng, windows = np.random.default_rng(seed), max(1, round(samples / rate / WINDOW))
-    edges = np.linspace(0, samples // RUN, windows + 1).astype(np.int64)
-    each = max(1, round(count / RUN / windows))
-    runs = [
-        first + np.sort(rng.choice(last - first, min(each, last - first), replace=False))
-        for first, last in zip(edges[:-1], edges[1:], strict=True)
-    ]
-    return np.asarray((RUN * np.concatenate(runs)[:, None] + np.arange(RUN)).ravel())
+def chosen(samples: int, count: int, seed: int = 0) -> np.ndarray:
+    """Return `count` samples of so many, anywhere in equal cells: (n,), sorted."""
+    edges = np.linspace(0, samples, min(count, samples) + 1).astype(np.int64)
+    return np.asarray(np.random.default_rng(seed).integers(edges[:-1], edges[1:]))
 
 
 def error_db(got: np.ndarray, exact: np.ndarray) -> float:
     """Return the error's RMS over that of what is heard, dB."""
     return float(20.0 * np.log10(np.linalg.norm(got - exact) / np.linalg.norm(exact)))
-
-
-def error_below_db(got: np.ndarray, exact: np.ndarray, rate: float, frequency: float) -> float:
-    """Return the error's part below a frequency over that of what is heard, dB, of runs of samples under a Hann window."""
-    hann = np.sin(np.pi * (np.arange(RUN) + 0.5) / RUN) ** 2
-    below = np.arange(RUN // 2 + 1) * (rate / RUN) < frequency
-    wrong, heard = (np.abs(np.fft.rfft(x.reshape(-1, RUN) * hann)) for x in (got - exact, exact))
-    return float(20.0 * np.log10(np.linalg.norm(wrong[:, below]) / np.linalg.norm(heard)))
 
 
 def local_errors(got: np.ndarray, exact: Truth, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

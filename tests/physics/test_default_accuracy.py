@@ -23,6 +23,7 @@ from default_cases import (
     wide_bands,
 )
 from default_oracle import Emitted, Fineness, Line, Room
+from scipy.signal import firwin
 
 import clsim
 from clsim.errors import ClsimWarning, InputError
@@ -149,8 +150,9 @@ def test_a_finer_oracle_says_the_same() -> None:
     tone = clsim.Signal.tone(76e3, 0.02, rate)
     ways = Line((1.0, 2.0, 1.5), (8.0, 3.0, 2.0)), Line((4.0, 3.0, 2.2), (-7.0, 4.0, 1.0))
     times = np.sort(np.random.default_rng(1).choice(int(0.05 * rate), 300, replace=False)) / rate
+    taps = firwin(101, 86e3, fs=rate)
     coarse, fine = (
-        oracle.truth([(Emitted(tone.read(0, tone.count), rate, 0.0, room, 88e3, f), ways[0])], ways[1], room, times)
+        oracle.truth([(Emitted(tone.read(0, tone.count), rate, 0.0, room, taps, f), ways[0])], ways[1], room, times)
         for f in (Fineness(), Fineness(8, 18, 12, 16_384))
     )
     assert oracle.error_db(coarse.pressure, fine.pressure) < -120.0
