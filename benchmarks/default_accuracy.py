@@ -28,8 +28,7 @@ def main() -> None:
                 continue
         spent = time.perf_counter() - begin
         print(
-            f"{case.name:44} {found.error_db:7.1f} {found.local_db:7.1f} {found.worst_at:6.2f} "
-            f"{spent:6.1f}",
+            f"{case.name:44} {found.error_db:7.1f} {found.local_db:7.1f} {found.worst_at:6.2f} {spent:6.1f}",
             flush=True,
         )
 
