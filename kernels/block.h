@@ -42,8 +42,9 @@ static void write_block(const window* node, int block, int slots, int slot, doub
         terms[3][i] = d3 * (1.0f / 24.0f) - 0.125f * d1;
     }
 #else
-    const double p0 = node->delay[1] * sampling_rate + late, p1 = node->delay[2] * sampling_rate + late;
-    const double e0 = node->rate[1] * (0.5 * BLOCK), e1 = node->rate[2] * (0.5 * BLOCK);
+    const double rate = OVERSAMPLING * sampling_rate, half_block = 0.5 * OVERSAMPLING * BLOCK;
+    const double p0 = node->delay[1] * rate + late, p1 = node->delay[2] * rate + late;
+    const double e0 = node->rate[1] * half_block, e1 = node->rate[2] * half_block;
     const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING) - ROUNDING;
     delay[block * slots + slot] = (int)whole;
     c[0] = (float)(centre - whole);

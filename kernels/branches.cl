@@ -1,6 +1,7 @@
 // The branch signals: the emitted signal through the fixed filters of the Farrow bank. Work-item: dimension 0 counts
 // spans of CHANNEL samples, dimension 1 rows. A sum of zeros is zero, so silence stays exact silence: where nothing is
-// heard (SPARSE) the rows are left as they are, zero.
+// heard (SPARSE) the rows are left as they are, zero. Where branch signals have OVERSAMPLING times the recording's sampling
+// rate, those of equal phase stand side by side, so that neighbouring samples of the recording read neighbours.
 
 #define CHANNEL (8 * LANES)
 
@@ -24,5 +25,13 @@ __kernel void branches(__global const float* emitted,
 #pragma unroll
         for (int j = 0; j < 8; j++) sum[j] += tap * LOAD(at + j * LANES);
     }
-    for (int j = 0; j < 8; j++) *(__global loose_vec*)(rows + (long)(first_row + row) * stride + first + j * LANES) = sum[j];
+    __global float* out = rows + (long)(first_row + row) * stride;
+#if OVERSAMPLING == 1
+    for (int j = 0; j < 8; j++) *(__global loose_vec*)(out + first + j * LANES) = sum[j];
+#else
+    for (int i = 0; i < CHANNEL; i++) {
+        const int at = first + i;
+        out[at / OVERSAMPLING + at % OVERSAMPLING * (stride / OVERSAMPLING)] = ((const float*)sum)[i];
+    }
+#endif
 }

@@ -37,7 +37,7 @@ __kernel void edges(__global const float* branches,  // [rows][stride]
         const int whole = delay[node * slots + slot] + (int)rest;
         for (int k = 0; k < functions; k++) {
             __global const float* g = c + (DELAY_TERMS + k) * apart;
-            __global const float* branch = branches + (first_row[k + 1] - 1) * (long)stride + lead + at - whole;
+            __global const float* branch = branches + (first_row[k + 1] - 1) * (long)stride + lead + at + PLACE(-whole, stride);
             float value = *branch;
             for (int q = first_row[k + 1] - 1; q > first_row[k]; q--) {
                 branch -= stride;

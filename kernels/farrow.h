@@ -41,7 +41,7 @@ static void add_path(__global const float* branches, int stride, const EXPANDED 
         mu[j] = (sample[j] * paths->curve[p] + paths->rate[p]) * sample[j] + paths->fraction[p];
 #endif
     }
-    __global const float* row = branches - paths->whole[p];
+    __global const float* row = branches + PLACE(-paths->whole[p], stride);
 #if FINE
 #define BEND(k) paths->bend[k][p]
 #else

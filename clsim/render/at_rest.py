@@ -125,7 +125,7 @@ def _band(emission: Emission, *, complex_responses: bool) -> ResponseBand:
     """Return the band that holds a signal, with edges as wide as there is room, so that arrivals are short."""
     rate = emission.signal.sampling_rate
     low, high = np.clip(shares(emission.signal.energy_spectrum(), _SHARE), *emission.held)
-    high = min(max(high, 0.025 * rate), 0.5 * _WIDEST * rate)
+    high = min(max(high, 0.025 * rate), max(0.5 * _WIDEST * rate, emission.band))
     low, above = min(low, high), 0.5 * rate - high
     least = (_LOWEST_COMPLEX if complex_responses else _LOWEST) * rate
     return ResponseBand(low, high, low if low >= least else 0.0, above)

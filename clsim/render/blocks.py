@@ -16,7 +16,14 @@ if TYPE_CHECKING:
 
 
 def block_polynomials(
-    delay: Floats, rate: Floats, gain: Floats, block: int, sampling_rate: float, late: float, terms: int = 4
+    delay: Floats,
+    rate: Floats,
+    gain: Floats,
+    block: int,
+    sampling_rate: float,
+    late: float,
+    oversampling: int = 1,
+    terms: int = 4,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return whole delays, and polynomials on [-1, 1] of the rest and of the gain.
 
@@ -31,7 +38,9 @@ def block_polynomials(
     sampling_rate : float
         Hz.
     late : float
-        Added to the delay, samples.
+        Added to the delay, samples of the branch signals.
+    oversampling : int
+        Samples of the branch signals, in which delays are told, in one of the block.
     terms : {4, 8}
         Coefficients of the delay: of Hermite's cubic through the block's ends, or his septic through all four nodes.
         Gains are Catmull-Rom's cubic, or the one through all four nodes.
@@ -46,8 +55,9 @@ def block_polynomials(
     if terms == 8:
         delay_terms = _septic(delay * sampling_rate + late, rate * (0.5 * block))
     else:
-        p0, p1 = delay[:, 1:-2] * sampling_rate + late, delay[:, 2:-1] * sampling_rate + late
-        e0, e1 = rate[:, 1:-2] * (0.5 * block), rate[:, 2:-1] * (0.5 * block)
+        per_second, half = oversampling * sampling_rate, 0.5 * oversampling * block
+        p0, p1 = delay[:, 1:-2] * per_second + late, delay[:, 2:-1] * per_second + late
+        e0, e1 = rate[:, 1:-2] * half, rate[:, 2:-1] * half
         delay_terms = _centred(p0, p1, e0, e1)
     g0, g1, g2, g3 = _nodes(gain)
     gain_terms = _through(g0, g1, g2, g3) if terms == 8 else _centred(g1, g2, 0.25 * (g2 - g0), 0.25 * (g3 - g1))

@@ -34,8 +34,8 @@ class Feed:
     before: int  # samples from the first place to that at which branch signals begin
     after: int
     width: int  # samples of the branch signals
-    first: int  # sample at which they begin
-    least: int  # samples of delay
+    first: int  # of these, at which they begin
+    least: int  # of these, of delay
     most: int
     found: Sounding | None  # where it is worth leaving out what is silent
 
@@ -46,8 +46,8 @@ class Branches:
 
     rows: Any
     stride: int
-    first: int  # sample at which the rows begin
-    least: int  # samples
+    first: int  # of their own samples, at which the rows begin
+    least: int  # of these
     most: int
     sounding: Sounding | None  # where it is worth leaving out what is silent
 
@@ -100,13 +100,14 @@ class BranchSignals:
         active = self._active(source, start, length)
         if not active:
             return None
+        times = emission.oversampling
         late = emission.start * rate
-        least = int(np.floor(min(group.low.min() for group in active) * rate + late)) - _MARGIN
-        most = int(np.ceil(max(group.high.max() for group in active) * rate + late)) + _MARGIN
-        needed = length + most - least
+        least = times * (int(np.floor(min(group.low.min() for group in active) * rate + late)) - _MARGIN)
+        most = times * (int(np.ceil(max(group.high.max() for group in active) * rate + late)) + _MARGIN)
+        needed = times * length + most - least
         step = max(64, 1 << needed.bit_length() - 5)  # little, but so much that chunk after chunk has the same width
         width = -(-needed // step) * step
-        first = start - most
+        first = times * start - most
         before, after = (max(side(bank) for bank in emission.banks) for side in (_taps_before, _taps_after))
         places, values = emission.sounding(first - before, first + width + after)
         if not len(places):
@@ -115,20 +116,22 @@ class BranchSignals:
         parts = np.stack([values.real, values.imag][: self._parts], axis=1, dtype=np.float32)
         return Feed(
             source, active, places.astype(np.int32), parts, before, after, width, first, least, most,
-            found if found.pays else None,
+            found if found.pays and times == 1 else None,
         )  # fmt: skip
 
     def made(self, feed: Feed, skips_silence: bool) -> Branches:
         """Filter what can be heard of a signal, all of it or what sounds of it."""
         emission = self._plan.emissions[feed.source]
         found = feed.found if skips_silence else None
-        stride = feed.width + 16  # whole pages apart, rows would fight for the same cache lines
+        # Whole pages apart, rows would fight for the same cache lines.
+        stride = feed.width + 16 * emission.oversampling
         out, following = self._rows(self._parts * int(emission.rows[-1]), stride, found)
         emitted, samples = self._emit(feed)
         channel = 8 * self._lanes
         for (k, bank), part in itertools.product(enumerate(emission.banks), range(self._parts)):
             rows, taps = bank.taps.shape
             constants = {"LANES": self._lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(found is not None)}
+            constants["OVERSAMPLING"] = emission.oversampling
             kernel = self._compiler.kernel("branches", constants)
             kernel(
                 self._queue, *work(feed.width // channel, rows), emitted,

@@ -71,8 +71,7 @@ class DeviceTracks:
         self._knot_rates = []
         for source, emission in zip(scene.sources, plan.emissions, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
-            error_db = getattr(plan.interpolator, "error_db", -90.0)
-            tolerance = 10 ** ((error_db - 6.0) / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.swiftness)
+            tolerance = 10 ** (plan.motion_error_db / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.swiftness)
             self._knot_rates.append(
                 knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
             )
@@ -179,7 +178,7 @@ class DeviceTracks:
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
             np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // plan.segment), *chunk.knots,
             np.float64(start / rate), np.float64(rate), np.float64(c),
-            *around.basis, np.float64(emission.start * rate - emission.bank.shift),
+            *around.basis, np.float64(emission.late),
             np.float64(emission.start - spread), np.float64(emission.start + emission.signal.duration + spread),
             np.float32(2.0 * math.pi * emission.swiftness), *around.tables,
             self._upload(around.beam_of[slots.receiver]),
@@ -217,6 +216,7 @@ class DeviceTracks:
             "TOGETHER": self._together,
             "GROUP": self._plan.group(source, block),
             "FINE": int(self._plan.is_fine(block)),
+            "OVERSAMPLING": self._plan.emissions[source].oversampling,
             "CELL": CELL,
             "WALK": self._plan.segment // block,
             "DELAY_TERMS": self._plan.delay_terms,

@@ -20,6 +20,8 @@ from clsim.render.occupied import CELLS, ShortTimeSpectra, share_above, shares
 from clsim.render.tracks import SceneTracks, Tracks
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
@@ -31,6 +33,8 @@ AT_CENTRE = "centre"  # instead of that error: all of them as at the centre of t
 EXACT_DB = -100.0  # the same for the reference engine
 _MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, for which walls and beams need not be known
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
+_WIDEST_OVERSAMPLED = 0.98  # the same where branch signals have twice the sampling rate
+_OVERSAMPLED_DB = -40.0  # of the signal's energy beyond that, up to which it is worth it
 _LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
 _WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
 _LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
@@ -60,6 +64,8 @@ class Emission:
         Highest frequency that the bank holds, Hz.
     swiftness : float
         Frequency by which an error of a delay is heard, Hz.
+    oversampling : int
+        Samples of the branch signals in one of the recording, 1 or 2.
     removed_db : float
         Share of the signal's energy above the band, dB; -inf for none.
     """
@@ -72,12 +78,23 @@ class Emission:
     band_limit: Floats
     band: float
     swiftness: float
+    oversampling: int
     removed_db: float
 
     @property
     def bank(self) -> Bank:
         """The branch filters of the strongest function."""
         return self.banks[0]
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate of the branch signals, Hz."""
+        return self.oversampling * self.signal.sampling_rate
+
+    @property
+    def late(self) -> float:
+        """What is added to delays, samples of the branch signals."""
+        return self.start * self.rate - self.bank.shift
 
     @property
     def filter_half(self) -> int:
@@ -87,7 +104,7 @@ class Emission:
     @property
     def reach(self) -> int:
         """Samples by which the filters look to either side: so much sounds before a path's first arrival at most."""
-        return self.filter_half + self.bank.reach
+        return -(-(self.filter_half + self.bank.reach) // self.oversampling)
 
     @property
     def rows(self) -> NDArray[Any]:
@@ -95,7 +112,7 @@ class Emission:
         return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
 
     def streams(self, first: int, last: int) -> NDArray[Any]:
-        """Return samples `first` to `last` of the signal through each function of the basis, (K, n)."""
+        """Return samples `first` to `last`, at `rate`, of the signal through each function of the basis, (K, n)."""
         places, values = self.sounding(first, last)
         out = np.zeros((len(self.basis), last - first))
         out[:, places] = values
@@ -106,7 +123,15 @@ class Emission:
 
         What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
         """
-        return _filtered(self.signal, self.filters, first, last)
+        return _filtered(self._read, self.filters, first, last)
+
+    def _read(self, first: int, last: int) -> Floats:
+        """Return samples at `rate` of the signal, zero between its own."""
+        if self.oversampling == 1:
+            return self.signal.read(first, last)
+        before, times = first // self.oversampling, self.oversampling
+        own = self.signal.read(before, -(-last // times))
+        return np.kron(own, np.eye(1, times)[0])[first - times * before :][: last - first]
 
     def turned(self, late: Floats) -> Floats | Complexes | float:
         """Return the factor by which delays (P, n), samples, turn the phase of what is carried: 1 of sound as it is."""
@@ -119,7 +144,7 @@ class Emission:
 
     def emitted(self, first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last` of what impulse responses are convolved with."""
-        places, values = _filtered(self.signal, self.band_limit[None], first, last)
+        places, values = _filtered(self.signal.read, self.band_limit[None], first, last)
         out = np.zeros(last - first)
         out[places] = values[0]
         return out
@@ -136,6 +161,7 @@ class Emission:
             f"filters of {len(self.bank.taps)} branches hold up to {self.band:.0f} Hz within "
             f"{self.bank.error_db:.1f} dB; share of the signal above, which is removed: {removed}; they sound up to "
             f"{self.reach} samples ({1e3 * reach:.3g} ms) before an arrival"
+            + ("; the signal is taken at twice the sampling rate" if self.oversampling > 1 else "")
         )
 
     def describe(self) -> str:
@@ -198,12 +224,14 @@ def design_emission(
     check_response_error(response_error_db)
     signal = signal.at_rate(sampling_rate)
     sound = ShortTimeSpectra.of(signal)
-    high, removed_db, limit = _band(index, signal, sound, interpolator, tracks.max_rate(index))
-    basis = basis_of(index, signal, sound, high, tracks, until, sampling_rate, response_error_db, exact, at_rest)
-    banks = _banks(index, basis, sound, high, interpolator, tracks.max_rate(index), sampling_rate)
-    filters = np.stack([np.convolve(f, limit) for f in basis.filters])
+    times = _oversampling(sound, interpolator, tracks.max_rate(index), sampling_rate)
+    high, removed_db, limit = _band(index, signal, sound, interpolator, tracks, times)
+    rate = times * sampling_rate
+    basis = basis_of(index, signal, sound, high, tracks, until, rate, response_error_db, exact, at_rest)
+    banks = _banks(index, basis, sound, high, interpolator, tracks.max_rate(index), rate, times)
+    filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])
     swiftness = min(sound.swiftness(), high) or high
-    return Emission(signal, start, banks, basis, filters, limit, high, swiftness, removed_db)
+    return Emission(signal, start, banks, basis, filters, limit, high, swiftness, times, removed_db)
 
 
 def check_response_error(response_error_db: float | str) -> None:
@@ -215,23 +243,54 @@ def check_response_error(response_error_db: float | str) -> None:
     as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
 
 
+def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:
+    """Return 2 where a signal's band ends so near half the sampling rate that twice that rate holds it, else 1."""
+    nyquist = 0.5 * rate / (1.0 + max_rate)
+    if not isinstance(interpolator, Bandlimited) or sound.bounds(_MAIN_WINDOW_SHARE)[1] <= _WIDEST * nyquist:
+        return 1
+    return 2 if sound.bounds(10 ** (_OVERSAMPLED_DB / 10))[1] <= _WIDEST_OVERSAMPLED * nyquist else 1
+
+
+def _doubling(rate: float) -> Floats:
+    """Return the low-pass behind a signal's samples with zeros between them, at twice its rate in Hz."""
+    limit = _low_pass((2.0 - _WIDEST_OVERSAMPLED) * 0.5 * rate, (1.0 - _WIDEST_OVERSAMPLED) * rate, 2.0 * rate)
+    return 2.0 * limit
+
+
 def _band(
-    index: int, signal: Signal, sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float
+    index: int, signal: Signal, sound: ShortTimeSpectra, interpolator: Interpolator, tracks: Tracks, times: int
 ) -> tuple[float, float, Floats]:
     """Return the end of the band that matters, Hz, the share above it in dB, and the band limit."""
     rate = signal.sampling_rate
-    widest = _WIDEST * 0.5 * rate / (1.0 + max_rate)
+    widest = (_WIDEST if times == 1 else _WIDEST_OVERSAMPLED) * 0.5 * rate / (1.0 + tracks.max_rate(index))
     floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
     band = max(sound.bounds(10 ** ((floor_db - 6.0) / 10))[1], 0.05 * widest)
     if band <= widest:
         return band, -math.inf, np.ones(1)
-    removed_db = share_above(signal.energy_spectrum(), widest)
+    spectrum = signal.energy_spectrum()
+    removed_db = share_above(spectrum, widest)
+    _check_doppler(index, spectrum, tracks, rate)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
             f"signals[{index}]: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
             "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
         )
-    return widest, removed_db, _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate)
+    limit = _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate) if times == 1 else np.ones(1)
+    return widest, removed_db, limit
+
+
+def _check_doppler(index: int, spectrum: tuple[Floats, Floats], tracks: Tracks, rate: float) -> None:
+    """Refuse motion that takes more than half of a signal's energy out of the band that can be received."""
+    still = _WIDEST_OVERSAMPLED * 0.5 * rate
+    band, middle = still / (1.0 + tracks.max_rate(index)), shares(spectrum, 0.5)[1]
+    if not band < middle < still:
+        return
+    speed, most = tracks.fastest(index, still / middle - 1.0)
+    raise InputError(
+        f"signals[{index}]",
+        f"must be received below {still:.0f} Hz at a sampling rate of {rate:g} Hz, but at speeds of up to {speed:.4g} "
+        f"m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or stay below {most:.4g} m/s",
+    )
 
 
 def _banks(
@@ -242,6 +301,7 @@ def _banks(
     interpolator: Interpolator,
     max_rate: float,
     rate: float,
+    times: int,
 ) -> tuple[Bank, ...]:
     """Return the delay filters for each function of the basis, by what it carries of the sound."""
     edge = min(math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi)  # rounded up: designs are found again
@@ -249,7 +309,7 @@ def _banks(
     fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
     taps = np.arange(basis.filters.shape[1]) - basis.half
     carried = np.abs(basis.filters @ np.exp(-1j * np.outer(taps, fine))).reshape(len(basis), CELLS, 8).max(axis=2)
-    banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist())) for row in carried)
+    banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist()), times) for row in carried)
     if banks[0].error_db > _WEAK_ERROR_DB:
         _warn(
             f"signals[{index}]: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
@@ -263,12 +323,17 @@ def _band_limit(main: float, stop: float, rate: float) -> Floats:
 
     By the window method (Kaiser): wide where there is room, so that it rings shortly.
     """
+    width = 0.5 * rate * float(np.clip((stop - main) / (0.5 * rate), _LEAST_LIMIT_WIDTH, _LIMIT_WIDTH))
+    return _low_pass(stop, width, rate)
+
+
+def _low_pass(stop: float, width: float, rate: float) -> Floats:
+    """Return a low-pass without delay that falls within `width` Hz up to `stop` Hz, of odd length."""
     from scipy.signal import firwin, kaiserord
 
-    width = float(np.clip((stop - main) / (0.5 * rate), _LEAST_LIMIT_WIDTH, _LIMIT_WIDTH))
-    length, beta = kaiserord(_LIMIT_DB, width)
+    length, beta = kaiserord(_LIMIT_DB, width / (0.5 * rate))
     length += 1 - length % 2
-    return np.asarray(firwin(length, stop - 0.25 * width * rate, window=("kaiser", beta), fs=rate))
+    return np.asarray(firwin(length, stop - 0.5 * width, window=("kaiser", beta), fs=rate))
 
 
 def basis_of(
@@ -304,14 +369,16 @@ def basis_of(
     return flat_basis(signal.centre_frequency)
 
 
-def _filtered(signal: Signal, filters: Floats, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
+def _filtered(
+    read: Callable[[int, int], Floats], filters: Floats, first: int, last: int
+) -> tuple[NDArray[np.int64], Floats]:
     """Return where a signal through filters sounds from `first` to `last`, from there on (n,), and what (K, n).
 
     What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
     """
     half = filters.shape[1] // 2
     reach = 2 * half  # of a sample, into what is filtered before it
-    samples = signal.read(first - half, last + half)
+    samples = read(first - half, last + half)
     heard = np.flatnonzero(samples)
     if not len(heard):
         return heard, np.zeros((len(filters), 0))

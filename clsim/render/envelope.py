@@ -105,6 +105,11 @@ class EnvelopeEmission(Emission):
         return self.carrier * self.mixer.every / self.signal.sampling_rate
 
     @property
+    def rate(self) -> float:
+        """Sampling rate of the envelope, Hz."""
+        return self.signal.sampling_rate / self.mixer.every
+
+    @property
     def held(self) -> tuple[float, float]:
         """Frequencies between which sound is not removed on purpose, Hz."""
         return self.carrier - self.half, self.carrier + self.half
@@ -202,8 +207,8 @@ def design_envelope(
     )
     highest = baseband.carrier + 0.5 * baseband.bandwidth
     return EnvelopeEmission(
-        signal, start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, removed_db, baseband.carrier,
-        half, mixer, plain,
+        signal, start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, 1, removed_db,
+        baseband.carrier, half, mixer, plain,
     )  # fmt: skip
 
 

@@ -72,13 +72,14 @@ class HostTracks:
         error = np.zeros(-(-blocks * block // plan.segment))
         shortest, longest = math.inf, -math.inf
         times = node_times(start, block, blocks, rate)
-        late = emission.start * rate - emission.bank.shift
         first, last = bounds.samples_from(start)
         begins = block * np.arange(blocks)
         for i, index in enumerate(slots.groups):
             here = slots.of_group(i)
             delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
-            whole[:, here], made = block_polynomials(delay, change, gain, block, rate, late, plan.delay_terms)
+            whole[:, here], made = block_polynomials(
+                delay, change, gain, block, rate, emission.late, emission.oversampling, plan.delay_terms
+            )
             sized = gain * emission.basis.strengths[:, None, None]
             part = 0.0 if plan.is_fine(block) else plan.group(source, block) / block
             swiftness = 2.0 * math.pi * emission.swiftness

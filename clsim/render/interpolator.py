@@ -57,8 +57,10 @@ class Bank:
 class Interpolator(Protocol):
     """A fractional-delay filter."""
 
-    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,)) -> Bank:
+    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
         """Return the bank for a signal up to `edge` rad per sample and delays changing by up to `max_rate`.
+
+        The signal has `oversampling` samples in one of the recording.
 
         Errors in equal cells from 0 to the edge may be larger the less their `importance`.
         """
@@ -88,9 +90,9 @@ class Lagrange:
     def __post_init__(self) -> None:
         as_count("order", self.order, at_least=1, at_most=_LARGEST_ORDER)
 
-    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,)) -> Bank:
+    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
         """Return the bank: the closed form as polynomials of ``mu``."""
-        return _lagrange(lagrange_bank(self.order), self.order // 2, self.order, edge, max_rate)
+        return _lagrange(lagrange_bank(self.order), self.order // 2, self.order, edge, oversampling * max_rate)
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the closed-form taps."""
@@ -121,10 +123,10 @@ class TruncatedLagrange:
                 f"must differ from order + 1 = {self.order + 1} by an even number, but is {self.length}",
             )
 
-    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,)) -> Bank:
+    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
         """Return the bank: the middle taps as polynomials of ``mu``."""
         centre = self.order // 2 - self._dropped
-        return _lagrange(lagrange_bank(self.order, self.length), centre, self.order, edge, max_rate)
+        return _lagrange(lagrange_bank(self.order, self.length), centre, self.order, edge, oversampling * max_rate)
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the closed-form taps."""
@@ -151,11 +153,11 @@ class Bandlimited:
     def __post_init__(self) -> None:
         as_number("error_db", self.error_db, at_least=-120.0, at_most=-40.0, unit="dB")
 
-    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,)) -> Bank:
+    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
         """Return the bank: least-squares filters for a Chebyshev series in ``mu``."""
-        group, mu_max = _group(GROUP, max_rate)
+        group, mu_max = _group(GROUP, oversampling * max_rate)
         if mu_max > _LARGEST_MU:
-            group, mu_max = _group(SMALL_GROUP, max_rate)
+            group, mu_max = _group(SMALL_GROUP, oversampling * max_rate)
         # Rounded up, so that designs are found again.
         mu_max = math.ceil(mu_max * 32) / 32
         taps, reached = design_bandlimited(self.error_db, edge, mu_max, self.rounded(importance))

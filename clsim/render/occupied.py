@@ -68,7 +68,7 @@ class ShortTimeSpectra:
         """Return the weights (CELLS,) of errors in equal cells from 0 Hz to `high` Hz.
 
         Where errors times weights stay below a bound, their root mean square over the spectrum of any window, relative
-        to what is heard of it, is at most 3 dB above it: whole for what sounds loudest, little for the skirts of an onset.
+        to what is heard of it, is at most 3 dB above it: whole for what sounds loudest, little for skirts of onsets.
         `loudness` (W,) is the inverse of the energy that is heard of each window.
         """
         cell = (self.frequencies * (CELLS / high)).astype(np.int64)

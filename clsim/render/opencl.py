@@ -40,7 +40,7 @@ class Layout:
     sparse_span: int  # the same where signals pause
     nodes: int  # of a path, whose delays are solved side by side
 
-    def constants(self, group: int, *, sparse: bool, fine: bool) -> dict[str, int]:
+    def constants(self, group: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
         """Return the compile-time constants of the render kernel for a group length."""
         workers = 1 if self.lanes > 1 else group
         return {
@@ -49,6 +49,7 @@ class Layout:
             "WORKERS": workers,
             "SPARSE": int(sparse),
             "FINE": int(fine),
+            "OVERSAMPLING": oversampling,
             **({} if sparse else {"BATCH": BATCH}),
             "TILE": _TILE,
             "SPAN": (self.sparse_span if sparse else self.span) * (32 // group),
@@ -201,8 +202,7 @@ class Run:
         self._state: Any = engine._tracks.prepare(
             source, slots, self._bounds, start + begin, end - begin, branches.sounding, branches.first
         )
-        error_db = getattr(self._plan.interpolator, "error_db", -90.0)
-        self._tolerance = 10 ** ((error_db - 6.0) / 20)
+        self._tolerance = 10 ** (self._plan.motion_error_db / 20)
         self._functions = len(self._plan.emissions[source].basis)
 
     def render(self) -> None:
@@ -243,8 +243,9 @@ class Run:
 
     def _check(self, shortest: float, longest: float) -> None:
         """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
-        late = self._plan.emissions[self._source].start * self._plan.sampling_rate
-        low, high = (delay * self._plan.sampling_rate + late for delay in (shortest, longest))
+        emission = self._plan.emissions[self._source]
+        rate = emission.oversampling * self._plan.sampling_rate
+        low, high = ((delay + emission.start) * rate for delay in (shortest, longest))
         if not (low > self._branches.least + 1 and high < self._branches.most - 1):
             raise ClsimError(
                 f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
@@ -255,7 +256,9 @@ class Run:
         engine, emission = self._engine, self._plan.emissions[self._source]
         self._render_edges(nodes, segment, end, block, first_block)
         group, fine = self._plan.group(self._source, block), self._plan.is_fine(block)
-        constants = engine._layout.constants(group, sparse=nodes.spans is not None, fine=fine)
+        constants = engine._layout.constants(
+            group, sparse=nodes.spans is not None, fine=fine, oversampling=emission.oversampling
+        )
         spans = nodes.delay if nodes.spans is None else nodes.spans
         begin = segment * self._plan.segment
         groups = (end - begin) // group
@@ -270,7 +273,7 @@ class Run:
             kernel(
                 engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
                 np.int32(emission.rows[k]), np.int32(self._functions), np.int32(k),
-                np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics, self._first_slot,
+                np.int32(self._lead(begin)), nodes.delay, nodes.cubics, self._first_slot,
                 np.int32(self._slots.count), np.int32(block // group), np.int32(first_block),
                 np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
             )  # fmt: skip
@@ -283,11 +286,14 @@ class Run:
             return
         per_ramp, rows = self._bounds.ramp, self._plan.emissions[self._source].rows.astype(np.int32)
         slot, at = engine._upload(edges.slot), engine._upload(edges.block + np.int32(first_block))
-        kernel = engine._compiler.kernel("edges", {"SPARSE": int(nodes.spans is not None)})
+        oversampling = self._plan.emissions[self._source].oversampling
+        kernel = engine._compiler.kernel(
+            "edges", {"SPARSE": int(nodes.spans is not None), "OVERSAMPLING": oversampling}
+        )
         kernel(
             engine._queue, *work(block, len(edges.row), group=math.gcd(block, 32)), self._branches.rows,
             np.int32(self._branches.stride),
-            np.int32(self._functions), engine._upload(rows), np.int32(self._start + begin - self._branches.first),
+            np.int32(self._functions), engine._upload(rows), np.int32(self._lead(begin)),
             nodes.delay, nodes.cubics, np.int32(slots.count), np.int32(block), np.int32(first_block),
             np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
             *(engine._upload(column) for column in (edges.start, edges.end, edges.first, edges.row, edges.at)),
@@ -295,6 +301,10 @@ class Run:
             nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
         self._mute(nodes, slot, at)
+
+    def _lead(self, begin: int) -> int:
+        """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
+        return self._start + begin - self._branches.first // self._plan.emissions[self._source].oversampling
 
     def _mute(self, nodes: Any, slot: Any, at: Any) -> None:
         """Take paths, by slot and block, out of the polynomials."""

@@ -101,7 +101,7 @@ class Plan:
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
         span = max((self.longest_delay(s) for s in range(len(self.emissions))), default=0.0) * self.sampling_rate
-        rows = max(int(e.rows[-1]) for e in self.emissions)
+        rows = max(e.oversampling * int(e.rows[-1]) for e in self.emissions)
         functions = max(len(e.basis) for e in self.emissions)
         per_segment = (
             (4 + 4 * self.delay_terms + 16 * functions)
@@ -113,6 +113,20 @@ class Plan:
         parts = 1 if self.baseband is None else 2
         held = 4 * parts * ((rows + 1) * (self.chunk + span) + 2 * self.chunk * self.receiver_count)
         return int(held + nodes + paths)
+
+    def promised_db(self, source: int) -> float:
+        """Return the bound on the error of what is rendered path by path, relative to what is heard at any moment, dB.
+
+        Errors of delay filters, of responses and of motion between nodes are independent: their squares add up.
+        """
+        emission = self.emissions[source]
+        parts_db = [emission.bank.error_db, emission.basis.error_db, self.motion_error_db]
+        return 10.0 * math.log10(sum(10.0 ** (part / 10.0) for part in parts_db))
+
+    @property
+    def motion_error_db(self) -> float:
+        """Bound on the error of delays and gains between nodes, dB."""
+        return float(getattr(self.interpolator, "error_db", -90.0)) - 6.0
 
     @property
     def receiver_count(self) -> int:
@@ -153,6 +167,9 @@ class Plan:
         for i, e in enumerate(self.emissions):
             if not self.at_rest.holds(self.tracks, i):
                 lines += [f"source {i}: {e.describe_filters()}", f"source {i}: {e.describe()}"]
+                lines.append(
+                    f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"
+                )
         for i, r in enumerate(self.receivers):
             if r.electronics is not None or r.transducer is not None:
                 name = "" if r.transducer is None else f"; transducer {r.transducer.name or 'without a name'}"

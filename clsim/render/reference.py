@@ -50,10 +50,11 @@ def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats | Com
     delay, _, gain = tracks.evaluate(group, times, emission.basis, rows)
     weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
     gain = np.where(weight > 0.0, gain, 0.0) * weight
-    late = delay * plan.sampling_rate + emission.start * plan.sampling_rate - emission.bank.shift
+    late = delay * (emission.oversampling * plan.sampling_rate) + emission.late
     whole = np.rint(late)
     weighted: Any = gain * emission.turned(late)
-    return _sum_paths(plan, emission, np.arange(first, last) - whole.astype(np.int64), late - whole, weighted)
+    samples = emission.oversampling * np.arange(first, last)
+    return _sum_paths(plan, emission, samples - whole.astype(np.int64), late - whole, weighted)
 
 
 def _sum_paths(

@@ -70,8 +70,9 @@ def render(
         Seconds in which a path begins and ends, by a raised cosine centred on the boundary; or at once, which
         splatters.
     response_error_db : float or "centre"
-        Bound on the error of each path's response over the signal's band (air, walls, beams), -120 to -20 dB relative
-        to the strongest arrival. With "centre" they are what they are at the centre of the signal's band.
+        Bound on the error that the responses of all paths (air, walls, beams) add up to, over the signal's band, -120
+        to -20 dB relative to what is heard within some 40 ms. With "centre" they are what they are at the centre of the
+        signal's band.
     baseband : (carrier, bandwidth), optional
         Render complex envelopes about a carrier, Hz, instead of the sound: what mixing it with
         ``exp(-2 pi j carrier t)``, a low-pass and decimation would give, several times faster. The bandwidth, both

@@ -69,6 +69,10 @@ class Tracks(ABC):
         """Return a bound on how fast a delay of this source changes, s/s."""
 
     @abstractmethod
+    def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
+        """Return the largest speed of a source or its receivers, and what it would be at another `max_rate`, m/s."""
+
+    @abstractmethod
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds (paths,) on the delays of a group between two times of reception, s."""
 
@@ -175,6 +179,12 @@ class SceneTracks(Tracks):
         speeds = zip(self.receiver_speed, paces, strict=True)
         return max(self._rate(source, speed) * pace + abs(pace - 1.0) for speed, pace in speeds)
 
+    def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
+        """Return the largest peak speed, and by how much all speeds must be scaled for another rate of delays."""
+        v_s, v_r, c = self.source_speed[source], max(self.receiver_speed), self.scene.air.sound_speed
+        scale = max_rate * c / (v_s + v_r + max_rate * v_s)
+        return max(v_s, v_r), scale * max(v_s, v_r)
+
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds from the distance at mid-time and the peak speeds."""
         paths = self.path_groups[group]
@@ -232,6 +242,10 @@ class SampledTracks(Tracks):
     def max_rate(self, source: int) -> float:
         """Return the largest derivative of any delay."""
         return self.largest_rate
+
+    def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
+        """Return the speeds that change delays by as much in air of 343 m/s."""
+        return 343.0 * self.largest_rate, 343.0 * max_rate
 
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds from the delay at mid-time and the largest derivative."""

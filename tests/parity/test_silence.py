@@ -95,7 +95,7 @@ def test_memory_that_is_used_again_is_silent_again(monkeypatch: pytest.MonkeyPat
 def test_functions_of_frequency_are_applied_where_it_sounds(response_error_db) -> None:
     emission = box_plan(pulses(0.1, 5), response_error_db=response_error_db).emissions[0]
     first, last = -300, int(0.35 * RATE)
-    half, filters = emission.basis.half, emission.basis.filters
+    half, filters = emission.filter_half, emission.filters
     read = emission.signal.read(first - half, last + half)
     wanted = np.stack([np.convolve(read, f, mode="valid") for f in filters])
     found = emission.streams(first, last)
