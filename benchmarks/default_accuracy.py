@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "physics"
 
 
 def main() -> None:
+    """Print the table."""
     from default_cases import listed, measured
 
     part = sys.argv[1] if len(sys.argv) > 1 else ""

@@ -111,7 +111,8 @@ def band_limits(plan: Plan) -> list[np.ndarray]:
 def listed() -> list[Case]:
     """Return the scenes that went wrong."""
     return [
-        *circles(), *abrupt_tones(), *pairs_at_rest(), *wide_bands(), *near_and_far(), *near_and_fast(), *fast_ends(),
+        *circles(), *abrupt_tones(), *pairs_at_rest(), *phones(), *wide_bands(), *near_and_far(), *near_and_fast(),
+        *fast_ends(),
     ]  # fmt: skip
 
 
@@ -161,6 +162,14 @@ def wide_bands(duration: float = 0.5) -> list[Case]:
         Case(f"{name}, order 10", room, (s,), *ends, rate, duration, samples=min(3000, round(duration * 1e4)),
              options=length) for name, s in signals.items()
     ]  # fmt: skip
+
+
+def phones() -> list[Case]:
+    """Return what phones play, up to 0.958 of half the sampling rate."""
+    case = abrupt_tones()[4]
+    sweep = clsim.Signal.chirp(17e3, 23e3, 0.08, case.rate, window="tukey")
+    slow = Line((2.0, 2.5, 2.0), (1.0, 0.5, 0.0))
+    return [replace(case, name="17 to 23 kHz at 48 kHz", signals=(sweep,), sources=(slow,))]
 
 
 def near_and_far(duration: float = 1.0) -> list[Case]:
