@@ -3,7 +3,7 @@
 
 // Add one path's share of one function; `branches` points at the group's first sample in the first of its `rows` rows.
 static void add_function(__global const float* branches, int stride, const int rows, const vec* sample, const vec* mu,
-                         float gain, float slope, float bend, int worker, vec* sum)
+                         float gain, float slope, float bend, float flex, int worker, vec* sum)
 {
     __global const float* row = branches + (rows - 1) * (long)stride;
     vec value[VECTORS];
@@ -19,7 +19,7 @@ static void add_function(__global const float* branches, int stride, const int r
 #pragma unroll
     for (int j = 0; j < VECTORS; j++) {
 #if FINE
-        sum[j] += ((sample[j] * bend + slope) * sample[j] + gain) * value[j];
+        sum[j] += (((sample[j] * flex + bend) * sample[j] + slope) * sample[j] + gain) * value[j];
 #else
         sum[j] += (sample[j] * slope + gain) * value[j];
 #endif
@@ -43,12 +43,12 @@ static void add_path(__global const float* branches, int stride, const EXPANDED 
     }
     __global const float* row = branches + PLACE(-paths->whole[p], stride);
 #if FINE
-#define BEND(k) paths->bend[k][p]
+#define GAIN(k) paths->gain[k][p], paths->slope[k][p], paths->bend[k][p], paths->flex[k][p]
 #else
-#define BEND(k) 0.0f
+#define GAIN(k) paths->gain[k][p], paths->slope[k][p], 0.0f, 0.0f
 #endif
-#define ADD(k, rows)                                                                                             \
-    add_function(row, stride, rows, sample, mu, paths->gain[k][p], paths->slope[k][p], BEND(k), worker, sum[k]); \
+#define ADD(k, rows)                                                            \
+    add_function(row, stride, rows, sample, mu, GAIN(k), worker, sum[k]); \
     row += rows * (long)stride;
     EACH_FUNCTION
 #undef ADD

@@ -30,6 +30,7 @@ typedef struct {
 #if FINE
     float twist[BATCH];             // of the delay per sample cubed
     float bend[FUNCTIONS][BATCH];   // of the gain per sample squared
+    float flex[FUNCTIONS][BATCH];   // and cubed
 #endif
 } batch;
 
@@ -82,8 +83,12 @@ static void expand(int delay, __global const float* c, int functions, int first,
     }
 #if FINE
     const chunk bend = per_sample * per_sample * CUBIC_CURVE(g[2], g[3], t);
+    const chunk flex = per_sample * per_sample * per_sample * g[3];
 #pragma unroll
-    for (int k = 0; k < FUNCTIONS; k++) out->bend[k][0] = ((const float*)&bend)[k];
+    for (int k = 0; k < FUNCTIONS; k++) {
+        out->bend[k][0] = ((const float*)&bend)[k];
+        out->flex[k][0] = ((const float*)&flex)[k];
+    }
 #endif
 }
 #else
@@ -111,6 +116,7 @@ static void expand(__global const int* delay, __global const float* node, int sl
             *(SHARED loose_vec*)(out->slope[k] + p) = per_sample * CUBIC_SLOPE(g1, g2, g3, t);
 #if FINE
             *(SHARED loose_vec*)(out->bend[k] + p) = per_sample * per_sample * CUBIC_CURVE(g2, g3, t);
+            *(SHARED loose_vec*)(out->flex[k] + p) = per_sample * per_sample * per_sample * g3;
 #endif
         }
     }

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 WINDOW = 0.02  # s, in which errors are compared with what is heard then
-RUN = 64  # samples that are looked at together
 QUIET_DB = -60.0  # relative to the loudest window, below which a window is not looked at
 
 
@@ -122,39 +121,35 @@ class Room:
 class Fineness:
     """How finely the truth is worked out; more of everything must change nothing."""
 
-    oversampling: int = 8
-    points: int = 10  # of the polynomial in time
-    nodes: int = 7  # distances of the polynomial in distance
-    padding: int = 16_384  # samples of silence about the signal, at least
+    oversampling: int = 4
+    points: int = 14  # of the polynomial in time
+    nodes: int = 6  # distances of the polynomial in distance
+    padding: int = 4096  # samples of silence about the signal, four times as many if nothing limits its band
 
 
 class Emitted:
     """Samples from time `start` on, filtered by the air over any distance and interpolated.
 
-    `band_limit` is what the samples pass first: taps (odd, about their middle), or a frequency above which nothing is
-    left (zero-phase, a raised cosine over 2 % of the rate).
+    `band_limit` is what the samples pass first: taps of odd length about their middle.
     """
 
     def __init__(
         self, samples: np.ndarray, rate: float, start: float, room: Room,
-        band_limit: float | np.ndarray | None = None, fineness: Fineness | None = None,
+        band_limit: np.ndarray | None = None, fineness: Fineness = Fineness(),
     ) -> None:  # fmt: skip
-        self.rate, self.start, self.room, self.fine = rate, start, room, fineness or Fineness()
-        self.before = max(self.fine.padding, len(samples) // 2)
+        self.rate, self.start, self.room, self.fine = rate, start, room, fineness
+        self.before = max(self.fine.padding * (4 if band_limit is None else 1), len(samples) // 4)
         self.length = next_fast_len(len(samples) + 2 * self.before, real=True)
         self.length += self.length % 2
         padded = np.zeros(self.length)
         padded[self.before : self.before + len(samples)] = samples
-        self.spectrum, self.frequency = rfft(padded), np.arange(self.length // 2 + 1) * (rate / self.length)
+        self.spectrum = rfft(padded)
         self.spectrum[-1] *= 0.5  # half of it belongs to -rate / 2
-        if isinstance(band_limit, np.ndarray):
+        if band_limit is not None:
             taps = np.zeros(self.length)
             taps[: len(band_limit)] = band_limit
             self.spectrum = self.spectrum * rfft(np.roll(taps, -(len(band_limit) // 2)))
-        elif band_limit is not None:
-            over = np.clip((self.frequency - band_limit) / (0.02 * rate), 0.0, 1.0)
-            self.spectrum = self.spectrum * np.cos(0.5 * np.pi * over) ** 2
-        self.absorption = room.absorption(self.frequency)
+        self.absorption = room.absorption(np.arange(self.length // 2 + 1) * (rate / self.length))
 
     def sounds(self, time: np.ndarray) -> np.ndarray:
         """Return whether times of emission lie where the samples are known."""
@@ -179,9 +174,9 @@ class Emitted:
             nodes = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * (np.arange(count) + 0.5) / count)
             if self.room.lossless:
                 nodes = np.array([low])
-            streams = np.stack([self.stream(node) for node in nodes], axis=1)
-            for part in np.array_split(some, -(-len(some) // 100_000)):
-                out[part] = self._between(streams, nodes, place[part], distance[part])
+            streams = [self.stream(node) for node in nodes]
+            for part in (some[k : k + 20_000] for k in range(0, len(some), 20_000)):
+                out[part] = self._between(streams, place[part], lagrange(nodes, distance[part]))
         return out
 
     def _stretches(self, low: float, high: float) -> Iterator[tuple[float, float]]:
@@ -192,14 +187,13 @@ class Emitted:
             yield low, low + step
             low += step
 
-    def _between(self, streams: np.ndarray, nodes: np.ndarray, place: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    def _between(self, streams: list[np.ndarray], place: np.ndarray, in_distance: np.ndarray) -> np.ndarray:
         count = self.fine.points
         first = np.floor(place).astype(np.int64) - (count // 2 - 1)
         in_time = lagrange(np.arange(float(count)), place - first)
-        in_distance = lagrange(nodes, distance)
         out = np.zeros(len(place))
-        for j in range(count):
-            out += in_time[j] * np.einsum("np,pn->n", streams[first + j], in_distance)
+        for stream, weight in zip(streams, in_distance, strict=True):
+            out += weight * sum(in_time[j] * stream[first + j] for j in range(count))
         return out
 
 
@@ -230,17 +224,15 @@ def delays(
     delay = apart(low)[0] / c
     for _ in range(200):
         distance, mach = apart(delay)
-        short = c * delay < distance  # grows with the delay, since Mach numbers are below 1
+        step = (delay - distance / c) / (1.0 - mach)
+        if np.max(np.abs(step)) < 1e-14:
+            return delay - step, mach
+        short = step < 0.0  # delay c less distance grows with the delay, since Mach numbers are below 1
         low, high = np.where(short, delay, low), np.where(short, high, delay)
-        new = delay - (delay - distance / c) / (1.0 - mach)
-        out = (new < low) | (new > high)
-        new = np.where(out, np.where(np.isfinite(high), 0.5 * (low + high), 2.0 * delay), new)
-        moved, delay = np.max(np.abs(new - delay)), new
-        if moved < 1e-15 + 4e-16 * np.max(delay):
-            break
-    else:
-        assert moved < 1e-13
-    return delay, apart(delay)[1]
+        new = delay - step
+        inside = (new >= low) & (new <= high)
+        delay = np.where(inside, new, np.where(np.isfinite(high), 0.5 * (low + high), 2.0 * delay))
+    raise AssertionError("no time of emission found")
 
 
 @dataclass(frozen=True)
@@ -275,29 +267,15 @@ def truth(
     return Truth(pressure, np.sqrt(power))
 
 
-def chosen(samples: int, rate: float, count: int, seed: int = 0) -> np.ndarray:
-    """Return about `count` samples, in runs of `RUN`, as many in every 20 ms: (n,), sorted."""
-    rng, windows = np.random.default_rng(seed), max(1, round(samples / rate / WINDOW))
-    edges = np.linspace(0, samples // RUN, windows + 1).astype(np.int64)
-    each = max(1, round(count / RUN / windows))
-    runs = [
-        first + np.sort(rng.choice(last - first, min(each, last - first), replace=False))
-        for first, last in zip(edges[:-1], edges[1:], strict=True)
-    ]
-    return np.asarray((RUN * np.concatenate(runs)[:, None] + np.arange(RUN)).ravel())
+def chosen(samples: int, count: int, seed: int = 0) -> np.ndarray:
+    """Return `count` samples of so many, anywhere in equal cells: (n,), sorted."""
+    edges = np.linspace(0, samples, min(count, samples) + 1).astype(np.int64)
+    return np.asarray(np.random.default_rng(seed).integers(edges[:-1], edges[1:]))
 
 
 def error_db(got: np.ndarray, exact: np.ndarray) -> float:
     """Return the error's RMS over that of what is heard, dB."""
     return float(20.0 * np.log10(np.linalg.norm(got - exact) / np.linalg.norm(exact)))
-
-
-def error_below_db(got: np.ndarray, exact: np.ndarray, rate: float, frequency: float) -> float:
-    """Return the error's part below a frequency over that of what is heard, dB, of runs of samples under a Hann window."""
-    hann = np.sin(np.pi * (np.arange(RUN) + 0.5) / RUN) ** 2
-    below = np.arange(RUN // 2 + 1) * (rate / RUN) < frequency
-    wrong, heard = (np.abs(np.fft.rfft(x.reshape(-1, RUN) * hann)) for x in (got - exact, exact))
-    return float(20.0 * np.log10(np.linalg.norm(wrong[:, below]) / np.linalg.norm(heard)))
 
 
 def local_errors(got: np.ndarray, exact: Truth, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
