@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.commands.console import progress
-from clsim.commands.planning import path_table, planned
-from clsim.commands.unfinished import Unfinished, run_identity
+from clsim.commands.outputs import COMPLETED, MOST_DRAWN, TRUTH, RunOutputs, picture
+from clsim.commands.planning import path_table, planned, read_files
+from clsim.commands.unfinished import render_sound, run_identity
 from clsim.errors import ClsimWarning, InputError
 from clsim.output.atomic import safe_path
 from clsim.output.envelope_plot import envelope_spectrogram
-from clsim.output.names import file_names
 from clsim.output.plots import echogram, history, spectrogram
-from clsim.output.stores import StoredSound, sound_store
-from clsim.output.table import write_table, write_truth
+from clsim.output.result_folder import ResultFolder
+from clsim.output.stores import StoredSound, check_store, sound_store
+from clsim.output.table import check_table, write_table, write_truth
 from clsim.scene_file import completed_scene, load_scene
 
 if TYPE_CHECKING:
@@ -25,50 +26,56 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clsim.output.levels import Readable
+    from clsim.output.stores import SoundStore
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.render.plan import Plan
+    from clsim.scene_file import SceneFile
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
-_MOST_DRAWN = 16  # receivers
 
 
 def execute(options: argparse.Namespace) -> int:
     """Render a scene file into a folder; return the exit status."""
-    folder: Path = options.output
-    unfinished = Unfinished(folder)
-    unfinished.check(options)
     file = load_scene(options.scene)
+    check_store(options.store, [receiver.name for receiver in file.scene.receivers])
+    outputs = RunOutputs.of(file, options)
+    check_table(outputs.table)
+    results = ResultFolder(
+        options.output, outputs.all(), read_files(options.scene, file), resume=options.resume, force=options.force
+    )
+    with results.held():
+        made = _fill(results, outputs, file, options)
+    if not made:
+        print(f"clsim: nothing was missing: all results in {options.output} are as they were written", file=sys.stderr)
+    for path in made or [options.output / COMPLETED]:
+        print(path)
+    return 0
+
+
+def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: argparse.Namespace) -> list[Path]:
+    """Make what is missing in a folder; return its paths. Sound is moved there first: what fails later costs none."""
     paths, plan = planned(file, _overrides(options))
     times = _table_times(plan, options.table_rate)
     resolved = {**_overrides(options), "duration": plan.duration, "chunk": plan.chunk}
-    text = completed_scene(file, folder, **resolved)
-    if options.resume and unfinished.already_whole(text):
-        print(folder / "scene.toml")
-        return 0
-    names = file_names(plan.tracks.receiver_names)
-    identity = run_identity(file, paths, plan, {"store": options.store})
-    with unfinished.opened() as place:
-        store = sound_store(options.store, place, _stored(paths, plan, text), names)
-        unfinished.render(plan, store, identity)
-        made = unfinished.move(store)
+    text = completed_scene(file, results.folder, **resolved)
+    identity = run_identity(file, paths, plan, {"store": options.store, "table_rate": options.table_rate})
+    store = sound_store(options.store, results.work, _stored(paths, plan, text), outputs.receivers)
+    results.begin(identity)
+    made = render_sound(results, plan, store, identity)
+    changing = bool((paths.start > times[0]).any() or (paths.end <= times[-1]).any())
+    missing = [name for name in outputs.beside_sound(changing) if not results.is_whole(name)]
+    if any(name.endswith(".png") or name == outputs.table for name in missing):
         table = path_table(paths, plan, times)
-        if options.table != "none":
-            made.append(folder / f"paths.{options.table}")
-            write_table(table, made[-1])
-        made.append(folder / "truth.npz")
-        write_truth(paths, times, plan.tracks.motion, made[-1])  # type: ignore[attr-defined]
-        if not options.no_plots:
-            drawn = range(min(len(names), _MOST_DRAWN))
-            made += _draw(plan, table, [store.row(folder, r) for r in drawn], folder, names[: len(drawn)])
-            if len(drawn) < len(names):
-                print(f"pictures are of the first {_MOST_DRAWN} receivers of {len(names)}", file=sys.stderr)
-        made.append(folder / "scene.toml")
-        with safe_path(made[-1]) as temporary:
+        if outputs.table in missing:
+            write_table(table, results.work / outputs.table)
+        _draw(plan, table, store, results, outputs, missing)
+    if TRUTH in missing:
+        write_truth(paths, times, plan.tracks.motion, results.work / TRUTH)  # type: ignore[attr-defined]
+    if COMPLETED in missing:
+        with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(text, "utf-8")
-    for path in made:
-        print(path)
-    return 0
+    return made + results.take(missing, finished=True)
 
 
 def _stored(paths: PathSet, plan: Plan, text: str) -> StoredSound:
@@ -104,25 +111,37 @@ def _table_times(plan: Plan, rate: float) -> Any:
     return np.linspace(0.0, (count - 1) / rate, min(count, most))
 
 
-def _draw(plan: Plan, table: PathTable, sounds: list[Readable], folder: Path, names: list[str]) -> list[Path]:
-    """Draw a spectrogram and an echogram for each receiver; return their paths."""
-    made: list[Path] = []
-    with progress("drawing", len(names)) as advance:
-        for r, (sound, name) in enumerate(zip(sounds, names, strict=True)):
-            made += [folder / f"{name}_spectrogram.png", folder / f"{name}_echogram.png"]
-            if not bool(np.isfinite(table.delay).all()):
-                made.append(folder / f"{name}_paths.png")
-                history(table, r, made[-1])
-                made[-3:] = made[-1:] + made[-3:-1]
-            title = plan.tracks.receiver_names[r]
-            rate = plan.sampling_rate
-            if plan.carrier is None:
-                spectrogram(sound, rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r])
-            else:
-                envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, made[-2], title=title)
-            echogram(table, r, 0, made[-1])
+def _draw(
+    plan: Plan, table: PathTable, store: SoundStore, results: ResultFolder, outputs: RunOutputs, missing: list[str]
+) -> None:
+    """Draw the missing pictures; one that fails is a warning, and the others are drawn."""
+    left_out = len(outputs.receivers) - len(outputs.drawn)
+    if outputs.drawn and left_out:
+        print(f"pictures are of the first {MOST_DRAWN} receivers of {len(outputs.receivers)}", file=sys.stderr)
+    with progress("drawing", len(outputs.drawn)) as advance:
+        for r, name in enumerate(outputs.drawn):
+            for kind in ("paths", "spectrogram", "echogram"):
+                wanted = picture(name, kind)
+                if wanted not in missing:
+                    continue
+                try:
+                    _draw_one(kind, plan, table, store.row(results.folder, r), r, results.work / wanted)
+                except Exception as error:  # of whatever draws: the sound is there
+                    told = " ".join(str(error).split())[:300] or type(error).__name__
+                    warnings.warn(f"{wanted} could not be drawn: {told}", ClsimWarning, stacklevel=2)
             advance(1)
-    return made
+
+
+def _draw_one(kind: str, plan: Plan, table: PathTable, sound: Readable, r: int, path: Path) -> None:
+    title, rate = plan.tracks.receiver_names[r], plan.sampling_rate
+    if kind == "paths":
+        history(table, r, path)
+    elif kind == "echogram":
+        echogram(table, r, 0, path)
+    elif plan.carrier is None:
+        spectrogram(sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[r])
+    else:
+        envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, path, title=title)
 
 
 def _shown_band(plan: Plan) -> tuple[float, float]:

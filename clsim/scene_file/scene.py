@@ -227,7 +227,7 @@ def load_scene(path: str | os.PathLike[str]) -> SceneFile:
     """
     path = Path(path)
     try:
-        content = tomllib.loads(path.read_text("utf-8"))
+        content = tomllib.loads(path.read_text("utf-8-sig"))
     except OSError as error:
         raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -313,7 +313,8 @@ def explain(error: ValidationError, content: Any) -> InputError:
             continue  # the name of a union's member, which no file holds
         if isinstance(step, str) and not known and first["type"] not in ("missing", "extra_forbidden"):
             continue
-        field += f"[{step}]" if isinstance(step, int) else f".{step}" if field else step
+        named = step if isinstance(step, int) or step else '""'
+        field += f"[{step}]" if isinstance(step, int) else f".{named}" if field else str(named)
         at = at[step] if known else None
     kind, context = first["type"], first.get("ctx", {})
     if kind == "missing":
