@@ -27,7 +27,10 @@ def execute(options: argparse.Namespace) -> int:
     file = load_scene(options.scene)
     rate = file.render["sampling_rate"]
     read = read_files(options.scene, file)
-    targets = [NewFile(path, read, options.force) for path in _paths(file.scene, kind, options.output)]
+    targets = [
+        NewFile(path, read, options.force, new_folder=kind == "wav")
+        for path in _paths(file.scene, kind, options.output)
+    ]
     try:
         as_response_band(rate, options.band)  # before paths are searched for
         paths = found_paths(file, {})

@@ -19,11 +19,13 @@ class NewFile:
     Parameters
     ----------
     path : Path
-        Of the file; its folder is made when it is written.
+        Of the file.
     inputs : sequence of Path
         What the command reads: never written over, as links, folders and devices never are.
     force : bool
         Whether a file that exists is written over.
+    new_folder : bool
+        Whether its folder may be missing yet.
 
     Raises
     ------
@@ -31,20 +33,22 @@ class NewFile:
         If it may not be written.
     """
 
-    def __init__(self, path: Path, inputs: Sequence[Path], force: bool) -> None:
-        self.path, self._inputs, self._force = path, inputs, force
+    def __init__(self, path: Path, inputs: Sequence[Path], force: bool, *, new_folder: bool = False) -> None:
+        self.path, self._inputs, self._force, self._new_folder = path, inputs, force, new_folder
         self._check()
 
     def ready(self) -> Path:
-        """Return the path when all is still as it was, and its folder is there."""
+        """Return the path when all is still as it was."""
         self._check()
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(self.path.parent)
+        if self.path.parent.exists():
+            remove_leftovers(self.path.parent)
         return self.path
 
     def _check(self) -> None:
         path, field = self.path, "--output"
         check_folder(path.parent)
+        if not (path.parent.exists() or self._new_folder):
+            raise InputError(field, f"must be in a folder that exists, but {path.parent} does not")
         if path.is_symlink():
             raise InputError(field, f"must be no link, but {path} is one")
         refuse_inputs([path], self._inputs)

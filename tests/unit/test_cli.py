@@ -51,10 +51,10 @@ def test_run_writes_all_it_promises(scene: Path, tmp_path: Path, capsys, device)
     printed = capsys.readouterr()
     names = {
         "ber_left.wav", "right.wav", "paths.npz", "ber_left_spectrogram.png", "right_spectrogram.png",
-        "ber_left_echogram.png", "right_echogram.png", "truth.npz", "scene.toml",
+        "ber_left_echogram.png", "right_echogram.png", "truth.npz", "scene.completed.toml", "clsim.json",
     }  # fmt: skip
     assert {p.name for p in out.iterdir()} == names
-    assert {Path(line).name for line in printed.out.split()} == names
+    assert {Path(line).name for line in printed.out.split()} == names - {"clsim.json"}
     assert printed.err == ""
     samples, rate = soundfile.read(out / "right.wav")
     assert rate == 192_000
@@ -62,9 +62,9 @@ def test_run_writes_all_it_promises(scene: Path, tmp_path: Path, capsys, device)
     table = read_table(out / "paths.npz")
     assert table.receiver_names == ("über/left", "right")
     # The completed scene gives the same sound.
-    assert main(["run", str(out / "scene.toml"), "-o", str(tmp_path / "again"), "--no-plots", "--table", "none"]) == 0
+    assert main(["run", str(out / "scene.completed.toml"), "-o", str(tmp_path / "again"), "--no-plots", "--table", "none"]) == 0
     np.testing.assert_array_equal(soundfile.read(tmp_path / "again" / "right.wav")[0], samples)
-    assert tomllib.loads((out / "scene.toml").read_text("utf-8"))["render"]["duration"] > 0.05
+    assert tomllib.loads((out / "scene.completed.toml").read_text("utf-8"))["render"]["duration"] > 0.05
 
 
 def test_run_does_not_write_over_results(scene: Path, tmp_path: Path, capsys, device) -> None:
