@@ -24,7 +24,7 @@ walls = { reflection = 0.9 }
 [[sources]]
 name = "robot"
 signal = { kind = "tone", frequency = 40e3, duration = %s, sampling_rate = 192e3, fade = 0.005 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1000.0 }
+trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 40.0 }
 [[receivers]]
 name = "über/left"
 trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
@@ -62,7 +62,10 @@ def test_run_writes_all_it_promises(scene: Path, tmp_path: Path, capsys, device)
     table = read_table(out / "paths.npz")
     assert table.receiver_names == ("über/left", "right")
     # The completed scene gives the same sound.
-    assert main(["run", str(out / "scene.completed.toml"), "-o", str(tmp_path / "again"), "--no-plots", "--table", "none"]) == 0
+    assert (
+        main(["run", str(out / "scene.completed.toml"), "-o", str(tmp_path / "again"), "--no-plots", "--table", "none"])
+        == 0
+    )
     np.testing.assert_array_equal(soundfile.read(tmp_path / "again" / "right.wav")[0], samples)
     assert tomllib.loads((out / "scene.completed.toml").read_text("utf-8"))["render"]["duration"] > 0.05
 
@@ -124,20 +127,18 @@ def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
         f"from clsim.cli import main; sys.exit(main(['run', {str(scene)!r}, '-o', {str(tmp_path / 'out')!r}]))"
     )
     assert resource
-    scene.write_text(SCENE % "5.0", "utf-8")
-    # Kernels are built beforehand: their cache would hit the limit too.
-    assert main(["run", str(scene), "-o", str(tmp_path / "warm"), "--no-plots"]) == 0
+    scene.write_text(SCENE % "3.0", "utf-8")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.splitlines()[-1].startswith("clsim: error: ")
-    assert list((tmp_path / "out").glob("*.wav")) == []
-    assert list((tmp_path / "out").glob(".*")) == []
+    assert "MiB are needed" in done.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_interrupt_leaves_nothing_that_looks_whole(tmp_path: Path, device) -> None:
     scene = tmp_path / "long.toml"
-    scene.write_text(SCENE % "600.0", "utf-8")
+    scene.write_text(SCENE % "30.0", "utf-8")
     out = tmp_path / "out"
     process = subprocess.Popen(
         [sys.executable, "-m", "clsim.cli", "run", str(scene), "-o", str(out)],
@@ -145,7 +146,7 @@ def test_interrupt_leaves_nothing_that_looks_whole(tmp_path: Path, device) -> No
     )  # fmt: skip
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and not (out / ".partial" / "journal.npz").exists():
-        time.sleep(0.1)
+        time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err

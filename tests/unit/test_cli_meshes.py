@@ -362,7 +362,9 @@ def test_run_draws_how_paths_come_and_go(corner_scene: Path, tmp_path: Path, cap
     assert {Path(line).name for line in capsys.readouterr().out.split()} == names - {"clsim.json"}
     table = read_table(out / "paths.npz")
     assert np.any(np.isnan(table.delay))
-    assert main(["check", str(out / "scene.completed.toml")]) == 0, "the completed scene finds the mesh from its own folder"
+    assert main(["check", str(out / "scene.completed.toml")]) == 0, (
+        "the completed scene finds the mesh from its own folder"
+    )
 
 
 @pytest.mark.parametrize(

@@ -249,7 +249,7 @@ def test_single_files_are_not_written_over_unasked(name: str, tmp_path: Path, ca
     )
     assert target.read_text() == "mine"
     assert main([*SINGLE[name], "--force"]) == 0
-    assert b"mine" != target.read_bytes()
+    assert target.read_bytes() != b"mine"
     target.unlink()
     (tmp_path / "thesis").write_text("mine")
     for wrong in (lambda: target.mkdir(), lambda: target.symlink_to("thesis"), lambda: target.symlink_to("nothing")):
