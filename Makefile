@@ -1,8 +1,8 @@
-# Both targets need nothing but Python 3.11 or newer (with venv): they make their own virtual environment in .venv.
+# All targets need nothing but Python 3.11 or newer (with venv): they make their own virtual environment in .venv.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test clean
+.PHONY: demo test kills clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
@@ -10,6 +10,10 @@ demo: .venv/installed
 
 test: .venv/tested
 	$(BIN)/python -m pytest
+
+# Commands killed at 200 random moments, of which the tests have ten; a few minutes.
+kills: .venv/tested
+	CLSIM_KILLS=200 $(BIN)/python -m pytest -n 0 tests/unit/test_kills.py
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv

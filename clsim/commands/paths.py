@@ -23,7 +23,7 @@ def execute(options: argparse.Namespace) -> int:
     file = load_scene(options.scene)
     target = None if options.output is None else NewFile(options.output, read_files(options.scene, file), options.force)
     if target is not None:
-        check_table(str(target.path))
+        check_table(str(target.path), "--output")
     paths, plan = planned(file, {})
     if not 0.0 <= options.at <= plan.duration:
         raise InputError("--at", f"must lie within the recording, 0 to {plan.duration:g} s, but is {options.at:g} s")

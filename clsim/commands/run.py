@@ -40,7 +40,7 @@ def execute(options: argparse.Namespace) -> int:
     file = load_scene(options.scene)
     check_store(options.store, [receiver.name for receiver in file.scene.receivers])
     outputs = RunOutputs.of(file, options)
-    check_table(outputs.table)
+    check_table(outputs.table, "--table")
     results = ResultFolder(
         options.output, outputs.all(), read_files(options.scene, file), resume=options.resume, force=options.force
     )

@@ -70,7 +70,7 @@ def check_folder(folder: Path, field: str = "--output") -> None:
     first = next(path for path in [here, *here.parents] if os.path.lexists(path))
     if not first.is_dir():
         what = "a file" if first.exists() else "a link to nothing"
-        raise InputError(field, f"must be in a folder or one itself, but {first} is {what}")
+        raise InputError(field, f"must be a folder or lie in one, but {first} is {what}")
 
 
 def refuse_inputs(paths: Iterable[Path], inputs: Sequence[Path], field: str = "--output") -> None:

@@ -135,7 +135,7 @@ class ResultFolder:
             if name not in old.names():
                 self._refuse(self.folder / name)
         before = tuple((n, old.files[n]) for n in names if n in old.files)
-        fresh = {n: mark for n in names if (mark := fingerprint(self.work / n)) is not None}
+        fresh = {n: mark for n in names if (mark := self._fixed(n)) is not None}
         files = dict(sorted((old.files | fresh).items()))
         self._save(Record(self._identity, False, files, (*old.replaced, *before)))
         for name in names:
@@ -144,6 +144,13 @@ class ResultFolder:
         to_disk(self.folder)
         self._save(Record(self._identity, finished, files, self._still_replaced(finished)))
         return [self.folder / name for name in names]
+
+    def _fixed(self, name: str) -> Fingerprint | None:
+        """Return the fingerprint of what is made, once it is on the disk itself; sound is there already."""
+        path = self.work / name
+        if path.is_file():
+            to_disk(path)
+        return fingerprint(path)
 
     def _save(self, record: Record) -> None:
         self._record = record

@@ -55,8 +55,8 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
         _write_parquet(table, path)
 
 
-def check_table(name: str) -> None:
-    """See that a path table of a name can be written, before there is one.
+def check_table(name: str, field: str = "path") -> None:
+    """See that a path table of a name can be written, before there is one; an error names `field`.
 
     Raises
     ------
@@ -65,9 +65,9 @@ def check_table(name: str) -> None:
     """
     suffix = Path(name).suffix
     if name and suffix not in (".npz", ".parquet"):
-        raise InputError("path", f"must end in .npz or .parquet, but is {name!r}")
+        raise InputError(field, f"must end in .npz or .parquet, but is {name!r}")
     if suffix == ".parquet" and find_spec("pyarrow") is None:
-        raise InputError("table", 'Parquet needs pyarrow: pip install "clsim[parquet]"')
+        raise InputError(field, 'Parquet needs pyarrow: pip install "clsim[parquet]"')
 
 
 def write_truth(paths: PathSet, times: Floats, motion: str, path: str | os.PathLike[str]) -> None:

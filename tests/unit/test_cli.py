@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import tomllib
 from pathlib import Path
 
@@ -136,22 +135,23 @@ def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_interrupt_leaves_nothing_that_looks_whole(tmp_path: Path, device) -> None:
-    scene = tmp_path / "long.toml"
-    scene.write_text(SCENE % "30.0", "utf-8")
+def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, capsys, monkeypatch, device) -> None:
+    import clsim.commands.unfinished as unfinished
+
+    render = unfinished.render_chunks
+
+    def interrupted(*arguments, **options):
+        for number, piece in enumerate(render(*arguments, **options)):
+            if number == 2:
+                os.kill(os.getpid(), signal.SIGINT)
+            yield piece
+
+    monkeypatch.setattr(unfinished, "render_chunks", interrupted)
+    scene.write_text((SCENE % "0.5").replace("[render]\n", "[render]\nchunk = 18432\n"), "utf-8")
     out = tmp_path / "out"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "clsim.cli", "run", str(scene), "-o", str(out)],
-        stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and not (out / ".partial" / "journal.npz").exists():
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    told = f"clsim: interrupted; what was rendered is kept in {out / '.partial'}: --resume goes on with it"
-    assert err.splitlines()[-1] == told
+    assert main(["run", str(scene), "-o", str(out)]) == 130
+    told = f"clsim: interrupted; what was rendered is kept in {out / '.partial'}: --resume goes on with it\n"
+    assert capsys.readouterr().err == told
     assert [p.name for p in out.iterdir()] == [".partial"]
 
 

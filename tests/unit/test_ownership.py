@@ -497,10 +497,10 @@ def test_fingerprints_tell_files_folders_and_links(tmp_path: Path) -> None:
         (["view", "s.toml", "--limit", "1e300"], "--limit: must be 1 to 100000, but is 1"),
         (["view", "s.toml", "--limit", "2.5"], "--limit: must be a whole number, but is '2.5'"),
         (["paths", "s.toml", "--limit", "-5"], "--limit: must be at least 0, but is -5"),
-        (["paths", "s.toml", "-o", "p.csv"], "must end in .npz or .parquet, but is 'p.csv'"),
+        (["paths", "s.toml", "-o", "p.csv"], "--output: must end in .npz or .parquet, but is 'p.csv'"),
         (["run", "s.toml"], "the following arguments are required: -o/--output"),
-        (["run", "s.toml", "-o", "s.toml"], "must be in a folder or one itself, but "),
-        (["rir", "s.toml", "-o", "s.toml/x"], "must be in a folder or one itself, but "),
+        (["run", "s.toml", "-o", "s.toml"], "must be a folder or lie in one, but "),
+        (["rir", "s.toml", "-o", "s.toml/x"], "must be a folder or lie in one, but "),
     ],
 )
 def test_wrong_arguments_are_told_in_a_line(arguments: list[str], message: str, tmp_path, capsys, monkeypatch) -> None:
