@@ -106,11 +106,11 @@ class ResultFolder:
             difference = first_difference(old, self._identity)
             if difference is not None:
                 raise InputError("--resume", f"must go on with the same run, but {difference} (--force begins anew)")
-        else:
+        if not (self._resume and self.journal.exists()):
             self._clear(lock=False)
         if not self._resume or self._record.identity != self._identity:
             self._record = self._record.outdated()
-        told = sorted({*self._names, *(self._contents() if self._resume else ())})
+        told = sorted({*self._names, *self._contents()})
         with safe_path(self.work / _CONTENTS) as temporary:
             temporary.write_text(json.dumps(told), "utf-8")
 
@@ -224,7 +224,8 @@ class ResultFolder:
     def _look_into_work(self) -> None:
         known = {_LOCK, *self._contents()}
         for path in self.work.iterdir():
-            if path.is_symlink() or not (path.name in known or is_temporary(path.name)):
+            shared = path.is_file() and path.stat().st_nlink > 1  # writing into it would change another file
+            if path.is_symlink() or shared or not (path.name in known or is_temporary(path.name)):
                 self._refuse(path)
             for part in path.rglob("*") if path.is_dir() else ():
                 pattern = _STORE_FILE if part.is_file() else _STORE_FOLDER

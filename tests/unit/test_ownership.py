@@ -94,6 +94,14 @@ def put_link(name: str, to: str) -> Callable[[Path], None]:
     return make
 
 
+def put_second_name_at_work(folder: Path) -> None:
+    put("out/.partial/contents.json")(folder)
+    (folder / "out" / ".partial" / "contents.json").write_text('["left.wav"]')
+    (folder / "out" / ".partial" / "lock").touch()
+    (folder / "thesis.txt").write_text("mine")
+    os.link(folder / "thesis.txt", folder / "out" / ".partial" / "left.wav")
+
+
 FOREIGN = [
     "out/left.wav", "out/right.wav/notes.txt", "out/paths.npz", "out/truth.npz", "out/clsim.json", "out/.partial",
     "out/scene.completed.toml", "out/.partial/notes.txt", "out/.partial/left.wav", "out/.partial/lock",
@@ -113,6 +121,7 @@ ATTACKS = {
     "work is a link to nothing": (put_link("out/.partial", "../nothing"), ["--resume"]),
     "lock is a link": (put_link("out/.partial/lock", "../../thesis.txt"), ["--force"]),
     "record is a link": (put_link("out/clsim.json", "../thesis.txt"), ["--force"]),
+    "second name at work": (put_second_name_at_work, ["--resume"]),
     "output is a link to nothing": (put_link("out", "nothing"), []),
     "output below a link to nothing": (put_link("link", "nothing"), ["-o", "link/out"]),
     "output below a file": (put("file"), ["-o", "file/out"]),
@@ -378,7 +387,7 @@ def test_resume_makes_tables_and_pictures_that_are_asked_for_now(done: Path, cap
     [
         (lambda d: None, ["--store", "hdf5"], "options.store was 'wav' and is 'hdf5'"),
         (lambda d: None, ["--table-rate", "10"], "options.table_rate was 100.0 and is 10.0"),
-        (lambda d: soundfile.write(d / "in.wav", np.hanning(321), 16_000), [], "in.wav was"),
+        (lambda d: soundfile.write(d / "in.wav", np.hanning(320) ** 2, 16_000, "FLOAT"), [], "contents.in.wav was"),
         (lambda d: (d / "out" / "clsim.json").write_text("{}"), [], "clsim.json cannot be read"),
         (lambda d: (d / "out" / "clsim.json").write_text("[" * 5000), [], "clsim.json cannot be read"),
     ],
