@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test study-kills fuzz clean
+.PHONY: demo test study-kills fuzz kills clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
@@ -17,6 +17,10 @@ study-kills: .venv/tested
 
 fuzz: .venv/tested
 	CLSIM_FUZZ=20000 $(BIN)/python -m pytest -n 2 --dist load tests/unit/test_fuzz.py
+
+# Commands killed at 200 random moments, of which the tests have ten; a few minutes.
+kills: .venv/tested
+	CLSIM_KILLS=200 $(BIN)/python -m pytest -n 0 tests/unit/test_kills.py
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv

@@ -8,6 +8,7 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.output.material_plot import reflection_loss, reflection_losses
+from clsim.output.ownership import NewFile
 from clsim.scene.material import MATERIAL_NAMES, Material
 from clsim.scene.material_library import LIBRARY
 
@@ -25,8 +26,9 @@ def execute(options: argparse.Namespace) -> int:
         raise InputError("--frequency", f"must be finite and above 0 Hz, but is {options.frequency:g} Hz")
     materials = [Material.named(name) for name in names]
     if options.output is not None:
-        reflection_losses(materials, options.output, frequency=options.frequency)
-        print(options.output)
+        target = NewFile(options.output, [], options.force)
+        reflection_losses(materials, target.ready(), frequency=options.frequency)
+        print(target.path)
         return 0
     print(f"{'name':<27} {'known (Hz)':<14} {f'loss at {options.frequency / 1e3:g} kHz':<17} what")
     for material in materials:

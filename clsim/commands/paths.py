@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.commands.planning import path_table, planned
+from clsim.commands.planning import path_table, planned, read_files
 from clsim.errors import InputError
-from clsim.output.table import write_table
+from clsim.output.ownership import NewFile
+from clsim.output.table import check_table, write_table
 from clsim.scene_file import load_scene
 
 if TYPE_CHECKING:
@@ -17,20 +18,25 @@ if TYPE_CHECKING:
 
 def execute(options: argparse.Namespace) -> int:
     """List paths, or write them to a file; return the exit status."""
-    paths, plan = planned(load_scene(options.scene), {})
+    if options.limit < 0:
+        raise InputError("--limit", f"must be at least 0, but is {options.limit}")
+    file = load_scene(options.scene)
+    target = None if options.output is None else NewFile(options.output, read_files(options.scene, file), options.force)
+    if target is not None:
+        check_table(str(target.path), "--output")
+    paths, plan = planned(file, {})
     if not 0.0 <= options.at <= plan.duration:
         raise InputError("--at", f"must lie within the recording, 0 to {plan.duration:g} s, but is {options.at:g} s")
     table = path_table(paths, plan, np.array([options.at]))
-    if options.output is not None:
-        write_table(table, options.output)
-        print(options.output)
+    if target is not None:
+        write_table(table, target.ready())
+        print(target.path)
         return 0
     rows = np.argsort(table.delay[:, 0], kind="stable")
     rows = rows[np.isfinite(table.delay[rows, 0])]  # those that are there
     head = f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10}"
     print(f"{head} {'doppler factor':>14}  walls")
-    most = max(options.limit, 0)
-    for p in rows[:most]:
+    for p in rows[: options.limit]:
         gain = f"{20 * np.log10(abs(table.gain[p, 0])):.1f}" if table.heard[p, 0] else "silent"
         walls = ", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct"
         print(
@@ -38,6 +44,6 @@ def execute(options: argparse.Namespace) -> int:
             f"{table.order[p]:>5} {table.delay[p, 0] * 1e3:>11.4f} {gain:>10} "
             f"{table.doppler_factor[p, 0]:>14.6f}  {walls}"
         )
-    if len(rows) > most:
-        print(f"and {len(rows) - most} more (--limit)")
+    if len(rows) > options.limit:
+        print(f"and {len(rows) - options.limit} more (--limit)")
     return 0

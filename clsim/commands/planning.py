@@ -11,9 +11,11 @@ from clsim.commands.console import progress
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.find_paths import find_paths
 from clsim.render.plan import Plan, plan_render
+from clsim.scene_file import referenced_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
@@ -45,6 +47,11 @@ def found_paths(file: SceneFile, overrides: dict[str, Any]) -> PathSet:
         name = file.scene.receivers[i].name
         warnings.warn(f"receivers[{i}]: no path reaches {name!r}; it will hear nothing", ClsimWarning, stacklevel=2)
     return paths
+
+
+def read_files(scene: Path, file: SceneFile) -> list[Path]:
+    """Return all files that a scene is read from: its own, and those that it names."""
+    return [scene, *referenced_files(file)]
 
 
 def shares(advance: Callable[[float], None]) -> Callable[[float], None]:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import Floats, as_number
+from clsim.commands.planning import read_files
 from clsim.errors import InputError
 from clsim.output.beam_plots import Beam, air_picture, beams_picture
+from clsim.output.ownership import NewFile
 from clsim.scene.air import Air
 from clsim.scene.directivity import Directivity, SphericalDirectivity, named_directivity
 from clsim.scene.scene import Source
@@ -31,9 +33,11 @@ def execute(options: argparse.Namespace) -> int:
     if options.output.suffix.lower() != ".png":
         raise InputError("--output", f"must end in .png, but is {options.output}")
     if options.picture == "air":
-        air_picture([_air(options, humidity) for humidity in options.humidity], options.output)
+        airs = [_air(options, humidity) for humidity in options.humidity]
+        air_picture(airs, NewFile(options.output, [], options.force).ready())
     else:
-        beams_picture(_beams(options), options.output)
+        beams, read = _beams(options)
+        beams_picture(beams, NewFile(options.output, read, options.force).ready())
     print(options.output)
     return 0
 
@@ -46,7 +50,8 @@ def _air(options: argparse.Namespace, humidity: float) -> Air:
         raise InputError(named[error.field], error.problem) from error
 
 
-def _beams(options: argparse.Namespace) -> list[Beam]:
+def _beams(options: argparse.Namespace) -> tuple[list[Beam], list[Path]]:
+    """Return what is drawn, and the files that it was read from."""
     wanted = None if options.frequencies is None else _checked_frequencies(options.frequencies)
     given = [name for name in ("scene", "name", "table") if getattr(options, name) is not None]
     if len(given) != 1:
@@ -54,11 +59,13 @@ def _beams(options: argparse.Namespace) -> list[Beam]:
     if options.end is not None and options.scene is None:
         raise InputError("--end", f"must come with a scene file, but is {options.end!r:.80}")
     if options.scene is not None:
-        return _scene_beams(load_scene(options.scene).scene, options.end, wanted)
+        file = load_scene(options.scene)
+        return _scene_beams(file.scene, options.end, wanted), read_files(options.scene, file)
     directivity = _read(options)
     frequencies = _usual_frequencies(directivity) if wanted is None else wanted
     title = options.name if options.name is not None else options.table.stem
-    return [_checked(Beam(title, directivity, frequencies, Air().sound_speed), "--frequencies")]
+    beam = _checked(Beam(title, directivity, frequencies, Air().sound_speed), "--frequencies")
+    return [beam], [] if options.table is None else [options.table]
 
 
 def _read(options: argparse.Namespace) -> Directivity | SphericalDirectivity:

@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clsim.commands.console import progress
-from clsim.commands.planning import found_paths, shares
+from clsim.commands.planning import found_paths, read_files, shares
 from clsim.errors import InputError
-from clsim.output.responses import write_response_sounds, write_responses
+from clsim.output.ownership import NewFile
+from clsim.output.responses import response_names, write_response_sounds, write_responses
 from clsim.room_responses import as_response_band, impulse_responses
 from clsim.scene_file import load_scene
 
 if TYPE_CHECKING:
     import argparse
+    from pathlib import Path
+
+    from clsim.scene.scene import Scene
 
 _FIELDS = {"at": "--at", "band": "--band", "band[0]": "--band", "band[1]": "--band", "path": "--output"}
 
@@ -22,6 +26,11 @@ def execute(options: argparse.Namespace) -> int:
     kind = _kind(options)
     file = load_scene(options.scene)
     rate = file.render["sampling_rate"]
+    read = read_files(options.scene, file)
+    targets = [
+        NewFile(path, read, options.force, new_folder=kind == "wav")
+        for path in _paths(file.scene, kind, options.output)
+    ]
     try:
         as_response_band(rate, options.band)  # before paths are searched for
         paths = found_paths(file, {})
@@ -29,11 +38,11 @@ def execute(options: argparse.Namespace) -> int:
             found = impulse_responses(
                 file.scene, paths, rate, options.at, options.band, lead=options.lead, progress=shares(advance)
             )
+        made = [target.ready() for target in targets]
         if kind == "wav":
-            made = write_response_sounds(found, options.output)
+            write_response_sounds(found, options.output)
         else:
             write_responses(found, options.output)
-            made = [options.output]
     except InputError as error:
         raise InputError(_FIELDS.get(error.field, error.field), error.problem) from error
     for path in made:
@@ -43,6 +52,12 @@ def execute(options: argparse.Namespace) -> int:
     for line in found.describe():
         print(line)
     return 0
+
+
+def _paths(scene: Scene, kind: str, output: Path) -> list[Path]:
+    """Return the files that will be written."""
+    names = response_names([s.name for s in scene.sources], [r.name for r in scene.receivers])
+    return [output / name for name in names] if kind == "wav" else [output]
 
 
 def _kind(options: argparse.Namespace) -> str:

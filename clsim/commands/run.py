@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.commands.console import progress
-from clsim.commands.planning import path_table, planned
-from clsim.commands.unfinished import Unfinished, run_identity
+from clsim.commands.outputs import COMPLETED, MOST_DRAWN, TRUTH, RunOutputs, picture
+from clsim.commands.planning import path_table, planned, read_files
+from clsim.commands.unfinished import render_sound, run_identity
 from clsim.errors import ClsimWarning, InputError
 from clsim.output.atomic import safe_path
 from clsim.output.envelope_plot import envelope_spectrogram
-from clsim.output.names import file_names
 from clsim.output.plots import echogram, history, spectrogram
-from clsim.output.stores import StoredSound, sound_store
-from clsim.output.table import write_table, write_truth
+from clsim.output.result_folder import ResultFolder
+from clsim.output.stores import StoredSound, check_store, sound_store
+from clsim.output.table import check_table, write_table, write_truth
 from clsim.render.memory import within_memory
 from clsim.scene_file import completed_scene, load_scene
 
@@ -25,51 +26,58 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
+    from clsim.arrays import Floats
     from clsim.output.levels import Readable
+    from clsim.output.stores import SoundStore
     from clsim.paths.path_set import PathSet
     from clsim.render.plan import Plan
+    from clsim.scene_file import SceneFile
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
-_MOST_DRAWN = 16  # receivers
 _MOST_INSTANTS = 3000  # of lines in a picture, more than it has columns
 
 
 def execute(options: argparse.Namespace) -> int:
     """Render a scene file into a folder; return the exit status."""
-    folder: Path = options.output
-    unfinished = Unfinished(folder)
-    unfinished.check(options)
     file = load_scene(options.scene)
+    check_store(options.store, [receiver.name for receiver in file.scene.receivers])
+    outputs = RunOutputs.of(file, options)
+    check_table(outputs.table, "--table")
+    results = ResultFolder(
+        options.output, outputs.all(), read_files(options.scene, file), resume=options.resume, force=options.force
+    )
+    with results.held():
+        made = _fill(results, outputs, file, options)
+    if not made:
+        print(f"clsim: nothing was missing: all results in {options.output} are as they were written", file=sys.stderr)
+    for path in made or [options.output / COMPLETED]:
+        print(path)
+    return 0
+
+
+def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: argparse.Namespace) -> list[Path]:
+    """Make what is missing in a folder; return its paths. Sound is moved there first: what fails later costs none."""
     paths, plan = planned(file, _overrides(options))
     times = _table_times(plan, options)
     resolved = {**_overrides(options), "duration": plan.duration, "chunk": plan.chunk}
-    text = completed_scene(file, folder, **resolved)
-    if options.resume and unfinished.already_whole(text):
-        print(folder / "scene.toml")
-        return 0
-    names = file_names(plan.tracks.receiver_names)
-    identity = run_identity(file, paths, plan, {"store": options.store})
-    with unfinished.opened() as place:
-        store = sound_store(options.store, place, _stored(paths, plan, text), names)
-        with within_memory(plan.largest_field, "rendering", plan.memory_bytes):
-            unfinished.render(plan, store, identity)
-        made = unfinished.move(store)
-        if options.table != "none":
-            made.append(folder / f"paths.{options.table}")
-            write_table(path_table(paths, plan, times), made[-1])
-        made.append(folder / "truth.npz")
-        write_truth(paths, times, plan.tracks.motion, made[-1])  # type: ignore[attr-defined]
-        if not options.no_plots:
-            drawn = range(min(len(names), _MOST_DRAWN))
-            made += _draw(plan, paths, times, [store.row(folder, r) for r in drawn], folder, names[: len(drawn)])
-            if len(drawn) < len(names):
-                print(f"pictures are of the first {_MOST_DRAWN} receivers of {len(names)}", file=sys.stderr)
-        made.append(folder / "scene.toml")
-        with safe_path(made[-1]) as temporary:
+    text = completed_scene(file, results.folder, **resolved)
+    identity = run_identity(file, paths, plan, {"store": options.store, "table_rate": options.table_rate})
+    store = sound_store(options.store, results.work, _stored(paths, plan, text), outputs.receivers)
+    results.begin(identity)
+    with within_memory(plan.largest_field, "rendering", plan.memory_bytes):
+        made = render_sound(results, plan, store, identity)
+    changing = bool((paths.start > times[0]).any() or (paths.end <= times[-1]).any())
+    missing = [name for name in outputs.beside_sound(changing) if not results.is_whole(name)]
+    if outputs.table in missing:
+        write_table(path_table(paths, plan, times), results.work / outputs.table)
+    if any(name.endswith(".png") for name in missing):
+        _draw(plan, paths, times, store, results, outputs, missing)
+    if TRUTH in missing:
+        write_truth(paths, times, plan.tracks.motion, results.work / TRUTH)  # type: ignore[attr-defined]
+    if COMPLETED in missing:
+        with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(text, "utf-8")
-    for path in made:
-        print(path)
-    return 0
+    return made + results.take(missing, finished=True)
 
 
 def _stored(paths: PathSet, plan: Plan, text: str) -> StoredSound:
@@ -111,27 +119,44 @@ def _table_times(plan: Plan, options: argparse.Namespace) -> Any:
     return np.linspace(0.0, (count - 1) / rate, min(count, most))
 
 
-def _draw(plan: Plan, paths: PathSet, times: Any, sounds: list[Readable], folder: Path, names: list[str]) -> list[Path]:
-    """Draw a spectrogram and an echogram for each receiver; return their paths."""
-    made: list[Path] = []
-    changing = bool(np.any((paths.start > times[0]) | (paths.end <= times[-1])))
-    drawn = times[np.linspace(0, len(times) - 1, min(len(times), _MOST_INSTANTS)).round().astype(int)]
-    with progress("drawing", len(names)) as advance:
-        for r, (sound, name) in enumerate(zip(sounds, names, strict=True)):
-            heard = paths.heard_by(r)
-            if changing:
-                made.append(folder / f"{name}_paths.png")
-                history(path_table(heard, plan, drawn), r, made[-1])
-            made += [folder / f"{name}_spectrogram.png", folder / f"{name}_echogram.png"]
-            title = plan.tracks.receiver_names[r]
-            rate = plan.sampling_rate
-            if plan.carrier is None:
-                spectrogram(sound, rate, made[-2], title=title, band=_shown_band(plan), unit=plan.units[r])
-            else:
-                envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, made[-2], title=title)
-            echogram(path_table(heard, plan, times[:1]), r, 0, made[-1])
+def _draw(
+    plan: Plan,
+    paths: PathSet,
+    times: Floats,
+    store: SoundStore,
+    results: ResultFolder,
+    outputs: RunOutputs,
+    missing: list[str],
+) -> None:
+    """Draw the missing pictures; one that fails is a warning, and the others are drawn."""
+    left_out = len(outputs.receivers) - len(outputs.drawn)
+    if left_out:
+        print(f"pictures are of the first {MOST_DRAWN} receivers of {len(outputs.receivers)}", file=sys.stderr)
+    with progress("drawing", len(outputs.drawn)) as advance:
+        for r, name in enumerate(outputs.drawn):
+            for kind in ("paths", "spectrogram", "echogram"):
+                wanted = picture(name, kind)
+                if wanted not in missing:
+                    continue
+                try:
+                    _draw_one(kind, plan, paths, times, store.row(results.folder, r), r, results.work / wanted)
+                except Exception as error:  # of whatever draws: the sound is there
+                    told = " ".join(str(error).split())[:300] or type(error).__name__
+                    warnings.warn(f"{wanted} could not be drawn: {told}", ClsimWarning, stacklevel=2)
             advance(1)
-    return made
+
+
+def _draw_one(kind: str, plan: Plan, paths: PathSet, times: Floats, sound: Readable, r: int, path: Path) -> None:
+    title, rate = plan.tracks.receiver_names[r], plan.sampling_rate
+    if kind == "paths":
+        drawn = times[np.linspace(0, len(times) - 1, min(len(times), _MOST_INSTANTS)).round().astype(int)]
+        history(path_table(paths.heard_by(r), plan, drawn), r, path)
+    elif kind == "echogram":
+        echogram(path_table(paths.heard_by(r), plan, times[:1]), r, 0, path)
+    elif plan.carrier is None:
+        spectrogram(sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[r])
+    else:
+        envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, path, title=title)
 
 
 def _shown_band(plan: Plan) -> tuple[float, float]:

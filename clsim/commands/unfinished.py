@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
-import shutil
+import os
 import time
-import tomllib
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,17 +13,14 @@ import numpy as np
 from clsim.commands.console import progress
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
-from clsim.output.atomic import locked, to_disk
-from clsim.output.journal import Journal, first_difference
 from clsim.render.receiving import Receiving
 from clsim.render.render import render_chunks
 from clsim.scene_file import referenced_files
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
     from pathlib import Path
 
+    from clsim.output.result_folder import ResultFolder
     from clsim.output.stores import SoundStore
     from clsim.paths.path_set import PathSet
     from clsim.render.plan import Plan
@@ -35,125 +29,55 @@ if TYPE_CHECKING:
 _PERIOD = 1.0  # s between notes in the journal, at least: what a killed run loses beside the chunk it was at
 
 
-class Unfinished:
-    """The results of a run until they are whole: a folder ``.partial`` within that of the results.
+def render_sound(results: ResultFolder, plan: Plan, store: SoundStore, identity: dict[str, Any]) -> list[Path]:
+    """Render into a store, from the beginning or from where the journal says; return what was moved to its place.
 
-    Nothing leaves it before all sound is rendered; its journal says how much of the sound is on the disk.
+    Parameters
+    ----------
+    results : ResultFolder
+        Held, and begun with this identity.
+    plan : Plan
+        What to render.
+    store : SoundStore
+        In the folder of unfinished results.
+    identity : dict
+        Of the run, for the journal.
     """
+    names = [path.name for path in store.paths]
+    if all(map(results.is_whole, names)):
+        return []
+    receiving, done = Receiving(plan), 0
+    if results.journal.exists():
+        _, done, state = results.journal.load()
+        receiving.restore(state)
+        lost = [path for path in store.paths if not (path.exists() or results.is_whole(path.name))]
+        if lost:
+            raise InputError("--resume", f"must find {lost[0]}, which is missing (--force begins anew)")
+    else:
+        store.create()
+    if done < plan.samples:
+        _render(results, plan, store, identity, done, receiving)
+    return results.take(names)
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._place = folder, folder / ".partial"
-        self._journal = Journal(self._place)
-        self._resume = False
 
-    def check(self, options: argparse.Namespace) -> None:
-        """Refuse a folder that holds results, unless the user says what becomes of them.
-
-        Raises
-        ------
-        InputError
-            If it does; the message names the options.
-        """
-        self._resume = options.resume
-        if options.resume and options.force:
-            raise InputError("--resume", "must be given without --force, which begins anew")
-        if options.force or options.resume:
-            return
-        if self._journal.exists():
-            raise InputError(
-                "--output",
-                f"must hold no unfinished run, but {self._place} is one (--resume goes on, --force begins anew)",
-            )
-        if (self._folder / "scene.toml").exists():
-            raise InputError(
-                "--output",
-                f"must hold no results yet, but {self._folder / 'scene.toml'} exists (--force writes over)",
-            )
-
-    def already_whole(self, text: str) -> bool:
-        """Return whether the folder holds the results of this very scene.
-
-        Raises
-        ------
-        InputError
-            If it holds those of another one.
-        """
-        finished = self._folder / "scene.toml"
-        if self._journal.exists() or not finished.exists():
-            return False
-        try:
-            old = tomllib.loads(finished.read_text("utf-8"))
-        except ValueError as error:
-            raise InputError("--resume", f"must find its own results, but {finished} is no scene file") from error
-        difference = first_difference(old, tomllib.loads(text))
-        if difference is not None:
-            raise InputError("--resume", f"must find its own results, but in {finished} {difference}")
-        return True
-
-    @contextmanager
-    def opened(self) -> Iterator[Path]:
-        """Yield the folder of unfinished results, and delete it when the block ends well.
-
-        Otherwise a note on the exception says what is kept of the sound; nothing is where there is none.
-        """
-        self._place.mkdir(parents=True, exist_ok=True)
-        with locked(self._place / "lock", "--output"):
-            try:
-                yield self._place
-            except BaseException as error:
-                if not self._journal.exists():
-                    shutil.rmtree(self._place, ignore_errors=True)
-                elif not isinstance(error, InputError):  # which says itself what can be done
-                    error.add_note(f"what was rendered is kept in {self._place}: --resume goes on with it")
-                raise
-            shutil.rmtree(self._place)
-
-    def render(self, plan: Plan, store: SoundStore, identity: dict[str, Any]) -> None:
-        """Render into a store, from the beginning or from where the journal says.
-
-        Raises
-        ------
-        InputError
-            If what is to be gone on with is another run; the message says in what it differs.
-        """
-        receiving, done = Receiving(plan), 0
-        if self._resume and self._journal.exists():
-            old, done, state = self._journal.load()
-            difference = first_difference(old, json.loads(json.dumps(identity)))
-            if difference is not None:
-                raise InputError("--resume", f"must go on with the same run, but {difference} (--force begins anew)")
-            receiving.restore(state)
-        else:
-            self._journal.discard()
-            store.create()
-        if done == plan.samples:
-            return
-        store.open()
-        try:
-            with progress("rendering", plan.path_count * plan.samples) as advance:
-                advance(plan.path_count * done)
-                noted = -math.inf
-                for start, samples in render_chunks(plan, first=done, receiving=receiving):
-                    store.write(start, samples)
-                    done = start + samples.shape[1]
-                    if done == plan.samples or time.monotonic() - noted > _PERIOD:
-                        store.to_disk()
-                        self._journal.save(identity, done, receiving.state())
-                        noted = time.monotonic()
-                    advance(plan.path_count * samples.shape[1])
-        finally:
-            store.close()
-
-    def move(self, store: SoundStore) -> list[Path]:
-        """Move whole sound to where it belongs; return its paths."""
-        made = [self._folder / path.name for path in store.paths]
-        for path, final in zip(store.paths, made, strict=True):
-            if path.exists():  # else it was moved before the run was killed
-                if final.is_dir():
-                    shutil.rmtree(final)
-                path.replace(final)
-        to_disk(self._folder)
-        return made
+def _render(
+    results: ResultFolder, plan: Plan, store: SoundStore, identity: dict[str, Any], done: int, receiving: Receiving
+) -> None:
+    store.open()
+    try:
+        with progress("rendering", plan.path_count * plan.samples) as advance:
+            advance(plan.path_count * done)
+            noted = -math.inf
+            for start, samples in render_chunks(plan, first=done, receiving=receiving):
+                store.write(start, samples)
+                done = start + samples.shape[1]
+                if done == plan.samples or time.monotonic() - noted > _PERIOD:
+                    store.to_disk()
+                    results.journal.save(identity, done, receiving.state())
+                    noted = time.monotonic()
+                advance(plan.path_count * samples.shape[1])
+    finally:
+        store.close()
 
 
 def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str, Any]) -> dict[str, Any]:
@@ -192,10 +116,15 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
             filters.update(np.ascontiguousarray(array).tobytes())
     return {
         "scene": content,
-        "contents": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in referenced_files(file)},
+        "contents": {os.path.relpath(path, file.base): _digest(path) for path in referenced_files(file)},
         "device": device,
         "options": options,
         "versions": {"clsim": clsim.__version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "paths": found.hexdigest(),
         "filters": filters.hexdigest(),
     }
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -6,29 +6,35 @@ import webbrowser
 from typing import TYPE_CHECKING
 
 from clsim.commands.console import progress
-from clsim.commands.planning import planned
+from clsim.commands.planning import planned, read_files
 from clsim.errors import InputError
+from clsim.output.ownership import NewFile
 from clsim.output.view import view_scene
 from clsim.scene_file import load_scene
 
 if TYPE_CHECKING:
     import argparse
-    from pathlib import Path
+
+_MOST_FRAMES = 10_000
+_MOST_PATHS = 100_000  # drawn at a time
 
 
 def execute(options: argparse.Namespace) -> int:
     """Write the page; return the exit status."""
-    for name in ("frames", "limit"):
-        if getattr(options, name) < 1:
-            raise InputError(f"--{name}", f"must be at least 1, but is {getattr(options, name)}")
-    paths, plan = planned(load_scene(options.scene), {})
-    page: Path = options.output or options.scene.with_suffix(".html")
+    for name, most in (("frames", _MOST_FRAMES), ("limit", _MOST_PATHS)):
+        if not 1 <= getattr(options, name) <= most:
+            raise InputError(f"--{name}", f"must be 1 to {most}, but is {getattr(options, name)}")
+    file = load_scene(options.scene)
+    named = options.output or options.scene.with_suffix(".html")
+    page = NewFile(named, read_files(options.scene, file), options.force)
+    paths, plan = planned(file, {})
     with progress("drawing", options.frames) as advance:
         view_scene(
-            paths, page, duration=plan.duration, frames=options.frames, limit=options.limit, title=options.scene.stem,
-            motion=plan.tracks.motion, amplitude=plan.tracks.amplitude, progress=advance,  # type: ignore[attr-defined]
+            paths, page.ready(), title=options.scene.stem, duration=plan.duration, frames=options.frames,
+            limit=options.limit, progress=advance,
+            motion=plan.tracks.motion, amplitude=plan.tracks.amplitude,  # type: ignore[attr-defined]
         )  # fmt: skip
-    print(page)
+    print(page.path)
     if options.open:
-        webbrowser.open(page.resolve().as_uri())
+        webbrowser.open(page.path.resolve().as_uri())
     return 0

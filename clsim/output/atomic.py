@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import os
+import platform
+import re
+import secrets
+import zlib
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,20 +18,59 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import IO
 
+_TEMPORARY = re.compile(r"\.clsim-([0-9a-f]{8})-(\d{1,9})-[0-9a-f]{8}\.partial(\..*)?")
+
 
 def temporary_path(path: Path) -> Path:
-    """Return the name beside `path` under which it is written; it keeps the suffix, which libraries look at."""
-    return path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    """Return a name beside `path` under which it is written: short, and with its suffix, which libraries look at."""
+    token = secrets.token_hex(4)
+    return path.with_name(f".clsim-{_machine()}-{os.getpid()}-{token}.partial{path.suffix}")
+
+
+def is_temporary(name: str) -> bool:
+    """Return whether a file is called as those that are not whole yet."""
+    return _TEMPORARY.fullmatch(name) is not None
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Delete the temporary files that processes of this machine left in a folder when they were killed."""
+    if os.name == "nt":  # where no signal asks whether a process lives
+        return
+    for name in os.listdir(folder):  # noqa: PTH208  (names are all that is needed)
+        found = _TEMPORARY.fullmatch(name)
+        path = folder / name
+        if found and found[1] == _machine() and _is_dead(int(found[2])) and path.is_file() and not path.is_symlink():
+            path.unlink(missing_ok=True)
+
+
+@cache
+def _machine() -> str:
+    """Return what tells this machine, and this container, from others that share a disk with it."""
+    space = Path("/proc/self/ns/pid")
+    inode = space.stat().st_ino if space.exists() else 0
+    return f"{zlib.crc32(f'{platform.node()} {inode}'.encode()):08x}"
+
+
+def _is_dead(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike[str], within: Path | None = None) -> Iterator[Path]:
     """Yield a temporary path that becomes `path` when the block ends well, and is deleted when it does not.
 
     Parameters
     ----------
     path : path-like
         Where the file is to be; its folder must exist.
+    within : Path, optional
+        Folder of the temporary path, on the same disk; that of `path` when left out.
 
     Raises
     ------
@@ -34,12 +78,12 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         If it cannot be written; it names the file.
     """
     final = Path(path)
-    temporary = temporary_path(final)
+    temporary = temporary_path(final if within is None else within / final.name)
     try:
         yield temporary
         temporary.replace(final)
     except OSError as error:
-        if error.filename is None and error.errno is not None:  # writing does not tell the name, opening does
+        if error.errno is not None and error.filename in (None, str(temporary)):  # who reads knows `path` only
             raise OSError(error.errno, error.strerror, str(final)) from error
         raise
     finally:
@@ -65,9 +109,9 @@ def tree_to_disk(folder: Path) -> None:
 
 
 @contextmanager
-def safe_path(path: Path) -> Iterator[Path]:
+def safe_path(path: Path, within: Path | None = None) -> Iterator[Path]:
     """Yield a temporary path as `atomic_path`; when the block has ended, the file is on the disk itself."""
-    with atomic_path(path) as temporary:
+    with atomic_path(path, within) as temporary:
         yield temporary
         to_disk(temporary)
     to_disk(path.parent)
@@ -80,22 +124,37 @@ def locked(path: Path, field: str) -> Iterator[None]:
     Raises
     ------
     InputError
-        If another process holds it; `field` is what that names.
+        If another process holds it, or the file is a link; `field` is what that names.
     """
     try:
         import fcntl
     except ImportError:
         yield
         return
-    with path.open("w") as file:
+    if path.is_symlink():
+        raise InputError(field, f"must hold no links where clsim works, but {path} is one")
+    try:
+        number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    except FileNotFoundError as error:  # who held it has deleted its folder just now
+        raise _in_use(field, path) from error
+    with os.fdopen(number, "r+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            _refuse_locked(file, field, error)
+        except BlockingIOError as error:
+            raise _in_use(field, path) from error
+        except OSError:
+            pass  # a file system without locks: what it cannot refuse, it allows
+        if not _is_at(file, path):  # who held it has deleted it since
+            raise _in_use(field, path)
         yield
 
 
-def _refuse_locked(file: IO[str], field: str, error: OSError) -> None:
-    if isinstance(error, BlockingIOError):
-        raise InputError(field, f"must be used by one process at a time, but another one holds {file.name}") from error
-    # A file system without locks: what it cannot refuse, it allows.
+def _is_at(file: IO[str], path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.lstat())
+    except OSError:
+        return False
+
+
+def _in_use(field: str, path: Path) -> InputError:
+    return InputError(field, f"must be used by one process at a time, but another one holds {path}")

@@ -106,7 +106,7 @@ def beams_picture(beams: list[Beam], path: str | os.PathLike[str]) -> None:
         loudest = _loudest(beam)
         notes = [f"0 dB is a gain of {loudest:.1f} dB"] if loudest > 0.05 else []
         notes += ["solid: to the left, dashed: upwards"] if above is not None else []
-        axes.set_title("\n".join([beam.title, *notes]), fontsize=11)
+        axes.set_title("\n".join([beam.title, *notes]), fontsize=11, parse_math=False)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=4, fontsize=8, frameon=False)
     _save(figure, path)
 

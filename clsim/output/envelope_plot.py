@@ -64,6 +64,7 @@ def envelope_spectrogram(
     half, end = 0.5 * sampling_rate, len(envelope) / sampling_rate
     figure = Figure(figsize=(10.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
+    axes.title.set_parse_math(False)  # names may hold what looks like a formula
     image = axes.imshow(
         level, origin="lower", aspect="auto", cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
         extent=(float(transform.t(len(padded))[0]), float(transform.t(len(padded))[-1]), -half, half),

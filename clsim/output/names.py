@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import re
+from itertools import count
+
+_LONGEST = 200  # letters; file systems take 255 bytes, of which the ends of names need some
 
 
 def file_names(wanted: tuple[str, ...]) -> list[str]:
-    """Return names that any file system takes, each once."""
+    """Return names that any file system takes, each once.
+
+    Examples
+    --------
+    >>> file_names(("left", "Left", "über/left"))
+    ['left', 'Left-2', 'ber_left']
+    """
     names: list[str] = []
+    taken: set[str] = set()  # in small letters, which some file systems do not tell from large ones
+    numbers: dict[str, count[int]] = {}
     for text in wanted:
-        name = base = re.sub(r"[^A-Za-z0-9_-]+", "_", text).strip("_") or "receiver"
-        count = 2
-        while name.lower() in (n.lower() for n in names):
-            name, count = f"{base}-{count}", count + 1
+        name = base = re.sub(r"[^A-Za-z0-9_-]+", "_", text).strip("_")[:_LONGEST] or "receiver"
+        while name.lower() in taken:
+            name = f"{base}-{next(numbers.setdefault(base.lower(), count(2)))}"
+        taken.add(name.lower())
         names.append(name)
     return names

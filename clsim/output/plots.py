@@ -231,6 +231,7 @@ def _figure(height: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(10.0, height), layout="constrained")
     axes = figure.add_subplot()
     axes.title.set_fontsize(13)
+    axes.title.set_parse_math(False)  # names may hold what looks like a formula
     axes.xaxis.label.set_fontsize(12)
     axes.yaxis.label.set_fontsize(12)
     axes.grid(alpha=0.25, linewidth=0.6)

@@ -24,6 +24,11 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Receiver, Scene, Source
 
 
+def response_names(source_names: Sequence[str], receiver_names: Sequence[str]) -> list[str]:
+    """Return the names of the WAV files of all pairs, receivers fastest."""
+    return [f"{name}.wav" for name in file_names(tuple(f"{s}_{r}" for s in source_names for r in receiver_names))]
+
+
 def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike[str]) -> list[Path]:
     """Write a WAV file of 32-bit floats for every source and receiver; return their paths.
 
@@ -42,10 +47,9 @@ def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike
         If a file cannot be written.
     """
     sources, receivers, count = responses.samples.shape
-    names = [f"{s}_{r}" for s in responses.source_names for r in responses.receiver_names]
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    made = [folder / f"{name}.wav" for name in file_names(tuple(names))]
+    made = [folder / name for name in response_names(responses.source_names, responses.receiver_names)]
     with ExitStack() as stack:
         for path, taps in zip(made, responses.samples.reshape(sources * receivers, count), strict=True):
             stack.enter_context(WavWriter(path, responses.sampling_rate, samples=count)).write(taps)

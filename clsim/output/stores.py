@@ -20,6 +20,7 @@ from clsim.output.rows import Rows
 from clsim.output.wav import EnvelopeFile, SoundFile, wav_header
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 KINDS = ("wav", "zarr", "hdf5")
 STORE_FORMAT = 1
+_FILES = {"zarr": "recording.zarr", "hdf5": "recording.h5"}
 _EXTRA = {"zarr": ("zarr", "xarray"), "hdf5": ("h5netcdf", "h5py", "xarray")}
 
 
@@ -147,12 +149,30 @@ def sound_store(kind: str, folder: Path, sound: StoredSound, names: list[str]) -
     Raises
     ------
     InputError
-        If a package is missing; the message says what to install.
+        If the sampling rate is none of a WAV file.
     """
-    check_packages(kind, "--store", "store")
     if kind == "wav":
         return _WavStore(folder, sound, names)
     return _ZarrStore(folder, sound) if kind == "zarr" else _Hdf5Store(folder, sound)
+
+
+def store_names(kind: str, names: Sequence[str]) -> list[str]:
+    """Return what the files or folders of a store are called; `names` are the receivers'."""
+    return [f"{name}.wav" for name in names] if kind == "wav" else [_FILES[kind]]
+
+
+def check_store(kind: str, receiver_names: Sequence[str]) -> None:
+    """See that a store can be written, before there is anything to write.
+
+    Raises
+    ------
+    InputError
+        If a package is missing, or a name is one that the format cannot hold.
+    """
+    check_packages(kind, "--store", "store")
+    for i, name in enumerate(receiver_names):
+        if kind == "hdf5" and "\0" in name:
+            raise InputError(f"receivers[{i}]", f"must have no NUL in its name for --store hdf5, but is {name!r:.80}")
 
 
 def check_packages(kind: str, field: str, extra: str) -> None:
@@ -208,7 +228,7 @@ class _WavStore(_RowStore):
 
     def __init__(self, folder: Path, sound: StoredSound, names: list[str]) -> None:
         super().__init__(sound)
-        self.paths = [folder / f"{name}.wav" for name in names]
+        self.paths = [folder / name for name in store_names("wav", names)]
         self._header = wav_header(sound.sampling_rate, 1 if sound.carrier is None else 2, sound.samples)
 
     def create(self) -> None:
@@ -245,7 +265,7 @@ class _Hdf5Store(_RowStore):
 
     def __init__(self, folder: Path, sound: StoredSound) -> None:
         super().__init__(sound)
-        self.paths = [folder / "recording.h5"]
+        self.paths = [folder / _FILES["hdf5"]]
 
     def create(self) -> None:
         import h5netcdf
@@ -292,7 +312,7 @@ class _ZarrStore:
     """A Zarr group with one file per receiver and chunk."""
 
     def __init__(self, folder: Path, sound: StoredSound) -> None:
-        self.paths = [folder / "recording.zarr"]
+        self.paths = [folder / _FILES["zarr"]]
         self._sound = sound
         self._array: Any = None
         self._written: list[Path] = []
@@ -314,6 +334,8 @@ class _ZarrStore:
     def open(self) -> None:
         import zarr
 
+        for half in self.paths[0].rglob("*.partial"):  # chunks at which a process was killed
+            half.unlink()
         self._array = zarr.open_group(self.paths[0], mode="r+")["sound"]
 
     def write(self, start: int, samples: NDArray[Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import zipfile
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,16 +45,29 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
     OSError
         If the file cannot be written; nothing is left of it then.
     """
-    suffix = Path(path).suffix
-    if suffix == ".npz":
+    check_table(str(path))
+    if Path(path).suffix == ".npz":
         with atomic_path(path) as temporary:
             columns: dict[str, Any] = {f.name: getattr(table, f.name) for f in dataclasses.fields(table)}
             write: Any = np.savez_compressed
             write(temporary, **{k: np.array(v) if k in _NAMES else v for k, v in columns.items()})
-    elif suffix == ".parquet":
-        _write_parquet(table, path)
     else:
-        raise InputError("path", f"must end in .npz or .parquet, but is {str(path)!r}")
+        _write_parquet(table, path)
+
+
+def check_table(name: str, field: str = "path") -> None:
+    """See that a path table of a name can be written, before there is one; an error names `field`.
+
+    Raises
+    ------
+    InputError
+        If the suffix is none of a table, or pyarrow is missing for Parquet.
+    """
+    suffix = Path(name).suffix
+    if name and suffix not in (".npz", ".parquet"):
+        raise InputError(field, f"must end in .npz or .parquet, but is {name!r}")
+    if suffix == ".parquet" and find_spec("pyarrow") is None:
+        raise InputError(field, 'Parquet needs pyarrow: pip install "clsim[parquet]"')
 
 
 def write_truth(paths: PathSet, times: Floats, motion: str, path: str | os.PathLike[str]) -> None:
@@ -106,11 +120,9 @@ def read_table(path: str | os.PathLike[str]) -> PathTable:
 
 
 def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError as error:
-        raise InputError("table", 'Parquet needs pyarrow: pip install "clsim[parquet]"') from error
+    import pyarrow as pa
+    from pyarrow import parquet
+
     step = max(1, _ROW_GROUP // max(1, len(table.times)))
     walls = [",".join(table.wall_names[w] for w in row if w >= 0) for row in table.walls]
     with atomic_path(path) as temporary:

@@ -174,7 +174,7 @@ def test_scene_files_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "receiver 0: recorded in V; transducer without a name; self-noise 10 dB" in capsys.readouterr().out
     assert main(["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "a")]) == 0
     assert "samples of 'ear' were clipped" in capsys.readouterr().err
-    assert main(["run", str(tmp_path / "a" / "scene.toml"), "-o", str(tmp_path / "b"), "--no-plots"]) == 0
+    assert main(["run", str(tmp_path / "a" / "scene.completed.toml"), "-o", str(tmp_path / "b"), "--no-plots"]) == 0
     one, two = (soundfile.read(tmp_path / folder / "ear.wav")[0] for folder in "ab")
     np.testing.assert_array_equal(one, two)
     with warnings.catch_warnings():

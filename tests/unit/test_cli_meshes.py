@@ -156,15 +156,16 @@ def test_run_of_a_mesh_can_be_repeated_from_its_results(mesh_scene: Path, tmp_pa
     out = tmp_path / "out" / "deep"
     assert main(["run", str(mesh_scene), "-o", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {
-        "mic.wav", "paths.npz", "truth.npz", "mic_spectrogram.png", "mic_echogram.png", "mic_paths.png", "scene.toml",
+        "mic.wav", "paths.npz", "truth.npz", "mic_spectrogram.png", "mic_echogram.png", "mic_paths.png", "clsim.json",
+        "scene.completed.toml",
     }  # fmt: skip
-    completed = tomllib.loads((out / "scene.toml").read_text("utf-8"))
+    completed = tomllib.loads((out / "scene.completed.toml").read_text("utf-8"))
     assert completed["room"]["path"] == "../../meshes/room.obj"
     assert completed["room"]["obstacles"][0]["path"] == "../../meshes/screen.ply"
     assert completed["paths"]["finder"] == "auto"
     samples, _ = soundfile.read(out / "mic.wav")
     assert np.any(samples)
-    again = ["run", str(out / "scene.toml"), "-o", str(tmp_path / "again"), "--no-plots", "--table", "none"]
+    again = ["run", str(out / "scene.completed.toml"), "-o", str(tmp_path / "again"), "--no-plots", "--table", "none"]
     assert main(again) == 0
     np.testing.assert_array_equal(soundfile.read(tmp_path / "again" / "mic.wav")[0], samples)
     capsys.readouterr()
@@ -372,12 +373,15 @@ def test_run_draws_how_paths_come_and_go(corner_scene: Path, tmp_path: Path, cap
         "corner_echogram.png",
         "corner_paths.png",
         "paths.npz",
-        "scene.toml",
+        "scene.completed.toml",
+        "clsim.json",
     } == names
-    assert {Path(line).name for line in capsys.readouterr().out.split()} == names
+    assert {Path(line).name for line in capsys.readouterr().out.split()} == names - {"clsim.json"}
     table = read_table(out / "paths.npz")
     assert np.any(np.isnan(table.delay))
-    assert main(["check", str(out / "scene.toml")]) == 0, "the completed scene finds the mesh from its own folder"
+    assert main(["check", str(out / "scene.completed.toml")]) == 0, (
+        "the completed scene finds the mesh from its own folder"
+    )
 
 
 @pytest.mark.parametrize(

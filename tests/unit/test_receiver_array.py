@@ -130,5 +130,5 @@ def test_a_run_tells_the_truth_about_all_and_draws_some(scene: Path, tmp_path: P
             np.testing.assert_allclose(delay * speed, np.linalg.norm(there - place, axis=1), atol=1e-9)
         assert truth["line_of_sight"].all()
         assert truth["radial_speed"].shape == truth["delay"].shape == (1, 23, len(times))
-    again = load_scene(out / "scene.toml")
+    again = load_scene(out / "scene.completed.toml")
     assert len(again.scene.receivers) == 23

@@ -4,17 +4,17 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+from killing import Killer, content
 
 import clsim
 from clsim.cli import main
+from clsim.output.atomic import locked
 from clsim.output.journal import Journal
 from clsim.output.stores import StoredSound, sound_store
 
@@ -27,7 +27,7 @@ walls = { reflection = 0.9 }
 [[sources]]
 name = "robot"
 signal = { kind = "chirp", start = 30e3, stop = 50e3, duration = %s, sampling_rate = 192e3 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1000.0 }
+trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 2.0 }
 [[receivers]]
 name = "über/left"
 trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
@@ -53,11 +53,10 @@ max_order = %d
 sampling_rate = 192e3
 chunk = 18432
 """
-LONG = SCENE % (10.0, 5)  # takes long enough to be killed
-SHORT = SCENE % (12.0, 1)
+LONG = SCENE % (0.6, 2)  # seven chunks
+SHORT = SCENE % (1.2, 1)
 KINDS = ("wav", "zarr", "hdf5")
 FILES = {"wav": ["ber_left.wav", "right.wav"], "zarr": ["recording.zarr"], "hdf5": ["recording.h5"]}
-ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
 
 
 def skip_without(kind: str) -> None:
@@ -69,33 +68,9 @@ def command(scene: Path, out: Path, kind: str, *more: str) -> list[str]:
     return ["run", str(scene), "-o", str(out), "--store", kind, "--no-plots", "--table", "none", *more]
 
 
-def start(scene: Path, out: Path, kind: str, *more: str) -> subprocess.Popen:
-    arguments = [sys.executable, "-m", "clsim.cli", *command(scene, out, kind, *more)]
-    return subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
-
-
 def done(out: Path) -> int:
     journal = Journal(out / ".partial")
     return journal.load()[1] if journal.exists() else 0
-
-
-def kill_once_beyond(process: subprocess.Popen, out: Path, samples: int, delay: float) -> bool:
-    """Kill a run a while after its journal has passed a sample; return whether it was in the middle of it."""
-    while process.poll() is None and done(out) <= samples:
-        time.sleep(0.01)
-    time.sleep(delay)
-    process.kill()
-    process.communicate()
-    return process.returncode == -signal.SIGKILL
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    """Return all that a folder holds but for the journal's folder and the completed scene, which names the folder."""
-    return {
-        str(p.relative_to(folder)): p.read_bytes()
-        for p in folder.rglob("*")
-        if p.is_file() and ".partial" not in p.parts
-    }
 
 
 def sound(out: Path, kind: str) -> np.ndarray:
@@ -113,51 +88,38 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a run that nobody kills leaves."""
-    folder = tmp_path_factory.mktemp("whole")
-    (folder / "scene.toml").write_text(LONG, "utf-8")
-    assert main(command(folder / "scene.toml", folder / "out", "wav")) == 0
-    return folder / "out"
+def killer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Killer]:
+    if not hasattr(os, "fork"):
+        pytest.skip("this system does not fork")
+    killer = Killer(tmp_path_factory.mktemp("killer"))
+    yield killer
+    killer.close()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_killed_run_ends_like_one_that_was_not(kind: str, whole: Path, tmp_path: Path, rng, device) -> None:
-    skip_without(kind)
+def test_a_killed_run_ends_like_one_that_was_not(killer: Killer, tmp_path: Path, device) -> None:
+    """On a device; `test_kills` has more moments, and all stores."""
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text(LONG, "utf-8")
-    wanted = sound(whole, "wav")
-    total, longest, reached, kills = wanted.shape[1], 0.5, -1, 0
-    while kills < 3:  # first perhaps before anything is noted, then behind what was
-        process = start(scene, out, kind, "--resume")
-        while process.poll() is None and not (out / ".partial").exists():
-            time.sleep(0.01)
-        in_time = kill_once_beyond(process, out, reached, float(rng.uniform(0.0, longest)))
-        if not in_time or done(out) == total:
-            assert longest > 0.001, "the run must be long enough to be killed"
-            shutil.rmtree(out)
-            longest, reached, kills = longest / 4, -1, 0
-            continue
-        assert done(out) >= reached
+    assert main(command(scene, tmp_path / "whole", "wav")) == 0
+    reached = []
+    for moment in (2, 4):  # when one chunk is noted, and when another one is; going on reads the journal twice
+        arguments = command(scene, out, "wav", "--resume")
+        assert killer.run(arguments, out, event=moment, of="journal.npz") == -signal.SIGKILL
         assert [p.name for p in out.iterdir()] == [".partial"]  # nothing looks whole
-        reached, kills = done(out), kills + 1
-    process = start(scene, out, kind, "--resume")
-    _, err = process.communicate(timeout=300)
-    assert process.returncode == 0, err
-    np.testing.assert_array_equal(sound(out, kind), wanted)
-    if kind == "wav":
-        assert content(out) == content(whole)
-    assert "clipped" in err  # those before the kills are counted too
-    assert not (out / ".partial").exists()
+        reached.append(done(out) // 18_432)
+    assert reached == [1, 2]
+    assert killer.run(arguments, out) == 0, killer.log
+    assert content(out) == content(tmp_path / "whole")
+    assert "clipped" in killer.log  # those before the kills are counted too
 
 
 @pytest.fixture(scope="module")
-def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def killed(killer: Killer, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a scene and a run of it that was killed."""
     folder = tmp_path_factory.mktemp("killed")
-    (folder / "scene.toml").write_text(LONG, "utf-8")
-    assert kill_once_beyond(start(folder / "scene.toml", folder / "out", "wav"), folder / "out", 0, 0.0)
+    scene, out = folder / "scene.toml", folder / "out"
+    scene.write_text(LONG, "utf-8")
+    assert killer.run(command(scene, out, "wav"), out, event=3, of="journal.npz") == -signal.SIGKILL
     return folder
 
 
@@ -180,7 +142,7 @@ def change_version(folder: Path) -> None:
         (("reflection = 0.9", "reflection = 0.8"), (), "scene.room.walls.reflection was 0.9 and is 0.8"),
         (("seed = 3", "seed = 4"), (), "scene.receivers[0].electronics.seed was 3 and is 4"),
         (None, ("--store", "hdf5"), "options.store was 'wav' and is 'hdf5'"),
-        (None, ("--duration", "11.0"), "scene.render.duration was 10.0"),
+        (None, ("--duration", "0.7"), "scene.render.duration was 0.6"),
         (None, ("--engine", "reference"), "scene.render.engine was 'opencl' and is 'reference'"),
         (change_version, (), "versions.clsim was '0.0.9' and is "),
     ],
@@ -199,18 +161,18 @@ def test_another_run_is_not_gone_on_with(unfinished: Path, change, more, message
     assert done(unfinished / "out") > 0
 
 
-def test_changed_files_are_noticed(tmp_path: Path, capsys, device) -> None:
-    chirp = 'signal = { kind = "chirp", start = 30e3, stop = 50e3, duration = 10.0, sampling_rate = 192e3 }'
+def test_changed_files_are_noticed(tmp_path: Path, killer: Killer, capsys, device) -> None:
+    chirp = 'signal = { kind = "chirp", start = 30e3, stop = 50e3, duration = 0.6, sampling_rate = 192e3 }'
     assert chirp in LONG
-    scene = tmp_path / "scene.toml"
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text(LONG.replace(chirp, 'signal = { kind = "wav", path = "s.wav" }'), "utf-8")
-    samples = np.sin(0.2 * np.pi * np.arange(10 * 192_000)).astype(np.float32)
+    samples = np.sin(0.2 * np.pi * np.arange(115_200)).astype(np.float32)
     soundfile.write(tmp_path / "s.wav", samples, 192_000, subtype="FLOAT")
-    assert kill_once_beyond(start(scene, tmp_path / "out", "wav"), tmp_path / "out", 0, 0.0)
+    assert killer.run(command(scene, out, "wav"), out, event=2, of="journal.npz") == -signal.SIGKILL
     samples[-1] += 1e-6
     soundfile.write(tmp_path / "s.wav", samples, 192_000, subtype="FLOAT")
-    assert main(command(scene, tmp_path / "out", "wav", "--resume")) == 2
-    assert "s.wav was" in capsys.readouterr().err
+    assert main(command(scene, out, "wav", "--resume")) == 2
+    assert "contents.s.wav was" in capsys.readouterr().err
 
 
 def test_an_unfinished_run_must_be_told_what_becomes_of_it(unfinished: Path, capsys) -> None:
@@ -257,28 +219,24 @@ def test_a_broken_journal_is_told(unfinished: Path, capsys) -> None:
         assert err.count("\n") == 1
 
 
-def test_two_runs_into_one_folder(tmp_path: Path, capsys, device) -> None:
+def test_two_runs_into_one_folder(unfinished: Path, capsys) -> None:
     pytest.importorskip("fcntl")
-    scene, out = tmp_path / "scene.toml", tmp_path / "out"
-    scene.write_text(LONG, "utf-8")
-    process = start(scene, out, "wav")
-    while process.poll() is None and done(out) == 0:
-        time.sleep(0.01)
-    assert main(command(scene, out, "wav", "--resume")) == 2
-    assert "one process at a time" in capsys.readouterr().err
+    out = unfinished / "out"
+    with locked(out / ".partial" / "lock", "--output"):
+        for more in ("--resume", "--force"):
+            assert main(command(unfinished / "scene.toml", out, "wav", more)) == 2
+            assert "one process at a time" in capsys.readouterr().err
     assert done(out) > 0
-    process.kill()
-    process.communicate()
 
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 8 MiB of its own."""
+    """A file system of 1 MiB of its own."""
     place = tmp_path / "disk"
     place.mkdir()
     if os.name == "nt" or os.geteuid() != 0:
         pytest.skip("only root may mount a small disk")
-    mount = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(place)]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(place)]
     if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
         pytest.skip("a small disk cannot be mounted here")
     yield place
@@ -299,7 +257,7 @@ def test_a_full_disk_loses_nothing(kind: str, scene: Path, small_disk: Path, tmp
         assert [p.name for p in out.iterdir()] == [".partial"]
     else:  # told before anything was rendered, and nothing is left
         assert "MiB are needed" in err
-        assert list(out.iterdir()) == []
+        assert not out.exists()
     subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)
     assert main(command(scene, out, kind, "--resume")) == 0
     assert main(command(scene, tmp_path / "whole", kind)) == 0
@@ -333,15 +291,17 @@ def test_stores_hold_the_same_sound(scene: Path, tmp_path: Path, device) -> None
         np.testing.assert_array_equal(plain.sound.values, wanted)
 
 
-def test_pictures_are_drawn_from_every_store(scene: Path, tmp_path: Path, device) -> None:
-    skip_without("zarr")
-    skip_without("hdf5")
-    pictures = []
+def test_pictures_are_drawn_from_every_store(scene: Path, tmp_path: Path, monkeypatch, device) -> None:
+    drawn = []
+    monkeypatch.setattr("clsim.commands.run.spectrogram", lambda sound, *_, **__: drawn.append(sound[0 : len(sound)]))
+    monkeypatch.setattr("clsim.commands.run.echogram", lambda *_: None)
     for kind in KINDS:
-        arguments = ["run", str(scene), "-o", str(tmp_path / kind), "--store", kind, "--duration", "0.2"]
+        skip_without(kind)
+        arguments = ["run", str(scene), "-o", str(tmp_path / kind), "--store", kind, "--duration", "0.1"]
         assert main(arguments) == 0
-        pictures.append((tmp_path / kind / "right_spectrogram.png").read_bytes())
-    assert pictures[0] == pictures[1] == pictures[2]
+    assert np.any(drawn[0])
+    for receiver in (0, 1):
+        np.testing.assert_array_equal(drawn[receiver::2], 3 * [drawn[receiver]])
 
 
 def test_open_store_refuses_others(tmp_path: Path) -> None:

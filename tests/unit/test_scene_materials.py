@@ -126,7 +126,7 @@ def test_a_copy_of_the_scene_elsewhere_finds_the_sound_file(folder):
     walls = {"default": {"wav": {"path": "wall.wav"}}, "x_min": {"reflection": [0.0, 0.5]}}
     file = build_scene(scene(walls), folder)
     (folder / "out").mkdir()
-    copy = folder / "out" / "scene.toml"
+    copy = folder / "out" / "scene.completed.toml"
     copy.write_text(completed_scene(file, folder / "out"), "utf-8")
     assert 'path = "../wall.wav"' in copy.read_text("utf-8")
     again = load_scene(copy).scene.room.wall_materials

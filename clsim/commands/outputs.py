@@ -1,0 +1,62 @@
+"""The names of all that a run writes, known before anything is computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from clsim.output.names import file_names
+from clsim.output.stores import store_names
+
+if TYPE_CHECKING:
+    import argparse
+
+    from clsim.scene_file import SceneFile
+
+COMPLETED = "scene.completed.toml"
+TRUTH = "truth.npz"
+MOST_DRAWN = 16  # receivers
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutputs:
+    """What a run may write into its folder.
+
+    Attributes
+    ----------
+    receivers : list of str
+        Names of the receivers, as files are called.
+    sound : list of str
+        Files or folders of the sound.
+    table : str
+        The path table; empty if none is wanted.
+    drawn : list of str
+        Receivers whose pictures are drawn, by their names.
+    """
+
+    receivers: list[str]
+    sound: list[str]
+    table: str
+    drawn: list[str]
+
+    @classmethod
+    def of(cls, file: SceneFile, options: argparse.Namespace) -> RunOutputs:
+        """Return what a scene file gives with the options of the command line."""
+        names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
+        table = "" if options.table == "none" else f"paths.{options.table}"
+        return cls(names, store_names(options.store, names), table, [] if options.no_plots else names[:MOST_DRAWN])
+
+    def beside_sound(self, changing: bool = True) -> list[str]:
+        """Return what is made once there is sound, the completed scene last; `changing`: whether paths come and go."""
+        tables = [self.table, TRUTH] if self.table else [TRUTH]
+        kinds = ("paths", "spectrogram", "echogram") if changing else ("spectrogram", "echogram")
+        return [*tables, *(picture(name, kind) for name in self.drawn for kind in kinds), COMPLETED]
+
+    def all(self) -> list[str]:
+        """Return all that may be written."""
+        return [*self.sound, *self.beside_sound()]
+
+
+def picture(receiver: str, kind: str) -> str:
+    """Return the name of a picture of a receiver."""
+    return f"{receiver}_{kind}.png"

@@ -1,0 +1,111 @@
+"""The record of a folder: which of its files clsim wrote, of which run they are, and what they held then."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import stat
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from clsim.errors import InputError
+from clsim.output.atomic import safe_path
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RECORD = "clsim.json"
+_FORMAT = 1
+Fingerprint = tuple[int, str]  # bytes, and SHA-256 in hexadecimal
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What clsim wrote into a folder.
+
+    Attributes
+    ----------
+    identity : dict
+        Of the run, as JSON keeps it; empty where there is none.
+    finished : bool
+        Whether all of it was made.
+    files : dict
+        Fingerprints of results by name, folders among them.
+    replaced : tuple of (name, fingerprint)
+        Earlier results in whose place others are being put.
+    """
+
+    identity: dict[str, Any] = field(default_factory=dict)
+    finished: bool = False
+    files: dict[str, Fingerprint] = field(default_factory=dict)
+    replaced: tuple[tuple[str, Fingerprint], ...] = ()
+
+    def fingerprints(self, name: str) -> list[Fingerprint]:
+        """Return what a file of clsim's may hold."""
+        now = [self.files[name]] if name in self.files else []
+        return now + [mark for other, mark in self.replaced if other == name]
+
+    def names(self) -> list[str]:
+        """Return the names of all that is clsim's."""
+        return list(dict.fromkeys([*self.files, *(name for name, _ in self.replaced)]))
+
+    def outdated(self) -> Record:
+        """Return the record of a folder in which another run is begun."""
+        marks = tuple((name, mark) for name in self.names() for mark in self.fingerprints(name))
+        return Record({}, self.finished, {}, marks)
+
+
+def load_record(folder: Path) -> Record:
+    """Return the record of a folder; an empty one where there is none.
+
+    Raises
+    ------
+    InputError
+        If there is a file of its name that is none.
+    """
+    path = folder / RECORD
+    if not os.path.lexists(path):
+        return Record()
+    try:
+        if path.is_symlink():
+            raise ValueError("it is a link")
+        read = json.loads(path.read_text("utf-8"))
+        if read.pop("format") != _FORMAT:
+            raise ValueError("it has another format")
+        files = {_plain(name): (int(size), str(digest)) for name, (size, digest) in read["files"].items()}
+        replaced = tuple((_plain(name), (int(size), str(digest))) for name, (size, digest) in read["replaced"])
+        return Record(dict(read["identity"]), bool(read["finished"]), files, replaced)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise InputError("--output", f"must hold no {RECORD} of others, but {path} cannot be read: {error}") from error
+
+
+def save_record(folder: Path, record: Record, work: Path) -> None:
+    """Write the record of a folder, on the disk itself; `work` is where it is made."""
+    with safe_path(folder / RECORD, work) as temporary:
+        temporary.write_text(json.dumps({"format": _FORMAT, **asdict(record)}, indent=1) + "\n", "utf-8")
+
+
+def _plain(name: Any) -> str:
+    """Return the name of a file in the folder itself."""
+    if not isinstance(name, str) or name in ("", ".", "..", RECORD) or "/" in name or os.sep in name:
+        raise ValueError(f"{name!r:.80} is no name of a result")
+    return name
+
+
+def fingerprint(path: Path) -> Fingerprint | None:
+    """Return size and digest of a file, or of all that a folder holds; None of what is missing, a link or a device."""
+    try:
+        mode = path.lstat().st_mode
+        if stat.S_ISREG(mode):
+            with path.open("rb") as file:
+                return path.stat().st_size, hashlib.file_digest(file, "sha256").hexdigest()
+        if not stat.S_ISDIR(mode):
+            return None
+        inside = {child.name: fingerprint(child) for child in sorted(path.iterdir())}
+    except FileNotFoundError:
+        return None
+    if None in inside.values():
+        return None
+    size = sum(mark[0] for mark in inside.values() if mark is not None)
+    return size, hashlib.sha256(json.dumps(inside).encode()).hexdigest()
