@@ -6,6 +6,7 @@ import pytest
 from proven import proven
 
 import clsim
+from clsim.paths import shooting
 from clsim.paths.beam_tree import BeamTree, Candidates
 from clsim.paths.device_intervals import DeviceSearch
 from clsim.paths.intervals import Question
@@ -168,3 +169,16 @@ def test_a_flush_end_that_slides_costs_no_more_than_another(device) -> None:
         both = Candidates.joined(parts)
         looks.append(DeviceSearch(question).find(both.sequence[both.row], both.receiver).looks / len(both.row))
     assert looks[0] < 2.0 * looks[1]
+
+
+def test_rays_are_shot_from_before_the_wall(device, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("embreex")
+    monkeypatch.setattr(shooting, "RAYS", 40_000)
+    source = clsim.Source("s", TONE, at((4, 2, 1.2)), flush=(1, 0, 0))
+    scene = clsim.Scene(PARTED, clsim.Air(), [source], [clsim.Receiver("r", at((6, 3, 1.4)))])
+    wanted = {tuple(w) for w in clsim.find_paths(scene, 2).walls.tolist()}
+    with pytest.warns(clsim.ClsimWarning, match="rays are shot, as asked"):
+        shot = clsim.find_paths(scene, 2, finder="shooting")
+    assert {tuple(w) for w in shot.walls.tolist()} == wanted
+    assert (-1, -1) in wanted
+    assert (len(PARTED.walls) - 1, -1) in wanted
