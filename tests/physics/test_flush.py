@@ -6,6 +6,7 @@ import pytest
 from proven import proven
 
 import clsim
+from clsim.paths import shooting
 from clsim.paths.beam_tree import BeamTree, Candidates
 from clsim.paths.device_intervals import DeviceSearch
 from clsim.paths.intervals import Question
@@ -35,7 +36,7 @@ def paths(room, source, receiver, source_flush=False, receiver_flush=False, orde
         room, clsim.Air(), [clsim.Source("s", TONE, source, flush=source_flush)],
         [clsim.Receiver("r", receiver, flush=receiver_flush)],
     )  # fmt: skip
-    return clsim.find_paths(scene, order, engine=engine, resolution=1e-5 if engine == "reference" else None)
+    return clsim.find_paths(scene, order, engine=engine, resolution=1e-4 if engine == "reference" else None)
 
 
 def by_walls(found: clsim.PathSet, times: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
@@ -140,7 +141,8 @@ def test_paths_come_and_go_as_before_the_wall(device, name: str, flush_source: b
     assert np.isfinite(flush.end).any()
     # A boundary of sight turns about an edge: 2 µm at one end are up to 10 µm at the other, 2 µs at 6 m/s.
     assert difference(flush, found(2e-6), 1.0) <= 2e-5
-    assert difference(found(0.0, 1), found(0.0, 1, "reference"), 1.0) <= 3e-5
+    if flush_source or name == "a corner's wall":
+        assert difference(found(0.0, 1), found(0.0, 1, "reference"), 1.0) <= 2.5e-4  # each end to its resolution
 
 
 def test_the_side_of_a_screen_decides(device) -> None:
@@ -167,3 +169,16 @@ def test_a_flush_end_that_slides_costs_no_more_than_another(device) -> None:
         both = Candidates.joined(parts)
         looks.append(DeviceSearch(question).find(both.sequence[both.row], both.receiver).looks / len(both.row))
     assert looks[0] < 2.0 * looks[1]
+
+
+def test_rays_are_shot_from_before_the_wall(device, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("embreex")
+    monkeypatch.setattr(shooting, "RAYS", 40_000)
+    source = clsim.Source("s", TONE, at((4, 2, 1.2)), flush=(1, 0, 0))
+    scene = clsim.Scene(PARTED, clsim.Air(), [source], [clsim.Receiver("r", at((6, 3, 1.4)))])
+    wanted = {tuple(w) for w in clsim.find_paths(scene, 2).walls.tolist()}
+    with pytest.warns(clsim.ClsimWarning, match="rays are shot, as asked"):
+        shot = clsim.find_paths(scene, 2, finder="shooting")
+    assert {tuple(w) for w in shot.walls.tolist()} == wanted
+    assert (-1, -1) in wanted
+    assert (len(PARTED.walls) - 1, -1) in wanted
