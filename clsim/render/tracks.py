@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.scene.scene import Receiver, Scene
+    from clsim.scene.scene import Receiver, Scene, Source
 
 _TOGETHER = 65536  # paths looked at at a time
 
@@ -309,7 +309,7 @@ def track(
         path_groups.append(group)
         path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
-    ends = [item for _, item in scene.named_ends()]
+    ends: list[Source | Receiver] = [*scene.sources, *scene.receivers]
     speeds = [0.0 if e.trajectory.at_rest else 1.02 * e.trajectory.peak_speed(*scene.span(e))[0] for e in ends]
     count = len(scene.sources)
     return SceneTracks(
