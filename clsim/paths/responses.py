@@ -116,7 +116,7 @@ class Responses:
 
 def is_complex(scene: Scene) -> bool:
     """Return whether any wall or beam of a scene has a phase."""
-    beams = [end.directivity for _, end in scene.named_ends()]
+    beams = [*(source.directivity for source in scene.sources), *(receiver.directivity for receiver in scene.receivers)]
     return any(m.is_complex for m in scene.room.wall_materials) or any(beam.is_complex for beam in beams)
 
 

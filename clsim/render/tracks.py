@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.scene.scene import Receiver, Scene
+    from clsim.scene.scene import Receiver, Scene, Source
     from clsim.scene.trajectory import Trajectory
 
 _TOGETHER = 65536  # paths looked at at a time
@@ -325,7 +325,8 @@ def track(
         path_groups.append(group)
         path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
-    speeds = [1.02 * _peak_speed(item.trajectory, *scene.span(item)) for _, item in scene.named_ends()]
+    ends: list[Source | Receiver] = [*scene.sources, *scene.receivers]
+    speeds = [1.02 * _peak_speed(end.trajectory, *scene.span(end)) for end in ends]
     count = len(scene.sources)
     return SceneTracks(
         paths,

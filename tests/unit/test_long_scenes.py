@@ -241,9 +241,11 @@ def test_a_path_table_is_made_in_pieces() -> None:
     np.testing.assert_array_equal(table.delay[0, 70_000:70_003], paths.table(times[70_000:70_003]).delay[0])
 
 
-@pytest.mark.usefixtures("device")
 def test_no_table_is_made_that_nobody_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_command, "path_table", lambda *_: pytest.fail("a table was made"))
+    monkeypatch.setattr(run_command, "run_identity", lambda *_: {})
+    monkeypatch.setattr(run_command.Unfinished, "render", lambda *_: None)
+    monkeypatch.setattr(run_command.Unfinished, "move", lambda *_: [])
     (tmp_path / "scene.toml").write_text(SCENE.replace("1e6", "0.01"))
     arguments = ["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), "--table", "none", "--no-plots"]
     assert main(arguments) == 0
