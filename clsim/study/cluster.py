@@ -7,15 +7,15 @@ import queue
 import sys
 import uuid
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimError, DeviceError, InputError
 from clsim.study.dispatch import WorkersLostError
-from clsim.study.member import check_worker, is_disk_full, run_member, told
+from clsim.study.member import STORE, check_worker, is_disk_full, row_of_group, run_member, told
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from clsim.study.file import Study
 
@@ -99,8 +99,6 @@ class DaskTeam:
         ------
         OSError
             If the disk is full.
-        ClsimError
-            If the scheduler was lost.
         """
         try:
             number, future = self._done.get(timeout=seconds)
@@ -109,7 +107,7 @@ class DaskTeam:
         if self._futures.get(number) is not future:  # it was forgotten
             return None
         try:
-            row = _row(future, number)
+            row = _row(future, number, Path(self._folder, STORE, f"m{number:06d}"))
         except TimeoutError:  # its worker died before it could tell; if not, it will
             self._done.put((number, future))
             return None
@@ -136,23 +134,21 @@ def _on_worker(folder: str, number: int, devices: list[str]) -> dict[str, Any]:
     return run_member(folder, number, device)
 
 
-def _row(future: Any, number: int) -> dict[str, Any] | None:
-    """Return the row of a member that is done with, None if its worker died.
+def _row(future: Any, number: int, group: Path) -> dict[str, Any] | None:
+    """Return the row of a member that is done with, None if its worker died before it could tell.
 
     Raises
     ------
     OSError
         If the disk is full.
-    ClsimError
-        If the scheduler was lost.
     """
     from distributed import KilledWorker
 
-    if future.status == "finished":
-        row: dict[str, Any] = future.result(timeout=_REACH)
+    row: dict[str, Any] | None = row_of_group(group)
+    if row is None and future.status == "finished":
+        row = future.result(timeout=_REACH)
+    if row is not None or future.status != "error":
         return row
-    if future.status != "error":
-        raise ClsimError("the connection to the scheduler was lost")
     error = future.exception(timeout=_REACH)
     if isinstance(error, KilledWorker):
         return None
@@ -170,12 +166,9 @@ def remote_team(scheduler: str, study: Study, folder: Path) -> Iterator[DaskTeam
     InputError
         If it cannot be reached.
     """
-    import logging
-
     from distributed import Client
-    from distributed.utils import silence_logging_cmgr
 
-    with silence_logging_cmgr(logging.CRITICAL):
+    with _quiet():
         try:
             client = Client(scheduler, timeout=_REACH, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -209,7 +202,7 @@ def local_team(number: int, study: Study, folder: Path) -> Iterator[DaskTeam]:
     }
     needs_device, device = _needs(study)
     devices = _devices() if needs_device else []  # first, so that workers keep kernels where this process does
-    with dask.config.set(settings):
+    with dask.config.set(settings), _quiet():
         try:
             with _deaf_to_interrupts():
                 cluster = LocalCluster(
@@ -220,6 +213,23 @@ def local_team(number: int, study: Study, folder: Path) -> Iterator[DaskTeam]:
             raise WorkersLostError(f"no worker could be started: {told(error)}") from error
         with cluster, Client(cluster, set_as_default=False) as client:
             yield DaskTeam(client, folder, devices, needs_device, device)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Have Dask say nothing of what is told in one line anyway."""
+    import logging
+
+    from distributed.utils import silence_logging_cmgr
+
+    loop = logging.getLogger("asyncio")
+    old = loop.level
+    loop.setLevel(logging.CRITICAL)
+    try:
+        with silence_logging_cmgr(logging.CRITICAL):
+            yield
+    finally:
+        loop.setLevel(old)
 
 
 def _needs(study: Study) -> tuple[bool, str | None]:

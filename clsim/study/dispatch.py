@@ -89,7 +89,7 @@ class Dispatch:
             for number in [n for n, worker in self._running.items() if worker not in there]:
                 team.forget(number)
                 yield from self._died(number, found)
-            if time.monotonic() - seen > self._patience:
+            if not there and time.monotonic() - seen > self._patience:
                 raise WorkersLostError(f"there was no worker for {self._patience:g} s")
             for number, worker in self._chosen(there):
                 self._running[number], self.begun = worker, True

@@ -244,7 +244,7 @@ def _run(
             except WorkersLostError as error:
                 if scheduler:
                     raise InputError("--scheduler", f"must have workers, but {error}") from error
-                tries = tries + 1 if dispatch.left == left else 1
+                tries = tries + 1 if dispatch.left == left else 0
                 left = dispatch.left
                 if tries == _STARTS:
                     raise

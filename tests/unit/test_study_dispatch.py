@@ -3,13 +3,18 @@
 import itertools
 import random
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from clsim.errors import InputError
 from clsim.study import dispatch as dispatch_module
 from clsim.study.dispatch import Dispatch, WorkersLostError
+from clsim.study.run import _no_progress, _run
 
 
 class MadeTeam:
@@ -145,3 +150,46 @@ def test_nothing_waits_for_ever_without_workers(monkeypatch: pytest.MonkeyPatch,
     assert dispatch.left == 3 - len(rows)
     rows += dispatch.rows(MadeTeam(1), lambda number: None)  # another team goes on
     assert sorted(row["member"] for row in rows) == [0, 1, 2]
+
+
+class Leaving(MadeTeam):
+    """Workers that finish one member each and do not come back."""
+
+    def workers(self) -> dict[str, int]:
+        return {} if self.finished else super().workers()
+
+
+def run_with(monkeypatch: pytest.MonkeyPatch, teams: Iterator[MadeTeam | None], scheduler: str | None) -> list[int]:
+    """Run three members by team after team, None for one that does not start; return what was done with."""
+
+    @contextmanager
+    def made(*_: Any) -> Iterator[MadeTeam]:
+        team = next(teams)
+        if team is None:
+            raise WorkersLostError("no worker could be started")
+        yield team
+
+    monkeypatch.setattr("clsim.study.cluster.local_team", made)
+    monkeypatch.setattr("clsim.study.cluster.remote_team", made)
+    rows: list[int] = []
+    index = SimpleNamespace(add=lambda row: rows.append(row["member"]), found=lambda number: None)
+    workers = None if scheduler else 1
+    _run(None, Dispatch([0, 1, 2], patience=0.0), index, Path(), workers, scheduler, _no_progress)
+    return rows
+
+
+def test_processes_that_do_not_come_back_are_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    teams = [None, None, Leaving(1), None, Leaving(1), None, None, Leaving(1)]
+    assert sorted(run_with(monkeypatch, iter(teams), None)) == [0, 1, 2]
+
+
+def test_processes_that_never_start_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    teams = iter([None] * 10)
+    with pytest.raises(WorkersLostError, match="no worker could be started"):
+        run_with(monkeypatch, teams, None)
+    assert len(list(teams)) == 7
+
+
+def test_workers_of_a_scheduler_are_not_ours_to_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="--scheduler: must have workers, but there was no worker for 0 s"):
+        run_with(monkeypatch, iter([Leaving(1)]), "tcp://127.0.0.1:1")
