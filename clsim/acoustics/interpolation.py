@@ -142,7 +142,7 @@ def chebyshev_bank(
     """
     from scipy.special import jv
 
-    w = np.linspace(0.0, math.pi, 16 * (half + 1) + 128)
+    w = np.linspace(0.0, math.pi, 8 * (half + 1) + 128)
     inside = w <= edge * (1 + 1e-12)
     w = np.union1d(w, np.linspace(0.0, edge, int(inside.sum()) + 32))
     inside = w <= edge * (1 + 1e-12)
@@ -205,7 +205,7 @@ def design_bandlimited(
         if 20 * math.log10(reached) <= error_db:
             taps.flags.writeable = False
             return taps, 20 * math.log10(reached)
-        step = max(1, half // 8)
+        step = max(1, half // 6)
         half += step
     raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {edge:.4g} rad")
 
