@@ -88,7 +88,7 @@ def test_check_of_a_fixed_scene_of_days(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
-    with few_looks(monkeypatch), little_memory(30e6):
+    with few_looks(monkeypatch), little_memory(40e6):
         assert main(["check", str(tmp_path / "scene.toml")]) == 0
     assert "1e+06 s" in capsys.readouterr().out
 
@@ -244,8 +244,7 @@ def test_a_path_table_is_made_in_pieces() -> None:
 def test_no_table_is_made_that_nobody_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_command, "path_table", lambda *_: pytest.fail("a table was made"))
     monkeypatch.setattr(run_command, "run_identity", lambda *_: {})
-    monkeypatch.setattr(run_command.Unfinished, "render", lambda *_: None)
-    monkeypatch.setattr(run_command.Unfinished, "move", lambda *_: [])
+    monkeypatch.setattr(run_command, "render_sound", lambda *_: [])
     (tmp_path / "scene.toml").write_text(SCENE.replace("1e6", "0.01"))
     arguments = ["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), "--table", "none", "--no-plots"]
     assert main(arguments) == 0

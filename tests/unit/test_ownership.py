@@ -148,7 +148,7 @@ def test_what_others_made_stays(name: str, tmp_path: Path, capsys, monkeypatch) 
 
 def wav_input(folder: Path, name: str) -> Path:
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    soundfile.write(folder / name, np.hanning(320), 16_000, subtype="FLOAT")
+    soundfile.write(folder / name, np.hanning(320) * np.sin(np.arange(320)), 16_000, subtype="FLOAT")
     return write_scene(folder / "s.toml", WAV % name)
 
 
