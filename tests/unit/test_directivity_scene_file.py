@@ -119,7 +119,7 @@ def test_sofa_files(folder: Path) -> None:
         ('{ kind = "table", path = "beam.npz", phases_path = "phase.csv" }', "phases_path", "left out"),
         ('{ kind = "table", path = "beam.csv", phases_path = "no.csv", rear = "hold" }', "phases_path", "no.csv"),
         ('{ kind = "table", path = "beam.csv", rear = "hold", surprise = 1 }', "surprise", "no known key"),
-        ('{ kind = "sofa", path = "missing.sofa" }', "path", "no such file"),
+        ('{ kind = "sofa", path = "missing.sofa" }', "path", "No such file"),
         ('{ kind = "sofa" }', "path", "missing"),
         ('{ kind = "tabel" }', "kind", "'table'"),
         ('{ path = "beam.csv" }', "kind", "'sofa'"),
