@@ -21,7 +21,7 @@ from clsim.errors import ClsimWarning
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_ROOM = 2**22  # bytes; the kernels of one scene take less than a quarter
+_ROOM = 2**20  # bytes: about what the kernels of one scene take
 
 
 @cache

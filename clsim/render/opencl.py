@@ -116,20 +116,16 @@ class OpenclEngine:
         for i, emission in enumerate(self._plan.emissions):
             reached = 20.0 * math.log10(max(float(self._unheld[i]), 1e-15))
             if reached > emission.basis.asked_db + 1.0 > -math.inf:
-                warnings.warn(
+                _warn(
                     f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
-                    f"{emission.basis.asked_db:g} dB asked for; ask for a smaller response_error_db",
-                    ClsimWarning,
-                    stacklevel=3,
+                    f"{emission.basis.asked_db:g} dB asked for; ask for a smaller response_error_db"
                 )
-
             wrong, time = self._coarse[i]
-            if wrong > 0.0:
-                warnings.warn(
-                    f"source {i}: at about {time:.3f} s ends are so near and fast that even the shortest blocks are "
-                    f"wrong by {20.0 * math.log10(wrong):.0f} dB of what is heard; sample faster, or keep farther away",
-                    ClsimWarning,
-                    stacklevel=3,
+            wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
+            if wrong_db > self._plan.motion_error_db + 6.0:  # that of the delay filters
+                _warn(
+                    f"source {i}: at about {time:.3f} s ends are so near and fast, or turn so sharply, that even the "
+                    f"shortest blocks are wrong by {wrong_db:.0f} dB of what is heard; sample faster, or keep off"
                 )
 
     def note(self, source: int, unheld: float) -> None:
@@ -315,6 +311,10 @@ class Run:
             self._engine._queue, *work(slot.size // 4), np.int32(slot.size // 4), slot, at, np.int32(self._functions),
             nodes.cubics, np.int32(self._slots.count),
         )  # fmt: skip
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, ClsimWarning, stacklevel=4)
 
 
 def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:

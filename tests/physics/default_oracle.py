@@ -80,6 +80,10 @@ class Sway:
     def velocity(self, time: np.ndarray) -> np.ndarray:
         return np.array(self.amplitude) * np.array(self.rate) * np.cos(self._angle(time))
 
+    def speed_over(self, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        most = np.linalg.norm(np.array(self.amplitude) * np.array(self.rate) ** 2)  # of the acceleration
+        return np.linalg.norm(self.velocity(begin), axis=-1) + (end - begin) * most
+
 
 @dataclass(frozen=True)
 class Room:

@@ -36,6 +36,10 @@ class Wobble:
         angle = self.rate * np.asarray(time)[..., None, None] + self.phase
         return np.sum(self.amplitude * self.rate * np.cos(angle), axis=-2)
 
+    def speed_over(self, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        most = np.linalg.norm(np.sum(self.amplitude * self.rate**2, axis=0))  # of the acceleration
+        return np.linalg.norm(self.velocity(begin), axis=-1) + (end - begin) * most
+
     def trajectory(self, end: float = 2.0) -> Trajectory:
         return Trajectory(self, 0.0, end)
 

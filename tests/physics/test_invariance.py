@@ -47,6 +47,9 @@ class Moved:
     def velocity(self, time: np.ndarray) -> np.ndarray:
         return self.curve.velocity(time) @ self.turn.T
 
+    def speed_over(self, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        return self.curve.speed_over(begin, end)
+
 
 @dataclass(frozen=True)
 class World:
