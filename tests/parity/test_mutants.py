@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import clsim
 from clsim.opencl import device as device_module
 from clsim.paths.path_set import PathSet
-from clsim.render.opencl import OpenclEngine
+from clsim.render.opencl import GPU_LAYOUT, Layout, OpenclEngine
 from clsim.render.plan import plan_render
 from clsim.render.reference import ReferenceEngine
 
@@ -94,13 +94,13 @@ def _near() -> PathSet:
 
 
 @pytest.fixture(scope="module")
-def difference_db() -> Callable[[str], float]:
+def difference_db() -> Callable[..., float]:
     """Return what renders a scene by OpenCL, as the kernels are now, and compares it with the reference."""
     plans = {kind: _plan(kind) for kind in KINDS}
     wanted = {kind: ReferenceEngine(plan).render(FIRST, LAST)[0] for kind, plan in plans.items()}
 
-    def compare(kind: str) -> float:
-        engine = OpenclEngine(plans[kind])
+    def compare(kind: str, layout: Layout | None = None) -> float:
+        engine = OpenclEngine(plans[kind], layout)
         engine.skips_silence = False  # what it changes is in test_silence.py
         try:
             got = engine.render(0, LAST)[0, FIRST:]
@@ -123,9 +123,10 @@ def _plan(kind: str):
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("layout", [None, GPU_LAYOUT])
 @pytest.mark.parametrize("kind", KINDS)
-def test_kernels_as_they_are_pass(difference_db, kind: str) -> None:
-    assert difference_db(kind) < (NEAR_DB if kind == "near" else TOLERANCE_DB)
+def test_kernels_as_they_are_pass(difference_db, kind: str, layout: Layout | None) -> None:
+    assert difference_db(kind, layout) < (NEAR_DB if kind == "near" else TOLERANCE_DB)
 
 
 MUTANTS = {

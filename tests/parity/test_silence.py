@@ -1,5 +1,7 @@
 """What is silent is left out without a change of a single bit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_meshes import pillar_room
@@ -44,6 +46,15 @@ def pillar_plan() -> Plan:
     return plan_render(scene, clsim.find_paths(scene, 2), RATE, duration=0.5)
 
 
+def near_plan() -> Plan:
+    """Return the plan of a source that pulses while it passes a receiver at 12 mm and 20 m/s, all in fine blocks."""
+    line = clsim.Trajectory.line((1.0, 2.5, 2.0), (5.0, 2.5, 2.0), 0.2)
+    source = clsim.Source("s", pulses(0.033, 6, 5e-3), line)
+    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((3.02, 2.512, 2.0)))]  # when the fourth pulse is in its middle
+    scene = clsim.Scene(clsim.Shoebox((6, 5, 4), WALL), clsim.Air(), [source], ears)
+    return replace(plan_render(scene, clsim.find_paths(scene, 2), RATE, duration=0.2), blocks=(24,))
+
+
 PLANS = {
     "a pulse every 0.1 s": lambda: box_plan(pulses(0.1, 5)),
     "one pulse": lambda: box_plan(pulses(1.0, 1)),
@@ -52,6 +63,7 @@ PLANS = {
         pulses(0.1, 5), order=1, interpolator=clsim.Lagrange(7), response_error_db="centre"
     ),
     "paths that come and go": pillar_plan,
+    "near and fast": near_plan,
 }
 
 
