@@ -270,7 +270,8 @@ def _band(
         return band, -math.inf, np.ones(1)
     spectrum = signal.energy_spectrum()
     removed_db = share_above(spectrum, widest)
-    _check_doppler(index, spectrum, tracks, rate)
+    still = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
+    _check_received(index, spectrum, widest, still, tracks, rate)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
             f"signals[{index}]: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
@@ -280,12 +281,19 @@ def _band(
     return widest, removed_db, limit
 
 
-def _check_doppler(index: int, spectrum: tuple[Floats, Floats], tracks: Tracks, rate: float) -> None:
-    """Refuse motion that takes more than half of a signal's energy out of the band that can be received."""
-    still = _WIDEST_OVERSAMPLED * 0.5 * rate
-    band, middle = still / (1.0 + tracks.max_rate(index)), shares(spectrum, 0.5)[1]
-    if not band < middle < still:
+def _check_received(
+    index: int, spectrum: tuple[Floats, Floats], widest: float, still: float, tracks: Tracks, rate: float
+) -> None:
+    """Refuse a signal that has more than half of its energy above the band, by itself (`still`) or by Doppler."""
+    middle = shares(spectrum, 0.5)[1]
+    if middle <= widest:
         return
+    if tracks.max_rate(index) == 0.0 or middle >= still:
+        raise InputError(
+            f"signals[{index}]",
+            f"must lie below {widest:.0f} Hz at a sampling rate of {rate:g} Hz, but half of its energy lies at "
+            f"{middle:.0f} Hz and above: sample faster",
+        )
     speed, most = tracks.fastest(index, still / middle - 1.0)
     raise InputError(
         f"signals[{index}]",

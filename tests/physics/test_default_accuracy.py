@@ -90,6 +90,20 @@ def test_what_doppler_takes_out_of_the_band_is_refused(speed: float) -> None:
         pressures(replace(case, duration=0.025).plan())
 
 
+@pytest.mark.parametrize("filters", [clsim.Bandlimited(), clsim.Lagrange(12)])
+def test_what_lies_above_the_band_is_refused_and_not_rendered_as_nothing(
+    filters: clsim.Bandlimited | clsim.Lagrange,
+) -> None:
+    tone = clsim.Signal.tone(0.99 * 24e3, 0.02, 48e3)
+    scene = clsim.Scene(
+        clsim.Shoebox((6, 5, 4), clsim.Material.from_reflection(0.9)), clsim.Air(),
+        [clsim.Source("s", tone, clsim.Trajectory.fixed((1.0, 2.0, 2.0)))],
+        [clsim.Receiver("r", clsim.Trajectory.line((4.0, 2.0, 2.0), (4.1, 2.0, 2.0), 0.1))],
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"half of its energy lies at 237\d\d Hz and above: sample faster"):
+        clsim.render(scene, clsim.find_paths(scene, 0), 48e3, interpolator=filters)
+
+
 @pytest.mark.parametrize("case", named(drawn()))
 def test_drawn_scenes(case: Case) -> None:
     check(measured(case))
