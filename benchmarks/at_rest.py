@@ -4,8 +4,8 @@ import time
 from pathlib import Path
 
 import clsim
-from clsim.render.at_rest import Convolution
 from clsim.render.plan import plan_render
+from clsim.render.static_pairs import Convolution
 
 RATE = 192e3
 SIZE = (8.0, 6.0, 3.0)

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from clsim.commands.planning import planned
 from clsim.render.render import render_chunks
 from clsim.scene_file import load_scene
+from clsim.workflow.pipeline import planned
 
 SCENE = """
 format = 1

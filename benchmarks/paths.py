@@ -18,8 +18,8 @@ import numpy as np
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.paths import beam_tree, device_intervals
-from clsim.paths.movers import movers
+from clsim.paths.specular import beam_tree, device_intervals
+from clsim.paths.trajectory_tables import movers
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[1] / "shared" / "data"

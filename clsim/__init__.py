@@ -8,31 +8,31 @@ The pipeline is four values and three arrows between them::
 """
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
+from clsim.paths.ground_truth import direct_truth
 from clsim.paths.path_set import PathSet
-from clsim.paths.truth import direct_truth
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.plan import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
-from clsim.render.tracks import Tracks, track
-from clsim.room_responses import ImpulseResponses, impulse_responses
 from clsim.scene.air import Air
-from clsim.scene.directivity import Cardioid, Omni, Piston, named_directivity
-from clsim.scene.directivity_table import DirectivityTable
-from clsim.scene.electronics import Electronics
-from clsim.scene.material import Material
-from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.directivity.axial_table import DirectivityTable
+from clsim.scene.directivity.patterns import Cardioid, Omni, Piston, named_directivity
+from clsim.scene.directivity.spherical_table import SphericalTable
+from clsim.scene.material.material import Material
+from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
-from clsim.scene.room import Shoebox
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Receiver, Scene, Source
-from clsim.scene.signal import Signal
-from clsim.scene.spherical_table import SphericalTable
-from clsim.scene.trajectory import Trajectory
-from clsim.scene.transducer import Transducer, named_transducer
+from clsim.scene.signal.signal import Signal
+from clsim.scene.transducer.electronics import Electronics
+from clsim.scene.transducer.transducer import Transducer, named_transducer
 from clsim.study.run import run_study
+from clsim.tracks.tracks import Tracks, track
 
 __version__ = "0.1.0"
 

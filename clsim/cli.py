@@ -9,9 +9,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
-from clsim.commands.console import one_line_warnings
 from clsim.errors import ClsimError, InputError
 from clsim.output.stores import KINDS
+from clsim.workflow.console import one_line_warnings
 
 
 def main(arguments: list[str] | None = None) -> int:

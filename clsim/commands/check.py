@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.commands.planning import planned
-from clsim.scene.mesh_diagnosis import diagnose, diagnose_ends
-from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.report import diagnose, diagnose_ends
 from clsim.scene_file import load_scene
+from clsim.workflow.pipeline import planned
 
 if TYPE_CHECKING:
     import argparse

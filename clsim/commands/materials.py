@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.errors import InputError
+from clsim.files.ownership import NewFile
 from clsim.output.material_plot import reflection_loss, reflection_losses
-from clsim.output.ownership import NewFile
-from clsim.scene.material import MATERIAL_NAMES, Material
-from clsim.scene.material_library import LIBRARY
+from clsim.scene.material.library import LIBRARY
+from clsim.scene.material.material import MATERIAL_NAMES, Material
 
 if TYPE_CHECKING:
     import argparse

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from clsim.output.names import file_names
+from clsim.files.names import file_names
 from clsim.output.stores import store_names
 
 if TYPE_CHECKING:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.commands.planning import path_table, planned, read_files
 from clsim.errors import InputError
-from clsim.output.ownership import NewFile
+from clsim.files.ownership import NewFile
 from clsim.output.table import check_table, write_table
 from clsim.scene_file import load_scene
+from clsim.workflow.pipeline import path_table, planned, read_files
 
 if TYPE_CHECKING:
     import argparse

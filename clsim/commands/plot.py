@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import Floats, as_number
-from clsim.commands.planning import read_files
 from clsim.errors import InputError
+from clsim.files.ownership import NewFile
 from clsim.output.beam_plots import Beam, air_picture, beams_picture
-from clsim.output.ownership import NewFile
 from clsim.scene.air import Air
-from clsim.scene.directivity import Directivity, SphericalDirectivity, named_directivity
+from clsim.scene.directivity.patterns import Directivity, SphericalDirectivity, named_directivity
 from clsim.scene.scene import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
+from clsim.workflow.pipeline import read_files
 
 if TYPE_CHECKING:
     import argparse

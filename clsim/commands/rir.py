@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clsim.commands.console import progress
-from clsim.commands.planning import found_paths, read_files, shares
 from clsim.errors import InputError
-from clsim.output.ownership import NewFile
-from clsim.output.responses import response_names, write_response_sounds, write_responses
-from clsim.room_responses import as_response_band, impulse_responses
+from clsim.files.ownership import NewFile
+from clsim.impulse_responses import as_response_band, impulse_responses
+from clsim.output.response_files import response_names, write_response_sounds, write_responses
 from clsim.scene_file import load_scene
+from clsim.workflow.console import progress
+from clsim.workflow.pipeline import found_paths, read_files, shares
 
 if TYPE_CHECKING:
     import argparse

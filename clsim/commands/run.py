@@ -8,26 +8,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.commands.console import progress
 from clsim.commands.outputs import COMPLETED, MOST_DRAWN, TRUTH, RunOutputs, picture
-from clsim.commands.planning import path_table, planned, read_files
-from clsim.commands.unfinished import render_sound, run_identity
 from clsim.errors import ClsimWarning, InputError
-from clsim.output.atomic import safe_path
+from clsim.files.atomic import safe_path
 from clsim.output.envelope_plot import envelope_spectrogram
 from clsim.output.plots import echogram, history, spectrogram
-from clsim.output.result_folder import ResultFolder
 from clsim.output.stores import StoredSound, check_store, sound_store
 from clsim.output.table import check_table, write_table, write_truth
 from clsim.render.memory import within_memory
 from clsim.scene_file import completed_scene, load_scene
+from clsim.workflow.checkpoint import render_sound, run_identity
+from clsim.workflow.console import progress
+from clsim.workflow.pipeline import path_table, planned, read_files
+from clsim.workflow.result_folder import ResultFolder
 
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
     from clsim.arrays import Floats
-    from clsim.output.levels import Readable
+    from clsim.output.spectrogram import Readable
     from clsim.output.stores import SoundStore
     from clsim.paths.path_set import PathSet
     from clsim.render.plan import Plan

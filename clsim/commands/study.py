@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from clsim.commands.console import progress
 from clsim.study.run import run_study
+from clsim.workflow.console import progress
 
 if TYPE_CHECKING:
     import argparse

@@ -5,12 +5,12 @@ from __future__ import annotations
 import webbrowser
 from typing import TYPE_CHECKING
 
-from clsim.commands.console import progress
-from clsim.commands.planning import planned, read_files
 from clsim.errors import InputError
-from clsim.output.ownership import NewFile
+from clsim.files.ownership import NewFile
 from clsim.output.view import view_scene
 from clsim.scene_file import load_scene
+from clsim.workflow.console import progress
+from clsim.workflow.pipeline import planned, read_files
 
 if TYPE_CHECKING:
     import argparse

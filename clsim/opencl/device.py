@@ -13,7 +13,7 @@ import numpy as np
 
 from clsim.errors import DeviceError
 from clsim.opencl.cache import Trial, TriedKernel, prepare
-from clsim.opencl.kernel_source import kernel_source
+from clsim.opencl.kernels import kernel_source
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

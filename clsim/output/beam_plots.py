@@ -9,7 +9,7 @@ import numpy as np
 
 from clsim.acoustics.air import absorption_iso9613
 from clsim.errors import InputError
-from clsim.output.atomic import atomic_path
+from clsim.files.atomic import atomic_path
 
 if TYPE_CHECKING:
     import os
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.air import Air
-    from clsim.scene.directivity import Directivity, SphericalDirectivity
+    from clsim.scene.directivity.patterns import Directivity, SphericalDirectivity
 
 _FLOOR_DB = -40.0
 _COLUMNS = 3

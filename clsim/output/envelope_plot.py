@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.output.atomic import atomic_path
+from clsim.files.atomic import atomic_path
 
 if TYPE_CHECKING:
     import os

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.errors import ClsimWarning
-from clsim.output.atomic import atomic_path
+from clsim.files.atomic import atomic_path
 
 if TYPE_CHECKING:
     import os
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from clsim.arrays import Floats
-    from clsim.scene.material import Material
+    from clsim.scene.material.material import Material
 
 _LOW, _HIGH = 100.0, 100e3  # Hz
 _STEEPEST = 89.0  # degrees

@@ -12,8 +12,8 @@ from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from clsim.output.atomic import atomic_path
-from clsim.output.levels import levels
+from clsim.files.atomic import atomic_path
+from clsim.output.spectrogram import levels
 
 if TYPE_CHECKING:
     import os
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.output.levels import Readable
+    from clsim.output.spectrogram import Readable
     from clsim.paths.path_table import PathTable
 
 _RANGE_DB = 75.0  # shown below the loudest

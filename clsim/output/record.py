@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
-from clsim.output.atomic import safe_path
+from clsim.files.atomic import safe_path
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.output.atomic import to_disk, tree_to_disk
-from clsim.output.rows import Rows
-from clsim.output.wav import EnvelopeFile, SoundFile, wav_header
+from clsim.files.atomic import to_disk, tree_to_disk
+from clsim.files.wav import EnvelopeFile, SoundFile, wav_header
+from clsim.output.raw_rows import Rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.output.levels import Readable
+    from clsim.output.spectrogram import Readable
 
 KINDS = ("wav", "zarr", "hdf5")
 STORE_FORMAT = 1

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.output.atomic import atomic_path
+from clsim.files.atomic import atomic_path
+from clsim.paths.ground_truth import direct_truth
 from clsim.paths.path_table import PathTable
-from clsim.paths.truth import direct_truth
 
 if TYPE_CHECKING:
     import os

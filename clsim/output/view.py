@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.output.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
-from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
     from collections.abc import Callable

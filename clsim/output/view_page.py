@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.output.atomic import atomic_path
+from clsim.files.atomic import atomic_path
 
 if TYPE_CHECKING:
     import os

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.paths.responses import Responses
+from clsim.paths.response import Responses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

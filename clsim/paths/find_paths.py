@@ -9,16 +9,16 @@ import numpy as np
 
 from clsim.arrays import as_choice, as_count, as_number, read_only
 from clsim.errors import InputError
-from clsim.paths.mesh_paths import FINDERS, MeshSearch, image_isometries, report
 from clsim.paths.path_set import PathSet
-from clsim.paths.shoebox_images import shoebox_image_count, shoebox_images
-from clsim.scene.room import Shoebox
+from clsim.paths.specular.mesh import FINDERS, MeshSearch, image_isometries, report
+from clsim.paths.specular.shoebox import shoebox_image_count, shoebox_images
+from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from clsim.scene.mesh_room import MeshRoom
+    from clsim.scene.room.mesh import MeshRoom
 
 LARGEST_ORDER = 60
 LARGEST_MESH_ORDER = 20

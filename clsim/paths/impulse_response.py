@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.delayed_sums import band_edges, delayed_sums, ringing
+from clsim.numerics.nufft import band_edges, delayed_sums, ringing
 from clsim.paths.arrivals import PathGroup, arrivals
-from clsim.paths.responses import Responses
+from clsim.paths.response import Responses
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,9 +10,9 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_floats
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals, slices_of
-from clsim.paths.corners import path_corners
 from clsim.paths.path_table import PathTable
-from clsim.paths.responses import is_complex
+from clsim.paths.response import is_complex
+from clsim.paths.vertices import path_corners
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,13 +11,13 @@ import numpy as np
 
 from clsim.arrays import as_number
 from clsim.errors import ClsimWarning, InputError
-from clsim.scene.electronics import Electronics
+from clsim.scene.transducer.electronics import Electronics
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
-    from clsim.render.tracks import Tracks
     from clsim.scene.scene import Scene
-    from clsim.scene.signal import Signal
+    from clsim.scene.signal.signal import Signal
+    from clsim.tracks.tracks import Tracks
 
 _BLOCKS_IN_SEGMENT = 12  # of the longest; all others go into it a whole number of times, too
 GROUP = 8  # samples, the unit of blocks and of what is silent

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.interpolation import design_bandlimited
 from clsim.errors import InputError
+from clsim.numerics.fractional_delay import design_bandlimited
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import GROUP, WIDEST_GROUP, half_band
-from clsim.render.emission import Emission, basis_of, check_response_error
 from clsim.render.interpolator import Bandlimited, Bank
-from clsim.render.occupied import ShortTimeSpectra
+from clsim.render.source_filters import Emission, basis_of, check_response_error
+from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.render.baseband import Baseband
     from clsim.render.interpolator import Interpolator
-    from clsim.render.tracks import Tracks
-    from clsim.scene.signal import Signal
+    from clsim.scene.signal.signal import Signal
+    from clsim.tracks.tracks import Tracks
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters

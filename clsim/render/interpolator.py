@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from clsim.acoustics.interpolation import bank_error, design_bandlimited, lagrange_bank, lagrange_taps
 from clsim.arrays import Floats, as_count, as_number
 from clsim.errors import InputError
+from clsim.numerics.fractional_delay import bank_error, design_bandlimited, lagrange_bank, lagrange_taps
 
 GROUP = 32  # neighbouring samples that share the whole part of a path's delay
 SMALL_GROUP = 8  # for fast motion, and for filters that are only good near the middle of their range

@@ -13,16 +13,16 @@ from threadpoolctl import threadpool_limits
 from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
-from clsim.render.at_rest import NONE_AT_REST, AtRest, find_at_rest
 from clsim.render.baseband import Baseband, as_baseband, check_ends, segmented
-from clsim.render.emission import AT_CENTRE, DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
 from clsim.render.envelope import design_envelope
 from clsim.render.interpolator import SMALL_GROUP, Bandlimited, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.quiet import without_quiet
-from clsim.render.tracks import SceneTracks, Tracks, track
-from clsim.render.transition import DEFAULT_TRANSITION
+from clsim.render.source_filters import AT_CENTRE, DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
+from clsim.render.static_pairs import NONE_AT_REST, AtRest, find_at_rest
 from clsim.scene.scene import Receiver, Scene
-from clsim.scene.signal import Signal
+from clsim.scene.signal.signal import Signal
+from clsim.tracks.pruning import without_quiet
+from clsim.tracks.tracks import SceneTracks, Tracks, track
+from clsim.tracks.transition import DEFAULT_TRANSITION
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from clsim.render.transition import heard
+from clsim.tracks.transition import heard
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.render.emission import Emission
     from clsim.render.plan import Plan
+    from clsim.render.source_filters import Emission
 
 _NUMBERS = 2**22  # gains held at a time
 

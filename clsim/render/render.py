@@ -9,16 +9,16 @@ import numpy as np
 from clsim.arrays import as_count
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
-from clsim.render.at_rest import Convolution
-from clsim.render.baseband_opencl import BasebandEngine
-from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.memory import within_memory
-from clsim.render.opencl import OpenclEngine
+from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.plan import Plan, plan_render, plan_tracks
-from clsim.render.receiving import Receiving
+from clsim.render.receiver_chain import Receiving
 from clsim.render.reference import ReferenceEngine
-from clsim.render.tracks import SceneTracks, Tracks
-from clsim.render.transition import DEFAULT_TRANSITION
+from clsim.render.source_filters import DEFAULT_RESPONSE_ERROR_DB
+from clsim.render.static_pairs import Convolution
+from clsim.tracks.tracks import SceneTracks, Tracks
+from clsim.tracks.transition import DEFAULT_TRANSITION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from clsim.render.baseband import Baseband
     from clsim.render.interpolator import Interpolator
     from clsim.scene.scene import Scene
-    from clsim.scene.signal import Signal
+    from clsim.scene.signal.signal import Signal
 
 
 def render(

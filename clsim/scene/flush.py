@@ -9,13 +9,13 @@ import numpy as np
 
 from clsim.arrays import Floats, as_floats
 from clsim.errors import InputError
-from clsim.scene.mesh_contact import NEAREST, walls_at
-from clsim.scene.room import Shoebox
+from clsim.scene.room.contact import NEAREST, walls_at
+from clsim.scene.room.shoebox import Shoebox
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from clsim.scene.mesh_room import MeshRoom
+    from clsim.scene.room.mesh import MeshRoom
     from clsim.scene.scene import Receiver, Source
 
 _FINEST = 1e-8  # of the room's size: less could not be told from rounding where a wall blocks

@@ -9,10 +9,10 @@ import numpy as np
 
 from clsim.errors import ClsimWarning, InputError
 from clsim.scene.flush import find_mount
-from clsim.scene.instants import Instants
-from clsim.scene.mesh_contact import NEAREST, first_contact, first_off
-from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.motion.instants import Instants
 from clsim.scene.places import CLEAR, clearance, first_approach, first_refused, nearest_within
+from clsim.scene.room.contact import NEAREST, first_contact, first_off
+from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

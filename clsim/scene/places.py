@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.scene.mesh_contact import NEAREST, first_contact, first_off
-from clsim.scene.mesh_room import MeshRoom
-from clsim.scene.motion import Motion
+from clsim.scene.motion.motion import Motion
+from clsim.scene.room.contact import NEAREST, first_contact, first_off
+from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.scene.flush import Mount
-    from clsim.scene.instants import Indices, Instants
-    from clsim.scene.room import Shoebox
+    from clsim.scene.motion.instants import Indices, Instants
+    from clsim.scene.room.shoebox import Shoebox
 
 CLEAR = 2.0  # steps off a wall at which an end in it is clear of this wall, and of no other
 _STRETCH = 64  # instants between which walls are looked for from one to the next

@@ -7,10 +7,10 @@ import warnings
 from typing import TYPE_CHECKING
 
 from clsim.errors import ClsimWarning
-from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
-    from clsim.scene.room import Shoebox
+    from clsim.scene.room.shoebox import Shoebox
     from clsim.scene.scene import Scene
 
 _LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units

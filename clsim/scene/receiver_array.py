@@ -8,10 +8,10 @@ import numpy as np
 
 from clsim.arrays import FARTHEST, Floats, as_count, as_number
 from clsim.errors import InputError
-from clsim.input_files import LARGEST_TEXT, read_file
+from clsim.files.input_files import LARGEST_TEXT, read_file
+from clsim.scene.motion.checks import as_places
+from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scene import Receiver
-from clsim.scene.trajectory import Trajectory
-from clsim.scene.trajectory_checks import as_places
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.geometry import quaternion_from_direction
 from clsim.arrays import FARTHEST, Floats, as_number
 from clsim.errors import InputError
+from clsim.numerics.quaternions import quaternion_from_direction
 from clsim.scene.air import Air
-from clsim.scene.directivity import AnyDirectivity, Directivity, Omni, SphericalDirectivity
-from clsim.scene.electronics import Electronics
+from clsim.scene.directivity.patterns import AnyDirectivity, Directivity, Omni, SphericalDirectivity
 from clsim.scene.flush import checked_flush
-from clsim.scene.mesh_room import MeshRoom
+from clsim.scene.motion.checks import LONGEST, as_direction
+from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.placement import check_distances, check_motions, check_sides
 from clsim.scene.plausibility import warn_of_units
-from clsim.scene.room import Shoebox
-from clsim.scene.trajectory import Trajectory
-from clsim.scene.trajectory_checks import LONGEST, as_direction
-from clsim.scene.transducer import Transducer
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.shoebox import Shoebox
+from clsim.scene.transducer.electronics import Electronics
+from clsim.scene.transducer.transducer import Transducer
 
 if TYPE_CHECKING:
-    from clsim.scene.signal import Signal
+    from clsim.scene.signal.signal import Signal
 
 _NEAREST = 1e-6  # m, least bound of the distance between ends
 

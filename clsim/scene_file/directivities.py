@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from clsim.errors import InputError
-from clsim.scene.directivity import (
+from clsim.scene.directivity.axial_table import DirectivityTable
+from clsim.scene.directivity.patterns import (
     Cardioid,
     Directivity,
     Omni,
@@ -16,8 +17,7 @@ from clsim.scene.directivity import (
     SphericalDirectivity,
     named_directivity,
 )
-from clsim.scene.directivity_table import DirectivityTable
-from clsim.scene.spherical_table import SphericalTable
+from clsim.scene.directivity.spherical_table import SphericalTable
 from clsim.scene_file.model import Model
 
 

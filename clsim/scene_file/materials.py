@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from clsim.errors import InputError
-from clsim.scene.material import Material
+from clsim.scene.material.material import Material
 from clsim.scene_file.model import Model, within
 
 # How many there are is checked in our own words; editors are told here.

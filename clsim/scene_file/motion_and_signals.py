@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from clsim.scene.signal import Signal
-from clsim.scene.trajectory import Trajectory
+from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.signal.signal import Signal
 from clsim.scene_file.model import Model, Quaternion, Vector, within
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from clsim.errors import InputError
-from clsim.scene.material import Material
-from clsim.scene.mesh_room import MeshRoom
-from clsim.scene.mesh_walls import FLATNESS
-from clsim.scene.room import Shoebox
+from clsim.scene.material.material import Material
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.shoebox import Shoebox
+from clsim.scene.room.walls import FLATNESS
 from clsim.scene_file.materials import MaterialModel, is_material
 from clsim.scene_file.model import Model, Vector, within
 

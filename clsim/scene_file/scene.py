@@ -12,12 +12,11 @@ from pydantic import Discriminator, Field, Tag, ValidationError
 
 from clsim.arrays import Floats
 from clsim.errors import InputError
-from clsim.input_files import read_toml
+from clsim.files.input_files import read_toml
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.baseband import Baseband
-from clsim.render.emission import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.transition import DEFAULT_TRANSITION
+from clsim.render.source_filters import DEFAULT_RESPONSE_ERROR_DB
 from clsim.scene.air import Air
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Receiver, Scene, Source
@@ -26,6 +25,7 @@ from clsim.scene_file.model import Model, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
 from clsim.scene_file.rooms import RoomModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
+from clsim.tracks.transition import DEFAULT_TRANSITION
 
 _PATHS = ("path", "phases_path")  # keys that name files
 

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from clsim.errors import InputError
-from clsim.scene.electronics import Electronics
-from clsim.scene.transducer import Transducer, named_transducer
+from clsim.scene.transducer.electronics import Electronics
+from clsim.scene.transducer.transducer import Transducer, named_transducer
 from clsim.scene_file.model import Model
 
 

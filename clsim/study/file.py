@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 
 from clsim.arrays import as_count, as_number
 from clsim.errors import InputError
-from clsim.input_files import read_toml
+from clsim.files.input_files import read_toml
 from clsim.scene_file import build_scene, referenced_files
 from clsim.scene_file.model import Model
 from clsim.scene_file.scene import explain

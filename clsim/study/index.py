@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimWarning
-from clsim.output.atomic import safe_path
+from clsim.files.atomic import safe_path
 from clsim.output.stores import consolidate, texts
 from clsim.study.member import PARTIAL, STORE, as_row, discard, root_attributes, row_of_group, told
 

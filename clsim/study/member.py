@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
-from clsim.output.atomic import to_disk, tree_to_disk
+from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, StoredSound, consolidate, texts
-from clsim.paths.truth import direct_truth
+from clsim.paths.ground_truth import direct_truth
 from clsim.study.file import TAKEN, Member, Study
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
-from clsim.output.atomic import locked, safe_path
+from clsim.files.atomic import locked, safe_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -176,7 +176,7 @@ def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
 
 
 def _check_same(path: Path, settings: dict[str, Any]) -> None:
-    from clsim.output.journal import first_difference
+    from clsim.workflow.journal import first_difference
 
     try:
         old = json.loads(path.read_bytes())

@@ -7,9 +7,9 @@ import pytest
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.render import opencl as opencl_module
-from clsim.render.baseband_opencl import BasebandEngine
-from clsim.render.opencl import GPU_LAYOUT
+from clsim.render.opencl import engine as opencl_module
+from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.engine import GPU_LAYOUT
 from clsim.render.plan import Plan, plan_render
 from clsim.render.reference import ReferenceEngine
 

@@ -8,8 +8,8 @@ from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.render import opencl as opencl_module
-from clsim.render.opencl import GPU_LAYOUT, OpenclEngine
+from clsim.render.opencl import engine as opencl_module
+from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import SEGMENT, Plan, plan_render
 
 pytestmark = pytest.mark.usefixtures("device")

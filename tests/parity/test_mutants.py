@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import clsim
 from clsim.opencl import device as device_module
 from clsim.paths.path_set import PathSet
-from clsim.render.opencl import GPU_LAYOUT, Layout, OpenclEngine
+from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine
 from clsim.render.plan import plan_render
 from clsim.render.reference import ReferenceEngine
 

@@ -8,10 +8,10 @@ from made_meshes import box, joined, l_room, pillar_room, screen
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.paths.beam_tree import BeamTree, Candidates
-from clsim.paths.device_intervals import DeviceSearch
-from clsim.paths.intervals import Intervals, Question, find_intervals
-from clsim.paths.movers import movers
+from clsim.paths.specular.beam_tree import BeamTree, Candidates
+from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.specular.intervals import Intervals, Question, find_intervals
+from clsim.paths.trajectory_tables import movers
 
 pytestmark = pytest.mark.usefixtures("device")
 WALL = clsim.Material.from_reflection(0.9)

@@ -8,10 +8,10 @@ from made_meshes import pillar_room
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.render import branches as branches_module
-from clsim.render.opencl import GPU_LAYOUT, OpenclEngine
+from clsim.render.opencl import branch_signals as branches_module
+from clsim.render.opencl.activity import CELL, Sounding, sounding
+from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import SEGMENT, Plan, plan_render
-from clsim.render.silence import CELL, Sounding, sounding
 
 pytestmark = pytest.mark.usefixtures("device")
 RATE = 192e3

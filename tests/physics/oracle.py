@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clsim.scene.trajectory import Trajectory
+from clsim.scene.motion.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

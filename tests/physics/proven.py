@@ -12,7 +12,7 @@ import pytest
 
 import clsim
 from clsim.recording import Recording
-from clsim.render.opencl import OpenclEngine
+from clsim.render.opencl.engine import OpenclEngine
 
 MUTANTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "silent": lambda samples: 0.0 * samples,

@@ -8,7 +8,7 @@ import oracle
 import pytest
 
 import clsim
-from clsim.render.opencl import OpenclEngine
+from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.plan import SEGMENT, Plan, plan_render
 from clsim.render.reference import ReferenceEngine
 

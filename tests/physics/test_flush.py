@@ -6,11 +6,11 @@ import pytest
 from proven import proven
 
 import clsim
-from clsim.paths import shooting
-from clsim.paths.beam_tree import BeamTree, Candidates
-from clsim.paths.device_intervals import DeviceSearch
-from clsim.paths.intervals import Question
-from clsim.paths.movers import movers
+from clsim.paths.specular import ray_shooting as shooting
+from clsim.paths.specular.beam_tree import BeamTree, Candidates
+from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.specular.intervals import Question
+from clsim.paths.trajectory_tables import movers
 from clsim.scene.flush import find_mount
 
 WALL = clsim.Material.from_reflection(0.9)

@@ -135,8 +135,8 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
     # Of paths and times that were not looked at: the same bound, for what a response is at any frequency of the band.
     tracks, rng = plan.tracks, np.random.default_rng(5)
     from clsim.paths.arrivals import arrivals
-    from clsim.paths.responses import Responses
-    from clsim.render.sampled import chebyshev_points
+    from clsim.paths.response import Responses
+    from clsim.tracks.sampled import chebyshev_points
 
     # The chirp's spectrum fades towards the ends of its band, and so does what is asked there.
     times, f = rng.uniform(0.0, 0.05, 7), chebyshev_points(low + 0.15 * (high - low), high - 0.15 * (high - low), 40)

@@ -6,7 +6,7 @@ import pytest
 from made_responses import OffCentre
 
 import clsim
-from clsim.acoustics.delayed_sums import band_edges, delayed_sums, ringing
+from clsim.numerics.nufft import band_edges, delayed_sums, ringing
 
 RATE = 192e3
 SIZE = (5.0, 4.0, 3.0)

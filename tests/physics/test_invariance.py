@@ -9,9 +9,9 @@ from proven import proven
 from scipy.spatial.transform import Rotation
 
 import clsim
-from clsim.acoustics.geometry import quaternion_from_direction
+from clsim.numerics.quaternions import quaternion_from_direction
 from clsim.paths.path_set import PathSet
-from clsim.scene.waveforms import Tone
+from clsim.scene.signal.waveforms import Tone
 
 RATE = 192e3
 AIR = clsim.Air(speed_of_sound=343.0)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.acoustics.filters import BandFilters, band_filters
-from clsim.render.shortfall import Held
+from clsim.numerics.band_filters import BandFilters, band_filters
+from clsim.tracks.shortfall import Held
 
 C = 343.0
 AIR = clsim.Air(speed_of_sound=C)
@@ -90,7 +90,7 @@ def test_abrupt_noise_from_a_complex_beam_is_rendered_as_asked() -> None:
 
 @pytest.mark.filterwarnings(*QUIET)
 def test_one_frequency_of_a_complex_beam_tells_what_it_cannot_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsim.acoustics.filters.LONGEST", 513)
+    monkeypatch.setattr("clsim.numerics.band_filters.LONGEST", 513)
     scene = world(noise(), loudspeaker(), OCTAVES)
     with pytest.warns(clsim.ClsimWarning, match=r"source 0: .* within -\d\d dB from .* phase at \d+ Hz, .*fade the"):
         plan = clsim.plan_render(scene, clsim.find_paths(scene, 0), 16e3, response_error_db="centre")

@@ -9,9 +9,9 @@ from made_meshes import box, joined, l_room, pillar_room, screen
 from mesh_oracle import Oracle
 
 import clsim
-from clsim.paths import mesh_paths
-from clsim.paths.device_intervals import DeviceSearch
-from clsim.scene.mesh_reading import read_mesh
+from clsim.paths.specular import mesh as mesh_paths
+from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.scene.room.mesh_files import read_mesh
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 WALL = clsim.Material.from_reflection(0.9)

@@ -8,9 +8,9 @@ from made_meshes import box, cut_box, hall, joined, l_room, pillar_room, screen
 from mesh_oracle import Oracle
 
 import clsim
-from clsim.acoustics.geometry import rotate
+from clsim.numerics.quaternions import rotate
 from clsim.paths.path_set import PathSet
-from clsim.scene.mesh_reading import read_mesh
+from clsim.scene.room.mesh_files import read_mesh
 
 MESHES = Path(__file__).parents[2] / ".." / "shared" / "data" / "meshes"
 WALL = clsim.Material.from_reflection(0.9)

@@ -5,7 +5,7 @@ import pytest
 from made_responses import POROUS, ROUGH, Lopsided, OffCentre, porous_factor, rough_factor
 
 import clsim
-from clsim.acoustics.filters import band_filters
+from clsim.numerics.band_filters import band_filters
 from clsim.render.plan import plan_render
 
 RATE, C = 192e3, 343.0
@@ -200,7 +200,7 @@ def test_filters_have_complex_responses(late: float) -> None:
 
 
 def test_filters_that_would_be_endless_are_the_best_and_tell_their_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsim.acoustics.filters.LONGEST", 257)
+    monkeypatch.setattr("clsim.numerics.band_filters.LONGEST", 257)
     coefficients = np.zeros((1, 2000))
     coefficients[0, -1] = 1.0
     best = band_filters(coefficients, 40e3, 40.1e3, RATE, np.ones(40), np.max, 10 ** (-90 / 20))

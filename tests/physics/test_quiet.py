@@ -7,8 +7,8 @@ import pytest
 
 import clsim
 from clsim.render.plan import plan_render
-from clsim.render.quiet import _bounds
-from clsim.render.tracks import track
+from clsim.tracks.pruning import _bounds
+from clsim.tracks.tracks import track
 
 RATE = 192e3
 

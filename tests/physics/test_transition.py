@@ -5,7 +5,7 @@ import pytest
 from made_meshes import l_room
 
 import clsim
-from clsim.render.opencl import OpenclEngine
+from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.plan import plan_render
 
 RATE, TONE = 192e3, 40e3

@@ -14,10 +14,10 @@ import importlib, json, os, signal, sys, threading
 
 for name in sys.argv[1:]:
     importlib.import_module(name)
-import clsim.commands.unfinished
+import clsim.workflow.checkpoint
 from clsim.cli import main
 
-clsim.commands.unfinished._PERIOD = 0.0  # every chunk is noted
+clsim.workflow.checkpoint._PERIOD = 0.0  # every chunk is noted
 EVENTS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate", "os.listdir", "os.scandir"}
 
 

@@ -13,7 +13,7 @@ import soundfile
 
 import clsim
 from clsim.cli import main
-from clsim.output.journal import Journal
+from clsim.workflow.journal import Journal
 
 pytestmark = pytest.mark.usefixtures("device")
 

@@ -11,8 +11,8 @@ import soundfile
 import clsim
 from clsim import Air, Electronics, InputError, Material, MeshRoom, Receiver, Scene, Shoebox, Signal, Source, Trajectory
 from clsim.arrays import as_count, as_floats, as_number
-from clsim.scene.directivity import Piston
-from clsim.scene.transducer import Transducer
+from clsim.scene.directivity.patterns import Piston
+from clsim.scene.transducer.transducer import Transducer
 from clsim.study.file import load_study
 
 WALL = Material.from_reflection(0.5)
@@ -99,7 +99,7 @@ def test_a_tone_may_have_the_shortest_fade() -> None:
 
 
 def test_a_sequence_in_pieces_is_the_sequence() -> None:
-    from clsim.scene.sequences import shaped_count, shaped_sequence
+    from clsim.scene.signal.sequences import shaped_count, shaped_sequence
 
     whole = shaped_sequence("mls", 10, 0, 5, 8e3, 40e3, 0.5, 192e3)
     assert len(whole) == shaped_count(5 * 1023, 8e3, 192e3) > 2**16

@@ -136,7 +136,7 @@ def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
 
 
 def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, capsys, monkeypatch, device) -> None:
-    import clsim.commands.unfinished as unfinished
+    import clsim.workflow.checkpoint as unfinished
 
     render = unfinished.render_chunks
 
@@ -198,7 +198,7 @@ def test_a_full_disk_names_the_file(scene: Path, tmp_path: Path, capsys, monkeyp
     if not Path("/dev/full").exists():
         pytest.skip("no /dev/full on this machine")
     target = tmp_path / "page.html"
-    monkeypatch.setattr("clsim.output.atomic.temporary_path", lambda path: Path("/dev/full"))
+    monkeypatch.setattr("clsim.files.atomic.temporary_path", lambda path: Path("/dev/full"))
     monkeypatch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
     assert main(["view", str(scene), "--frames", "1", "-o", str(target)]) == 2
     assert capsys.readouterr().err == f"clsim: error: [Errno 28] No space left on device: {str(target)!r}\n"

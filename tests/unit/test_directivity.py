@@ -5,7 +5,7 @@ import pytest
 
 from clsim.acoustics.directivity import piston_gain
 from clsim.errors import InputError
-from clsim.scene.directivity import DIRECTIVITY_NAMES, Cardioid, Directivity, Omni, Piston, named_directivity
+from clsim.scene.directivity.patterns import DIRECTIVITY_NAMES, Cardioid, Directivity, Omni, Piston, named_directivity
 
 ANGLES = np.radians(np.linspace(0.0, 180.0, 181))
 ALL = [Omni(), Cardioid(0.0), Cardioid(0.25), Cardioid(), Cardioid(1.0), Piston(0.0047), Piston(0.1)]

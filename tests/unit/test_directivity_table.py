@@ -224,7 +224,7 @@ def test_shapes_broadcast():
     assert both.shape == (1025,)
     assert both[512] == pytest.approx(table.gain(np.cos(FINE[512]), 35e3, SPEED), rel=1e-12)
     assert np.isnan(table.gain(np.nan, 35e3, SPEED))
-    assert isinstance(table, clsim.scene.directivity.Directivity)
+    assert isinstance(table, clsim.scene.directivity.patterns.Directivity)
 
 
 def test_large_tables_are_fast(rng):

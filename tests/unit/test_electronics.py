@@ -7,8 +7,8 @@ from scipy.signal import butter
 import clsim
 from clsim import Electronics, InputError, Transducer
 from clsim.render.plan import SEGMENT
-from clsim.render.receiving import ReceiverEnd
-from clsim.scene.filtering import StreamFilter
+from clsim.render.receiver_chain import ReceiverEnd
+from clsim.scene.signal.filtering import StreamFilter
 
 RATE = 192e3
 COUNT = 3 * SEGMENT + 1234

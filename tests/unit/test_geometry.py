@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clsim.acoustics.geometry import normalised, quaternion_from_direction, rotate, same_hemisphere
 from clsim.errors import InputError
+from clsim.numerics.quaternions import normalised, quaternion_from_direction, rotate, same_hemisphere
 
 ROUNDING = 1e-14  # some tens of float64 roundings on values of order 1
 

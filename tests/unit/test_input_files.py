@@ -12,7 +12,7 @@ import soundfile
 
 import clsim
 from clsim import DirectivityTable, InputError, MeshRoom, Signal, Trajectory
-from clsim.input_files import check_file, read_file, read_toml
+from clsim.files.input_files import check_file, read_file, read_toml
 from clsim.scene.receiver_array import positions_from_file
 from clsim.scene_file import load_scene
 
@@ -142,7 +142,7 @@ def test_a_file_that_ends_the_process_which_reads_it_is_refused(tmp_path: Path, 
     savemat(path, {"angles": [0.0, 90.0], "frequencies": [40e3], "values": [[1.0], [0.5]]})
     killer = tmp_path / "mat_process.py"
     killer.write_text("import os\nos.abort()\n")
-    monkeypatch.setattr("clsim.scene.directivity_files.__file__", str(tmp_path / "directivity_files.py"))
+    monkeypatch.setattr("clsim.scene.directivity.text_files.__file__", str(tmp_path / "directivity_files.py"))
     with pytest.raises(
         InputError, match=r"path: must be a MATLAB file, but is not: .* \(reading it ends the process\)"
     ):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.acoustics.interpolation import lagrange_bank
+from clsim.numerics.fractional_delay import lagrange_bank
 
 RATE = 192e3
 

@@ -13,15 +13,15 @@ import pytest
 import clsim
 from clsim.cli import main
 from clsim.commands import run as run_command
-from clsim.paths.movers import movers
+from clsim.paths.trajectory_tables import movers
 from clsim.render.memory import within_memory
 from clsim.render.plan import plan_render
-from clsim.render.quiet import without_quiet
-from clsim.render.tracks import SceneTracks, track
-from clsim.scene.instants import Instants
-from clsim.scene.mesh_contact import first_contact
-from clsim.scene.motion import Motion
+from clsim.scene.motion.instants import Instants
+from clsim.scene.motion.motion import Motion
 from clsim.scene.places import first_approach, first_refused, nearest_within
+from clsim.scene.room.contact import first_contact
+from clsim.tracks.pruning import without_quiet
+from clsim.tracks.tracks import SceneTracks, track
 
 SIZE = (8.0, 6.0, 3.0)
 ROOM = clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.9))
@@ -277,7 +277,7 @@ def test_errors_name_what_asks_for_memory() -> None:
 
 
 def test_motions_in_a_mesh_are_tabled_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsim.paths.movers._MOST_KNOTS", 5000)
+    monkeypatch.setattr("clsim.paths.trajectory_tables._MOST_KNOTS", 5000)
     resting = clsim.Trajectory.line((1, 1, 1), (1, 1, 1), 1e9)
     assert len(movers(resting, [STILL, resting]).knots) == 3
     long = clsim.Trajectory.circle((4, 3, 1.5), 1.0, period=1.0, duration=1e7)

@@ -19,7 +19,7 @@ from clsim.acoustics.reflection import (
     reflection_from_absorption,
 )
 from clsim.errors import ClsimWarning, InputError
-from clsim.scene.material import Material
+from clsim.scene.material.material import Material
 
 EXACT = 1e-13  # a few roundings of float64
 COSINES = [1.0, 0.5, 0.03]

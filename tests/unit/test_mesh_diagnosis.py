@@ -5,7 +5,7 @@ import pytest
 from made_meshes import box, cut_box, joined, screen
 
 import clsim
-from clsim.scene.mesh_diagnosis import diagnose, diagnose_ends
+from clsim.scene.room.report import diagnose, diagnose_ends
 
 WALL = clsim.Material.from_reflection(0.9)
 SOUND = [

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from clsim.errors import InputError
-from clsim.scene.mesh_reading import read_mesh
+from clsim.scene.room.mesh_files import read_mesh
 
 MESHES = Path(__file__).parents[2] / ".." / "shared" / "data" / "meshes"
 L_SHAPE = [(0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)]  # area 6

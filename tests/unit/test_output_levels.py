@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsim.output.levels import levels
+from clsim.output.spectrogram import levels
 
 RATE = 192e3
 

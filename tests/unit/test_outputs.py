@@ -9,10 +9,10 @@ import pytest
 import soundfile
 
 import clsim
-from clsim.output.atomic import atomic_path
+from clsim.files.atomic import atomic_path
+from clsim.files.wav import WavWriter
 from clsim.output.plots import echogram, envelope, spectrogram
 from clsim.output.table import read_table, write_table
-from clsim.output.wav import WavWriter
 from clsim.paths.path_table import PathTable
 
 

@@ -13,8 +13,8 @@ import pytest
 import soundfile
 
 from clsim.cli import main
-from clsim.output.atomic import remove_leftovers, temporary_path
-from clsim.output.names import file_names
+from clsim.files.atomic import remove_leftovers, temporary_path
+from clsim.files.names import file_names
 from clsim.output.record import fingerprint
 
 SCENE = """
@@ -132,7 +132,7 @@ ATTACKS = {
 def test_what_others_made_stays(name: str, tmp_path: Path, capsys, monkeypatch) -> None:
     """It is refused before paths are searched for, and nothing is there that was not."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("clsim.commands.planning.find_paths", lambda *a, **k: pytest.fail("the search had begun"))
+    monkeypatch.setattr("clsim.workflow.pipeline.find_paths", lambda *a, **k: pytest.fail("the search had begun"))
     scene = write_scene(tmp_path / "s.toml")
     make, more = ATTACKS[name]
     make(tmp_path)
@@ -270,7 +270,7 @@ def test_single_files_are_not_written_over_unasked(name: str, tmp_path: Path, ca
 
 
 def test_what_comes_into_the_way_while_rendering_stays(tmp_path: Path, capsys, monkeypatch) -> None:
-    import clsim.commands.unfinished as unfinished
+    import clsim.workflow.checkpoint as unfinished
 
     scene, out = write_scene(tmp_path / "s.toml"), tmp_path / "out"
     render = unfinished.render_chunks

@@ -5,8 +5,8 @@ import pytest
 
 import clsim
 from clsim.paths.arrivals import arrivals
-from clsim.paths.responses import Responses
-from clsim.paths.shoebox_images import shoebox_image_count, shoebox_images
+from clsim.paths.response import Responses
+from clsim.paths.specular.shoebox import shoebox_image_count, shoebox_images
 
 SIZE = np.array([8.0, 6.0, 3.0])
 

@@ -9,7 +9,7 @@ from made_meshes import box, joined
 
 import clsim
 from clsim.cli import main
-from clsim.scene import mesh_room
+from clsim.scene.room import mesh as mesh_room
 from clsim.study.file import checked, load_study
 from clsim.study.member import run_member, study_to_settings
 

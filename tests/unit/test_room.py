@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from clsim.errors import ClsimWarning, InputError
-from clsim.scene.material import Material
-from clsim.scene.room import WALLS, Shoebox
+from clsim.scene.material.material import Material
+from clsim.scene.room.shoebox import WALLS, Shoebox
 
 HARD = Material.from_reflection(0.9)
 SOFT = Material.from_reflection(-0.2)

@@ -11,7 +11,7 @@ from scipy.signal import correlate, firwin
 from scipy.signal.windows import hann, tukey
 
 from clsim import InputError, Signal
-from clsim.scene.sequences import binary_sequence
+from clsim.scene.signal.sequences import binary_sequence
 
 RATE = 192e3
 PULSE = Signal.chirp(39e3, 41e3, 1e-3, RATE, window="hann")

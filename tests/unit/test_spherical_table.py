@@ -5,9 +5,9 @@ import pytest
 
 import clsim
 from clsim import SphericalTable
-from clsim.acoustics.geometry import rotate
-from clsim.acoustics.sphere import GridOnSphere, largest_hole, merged
-from clsim.scene.directivity import Directivity, SphericalDirectivity
+from clsim.numerics.quaternions import rotate
+from clsim.numerics.sphere import GridOnSphere, largest_hole, merged
+from clsim.scene.directivity.patterns import Directivity, SphericalDirectivity
 
 SPEED = 343.0
 PLACES = np.array([[0.012, 0.004, -0.003], [-0.004, 0.006, 0.009]])  # m, of two unequal sources

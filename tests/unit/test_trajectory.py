@@ -6,9 +6,9 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.spatial.transform import Rotation, Slerp
 
 from clsim.errors import InputError
-from clsim.scene import smoothing
-from clsim.scene.curves import CONTINUATION
-from clsim.scene.trajectory import Trajectory
+from clsim.scene.motion import smoothing
+from clsim.scene.motion.curves import CONTINUATION
+from clsim.scene.motion.trajectory import Trajectory
 
 TAU = 2.0 * math.pi
 

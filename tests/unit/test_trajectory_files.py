@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from clsim.errors import ClsimWarning, InputError
-from clsim.scene.trajectory import Trajectory
+from clsim.scene.motion.trajectory import Trajectory
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "trajectories"
 TUM_FILE = DATA / "freiburg1_xyz-groundtruth.txt"

@@ -8,7 +8,7 @@ import soundfile
 
 import clsim
 from clsim import InputError, Signal, Transducer, named_transducer
-from clsim.acoustics.transduction import minimum_phase, resonance_response
+from clsim.numerics.resonator import minimum_phase, resonance_response
 
 RATE = 192e3
 BURST = Signal.tone(40e3, 0.4e-3, RATE)

@@ -1,0 +1,1 @@
+"""Files as clsim reads and writes them: whole, or not at all."""

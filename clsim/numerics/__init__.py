@@ -1,0 +1,1 @@
+"""Numerical methods, arrays in and arrays out; no acoustics."""

@@ -1,0 +1,175 @@
+"""Impulse responses as files."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.files.atomic import atomic_path
+from clsim.files.names import file_names
+from clsim.files.wav import WavWriter
+from clsim.numerics.quaternions import rotate
+from clsim.scene.room.shoebox import Shoebox
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+
+    from clsim.arrays import Floats
+    from clsim.impulse_responses import ImpulseResponses
+    from clsim.scene.scene import Receiver, Scene, Source
+
+
+def response_names(source_names: Sequence[str], receiver_names: Sequence[str]) -> list[str]:
+    """Return the names of the WAV files of all pairs, receivers fastest."""
+    return [f"{name}.wav" for name in file_names(tuple(f"{s}_{r}" for s in source_names for r in receiver_names))]
+
+
+def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike[str]) -> list[Path]:
+    """Write a WAV file of 32-bit floats for every source and receiver; return their paths.
+
+    Parameters
+    ----------
+    responses : ImpulseResponses
+        What to write.
+    folder : path-like
+        Where; made if missing. Files are called ``SOURCE_RECEIVER.wav``; none appears before all are whole.
+
+    Raises
+    ------
+    InputError
+        If the sampling rate is no whole number.
+    OSError
+        If a file cannot be written.
+    """
+    sources, receivers, count = responses.samples.shape
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    made = [folder / name for name in response_names(responses.source_names, responses.receiver_names)]
+    with ExitStack() as stack:
+        for path, taps in zip(made, responses.samples.reshape(sources * receivers, count), strict=True):
+            stack.enter_context(WavWriter(path, responses.sampling_rate, samples=count)).write(taps)
+    return made
+
+
+def write_responses(responses: ImpulseResponses, path: str | os.PathLike[str]) -> None:
+    """Write impulse responses as ``.npz`` or ``.sofa``.
+
+    Parameters
+    ----------
+    responses : ImpulseResponses
+        What to write.
+    path : path-like
+        Of the file; its suffix says which it is. An ``.npz`` holds the fields of `ImpulseResponses`, names, positions
+        and orientations. A ``.sofa`` is a SingleRoomSRIR (AES69) with a measurement for every source and receiver,
+        receivers fastest.
+
+    Raises
+    ------
+    InputError
+        If the suffix is another, or sofar is missing for SOFA.
+    OSError
+        If the file cannot be written; nothing is left of it then.
+    """
+    suffix = Path(path).suffix
+    if suffix == ".npz":
+        with atomic_path(path) as temporary:
+            write: Any = np.savez_compressed
+            write(temporary, **_columns(responses))
+    elif suffix == ".sofa":
+        _write_sofa(responses, path)
+    else:
+        raise InputError("path", f"must end in .npz or .sofa, but is {str(path)!r}")
+
+
+def _columns(responses: ImpulseResponses) -> dict[str, Any]:
+    scene, at = responses.scene, responses.at
+    return {
+        "samples": responses.samples,
+        "sampling_rate": responses.sampling_rate,
+        "lead": responses.lead,
+        "at": at,
+        "band": np.array(responses.band),
+        "first_arrivals": responses.first_arrivals,
+        "cut_db": responses.cut_db,
+        "source_names": np.array(responses.source_names),
+        "receiver_names": np.array(responses.receiver_names),
+        "source_positions": _positions(scene.sources, at),
+        "receiver_positions": _positions(scene.receivers, at),
+        "source_orientations": _orientations(scene.sources, at),
+        "receiver_orientations": _orientations(scene.receivers, at),
+    }
+
+
+def _positions(ends: Sequence[Source | Receiver], at: float) -> Floats:
+    """Return positions (n, 3), m."""
+    return np.stack([end.trajectory.position(at) for end in ends])
+
+
+def _orientations(ends: Sequence[Source | Receiver], at: float) -> Floats:
+    """Return unit quaternions x y z w (n, 4)."""
+    return np.concatenate([end.orientation(np.array([at])) for end in ends])
+
+
+def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> None:
+    try:
+        import sofar
+    except ImportError as error:
+        raise InputError("path", "SOFA files need sofar: pip install 'clsim[sofa]'") from error
+    import clsim
+
+    sources, receivers, count = responses.samples.shape
+    sofa = sofar.Sofa("SingleRoomSRIR")
+    sofa.GLOBAL_Title = f"Impulse responses at {responses.at:g} s"
+    sofa.GLOBAL_Origin = "simulated by image sources"
+    sofa.GLOBAL_ApplicationName, sofa.GLOBAL_ApplicationVersion = "clsim", clsim.__version__
+    _tell_room(sofa, responses.scene)
+    sofa.GLOBAL_Comment = (
+        f"sources {', '.join(responses.source_names)}; receivers {', '.join(responses.receiver_names)}; "
+        f"exact from {responses.band[0]:g} to {responses.band[1]:g} Hz; Pa per Pa at 1 m on the axis"
+    )
+    pairs: tuple[tuple[str, Sequence[Source | Receiver], Any], ...] = (
+        ("Source", responses.scene.sources, np.repeat(np.arange(sources), receivers)),
+        ("Listener", responses.scene.receivers, np.tile(np.arange(receivers), sources)),
+    )
+    for name, ends, rows in pairs:
+        turned = _orientations(ends, responses.at)[rows]
+        setattr(sofa, f"{name}Position", _positions(ends, responses.at)[rows])
+        setattr(sofa, f"{name}Position_Type", "cartesian")
+        setattr(sofa, f"{name}Position_Units", "metre")
+        setattr(sofa, f"{name}View", rotate(turned, np.array([1.0, 0.0, 0.0])))
+        setattr(sofa, f"{name}Up", rotate(turned, np.array([0.0, 0.0, 1.0])))
+        setattr(sofa, f"{name}View_Type", "cartesian")
+        setattr(sofa, f"{name}View_Units", "metre")
+    for name in ("Receiver", "Emitter"):  # each at its listener's, or source's, own origin
+        setattr(sofa, f"{name}Position", np.zeros((1, 3)))
+        setattr(sofa, f"{name}Position_Type", "cartesian")
+        setattr(sofa, f"{name}Position_Units", "metre")
+    sofa.Data_IR = responses.samples.reshape(sources * receivers, 1, count)
+    sofa.Data_SamplingRate = responses.sampling_rate
+    sofa.Data_Delay = np.full((1, 1), 0.0 - responses.lead)
+    with atomic_path(path) as temporary:
+        sofar.write_sofa(str(temporary), sofa)
+
+
+def _tell_room(sofa: Any, scene: Scene) -> None:
+    """Fill in the room and the air, and take out fields that stand for nothing that is known."""
+    unknown = [
+        "ReceiverDescriptions", "EmitterDescriptions", "MeasurementDate", "RoomVolume", "RoomVolume_Units",
+        "RoomCorners", "RoomCorners_Type", "RoomCorners_Units",
+    ]  # fmt: skip
+    sofa.RoomTemperature = scene.air.temperature_celsius + 273.15
+    sofa.RoomTemperature_Units = "kelvin"
+    if isinstance(scene.room, Shoebox):
+        sofa.GLOBAL_RoomType = "shoebox"
+        sofa.RoomCornerA, sofa.RoomCornerB = np.zeros((1, 3)), np.array([scene.room.size])
+        unknown = unknown[:-2]
+    else:
+        sofa.GLOBAL_RoomType = "reverberant"
+        unknown += ["RoomCornerA", "RoomCornerB"]
+    for name in unknown:
+        sofa.delete(name)

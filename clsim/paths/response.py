@@ -1,0 +1,168 @@
+"""What spreading, air, walls and beams make of every frequency along paths, in float64: the definition of right.
+
+The OpenCL gains (``gain.h``) are the small twin of this file.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.numerics.quaternions import rotate
+from clsim.scene.directivity.patterns import Omni, SphericalDirectivity
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals, PathGroup
+    from clsim.scene.directivity.patterns import AnyDirectivity
+    from clsim.scene.material.material import Material
+    from clsim.scene.scene import Scene
+
+NEPERS = np.log(10.0) / 20.0  # in one dB
+_GRAZING = 1e-9  # least cosine of an angle of incidence
+
+
+class Responses:
+    """Received over emitted pressure by frequency, without the delay, along paths of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Holds air, walls and directivities.
+    frequencies : ndarray (F,)
+        As emitted, Hz.
+
+    Attributes
+    ----------
+    nepers : ndarray (F,)
+        Absorption of the air, of the amplitude, 1/m.
+    angular : ndarray (walls + 1,) bool
+        Walls whose factor depends on the angle of incidence; False at the end, for -1, which is no wall.
+    dtype : numpy type
+        float64; complex128 where a wall or a beam of the scene is complex.
+    """
+
+    def __init__(self, scene: Scene, frequencies: Floats) -> None:
+        self._scene, self._frequencies = scene, frequencies
+        materials = scene.room.wall_materials
+        self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
+        self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
+        self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
+        self._factors = np.ones((len(materials) + 1, len(frequencies)), dtype=self.dtype)
+        for material in dict.fromkeys(materials):
+            if not material.depends_on_angle:
+                rows = [m is material for m in (*materials, None)]
+                self._factors[rows] = material.reflection_at(known(frequencies, material), 1.0, scene.air.sound_speed)
+
+    def walls(self, group: PathGroup) -> Floats | Complexes:
+        """Return the product of the factors (P, F) of each path's walls, of those that are the same at every angle."""
+        product: Floats | Complexes = np.ones((len(group.walls), len(self._frequencies)), dtype=self.dtype)
+        for wall in group.walls.T:
+            product *= self._factors[wall]
+        return product
+
+    def along(self, group: PathGroup, found: Arrivals, times: Floats) -> Floats | Complexes:
+        """Return the responses of paths.
+
+        Parameters
+        ----------
+        group : PathGroup
+            P paths.
+        found : Arrivals
+            Of them at `times`.
+        times : ndarray (T,)
+            Times of reception, s.
+
+        Returns
+        -------
+        ndarray (P, T, F)
+            Of the type `dtype`; a delay tau would be ``exp(-2j pi f tau)``.
+        """
+        scene, frequencies, c = self._scene, self._frequencies, self._scene.air.sound_speed
+        source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
+        response = np.exp(-(found.distance - 1.0)[..., None] * self.nepers) * self.walls(group)[:, None, :]
+        response *= (found.stretch / found.distance)[..., None]
+        for bounce, normals in self.angular_bounces(group):
+            for wall in np.unique(group.walls[:, bounce][self.angular[group.walls[:, bounce]]]):
+                rows = np.flatnonzero(group.walls[:, bounce] == wall)
+                cosine = np.abs(np.einsum("pti,pi->pt", found.departure[rows], normals[rows]))
+                material = scene.room.wall_materials[wall]
+                angle = np.maximum(cosine, _GRAZING)[..., None]
+                response[rows] *= material.reflection_at(known(frequencies, material), angle, c)
+        if not isinstance(source.directivity, Omni):
+            towards = seen_from(source.orientation, found.emitted, found.departure)
+            response *= beam_gain(source.directivity, towards, frequencies, c)
+        if not isinstance(receiver.directivity, Omni):
+            towards = seen_from(receiver.orientation, times, found.arrival)
+            response *= beam_gain(receiver.directivity, towards, frequencies, c)
+        return response
+
+    def angular_bounces(self, group: PathGroup) -> list[tuple[int, Floats]]:
+        """Return the bounces at which some path meets a wall whose factor depends on the angle, with normals (P, 3).
+
+        The normals are those of the unfolded path: the angle is that between them and the departure.
+        """
+        met = self.angular[group.walls]
+        if not met.any():
+            return []
+        normals = unfolded_normals(self._scene.room.planes[0], group.walls)
+        return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
+
+
+def is_complex(scene: Scene) -> bool:
+    """Return whether any wall or beam of a scene has a phase."""
+    beams = [*(source.directivity for source in scene.sources), *(receiver.directivity for receiver in scene.receivers)]
+    return any(m.is_complex for m in scene.room.wall_materials) or any(beam.is_complex for beam in beams)
+
+
+def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]]) -> Floats:
+    """Return the normals of a path's walls as seen from the source's own room.
+
+    Parameters
+    ----------
+    normals : ndarray (W, 3)
+        Unit normals of the walls.
+    walls : ndarray (P, N) int
+        Walls of each path from the source's side, filled up with -1.
+
+    Returns
+    -------
+    ndarray (P, N, 3)
+        Each mirrored by the walls before it, the last of them first; zero where there is no wall.
+    """
+    met = np.concatenate([normals, np.zeros((1, 3))])[walls]
+    unfolded = met.copy()
+    for bounce in range(walls.shape[1]):
+        for before in range(bounce - 1, -1, -1):
+            along = np.sum(unfolded[:, bounce] * met[:, before], axis=1, keepdims=True)
+            unfolded[:, bounce] -= 2.0 * along * met[:, before]
+    return np.asarray(unfolded)
+
+
+def seen_from(orientation: Callable[[Floats], Floats], times: Floats, directions: Floats) -> Floats:
+    """Return directions (P, T, 3) in the frame of a transducer, turned as it is at times (T,) or (P, T)."""
+    quaternions = orientation(times.ravel()).reshape(*times.shape, 4)
+    return np.stack([np.sum(rotate(quaternions, axis) * directions, axis=-1) for axis in np.eye(3)], axis=-1)
+
+
+def beam_gain(
+    directivity: AnyDirectivity, towards: Floats, frequencies: Floats, speed_of_sound: float
+) -> Floats | Complexes:
+    """Return the gain (..., F) of a directivity in directions (..., 3) of its own frame."""
+    f = known(frequencies, directivity)
+    if isinstance(directivity, SphericalDirectivity):
+        return directivity.gain_towards(towards[..., None, :], f, speed_of_sound)
+    return directivity.gain(np.clip(towards[..., :1], -1.0, 1.0), f, speed_of_sound)
+
+
+def known(frequencies: Floats, thing: Material | AnyDirectivity) -> Floats:
+    """Return the frequencies nearest to given ones at which a material or a beam is known.
+
+    Where a signal is more than next to nothing they are the same: plans see to that.
+    """
+    return np.asarray(np.clip(frequencies, *thing.band))

@@ -1,0 +1,1 @@
+"""Paths by mirror reflections from walls."""

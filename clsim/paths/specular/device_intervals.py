@@ -1,0 +1,133 @@
+"""Intervals in which paths are valid, on an OpenCL device: the host side of ``intervals.cl``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import DeviceError, InputError
+from clsim.opencl.device import find_device, opened, upload, work
+from clsim.paths.specular.intervals import GRAZE, MOST_LOOKS, SMALLEST_MOVE, Intervals, Question, merged
+from clsim.scene.room.walls import INSIDE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_PATHS = 16_384  # searched at a time
+_LOOKS = 2**19  # evaluations in one launch
+_DEPTH = 96  # spans that can wait: two for each of 45 times that the run is halved, and a few
+_INTERVAL = np.dtype([("begin", "f8"), ("end", "f8"), ("path", "i4"), ("unused", "i4")])
+
+
+class DeviceSearch:
+    """Answers one question on a device with float64.
+
+    Parameters
+    ----------
+    question : Question
+        Room, ends and resolution.
+    device : pyopencl.Device, optional
+        Where; the best one when left out.
+
+    Raises
+    ------
+    DeviceError
+        If there is no device, or it fails.
+    """
+
+    def __init__(self, question: Question, device: Any = None) -> None:
+        import pyopencl as cl
+
+        self._question = question
+        context, self._compiler = opened(device or find_device(None)[1])
+        self._queue = cl.CommandQueue(context)
+        walls, ends = question.walls, question.movers
+        plane = np.concatenate([walls.normal, walls.offset[:, None]], axis=1)
+        ball = np.concatenate([walls.centre, walls.radius[:, None]], axis=1)
+        whole = (walls.plane, walls.first_edge, walls.first_piece, walls.first_line, walls.first_twin)
+        owner = np.repeat(np.arange(len(walls)), np.diff(walls.first_edge))
+        away = np.einsum("eci,ei->ec", walls.edge, walls.normal[owner]) - walls.offset[owner, None]
+        thickness = float(np.abs(away).max(initial=0.0)) + SMALLEST_MOVE * walls.size
+        self._room = (
+            np.int32(len(walls)), np.float64(INSIDE * walls.size), np.float64(thickness),
+            self._upload(plane), self._upload(ball),
+            *(self._upload(column.astype(np.int32)) for column in whole),
+            self._upload(walls.edge), self._upload(walls.line), self._upload(np.append(walls.twin, 0).astype(np.int32)),
+        )  # fmt: skip
+        self._ends = (
+            self._upload(ends.places), self._upload(ends.scales), self._upload(ends.knots), self._upload(ends.speeds),
+            self._upload(ends.mounts),
+            np.float64(question.speed_of_sound),
+        )  # fmt: skip
+
+    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
+        """Return the intervals in which paths are valid; arguments as in `find_intervals`."""
+        import pyopencl as cl
+
+        parts = []
+        try:
+            for first in range(0, len(sequence), _PATHS):
+                here = slice(first, first + _PATHS)
+                parts.append((first, *self._search(sequence[here], receiver[here])))
+        except (cl.MemoryError, cl.RuntimeError) as error:
+            raise DeviceError(f"the device failed while paths were validated: {error}") from error
+        path = np.concatenate([p["path"].astype(np.int64) + first for first, p, _ in parts])
+        begin, end = (np.concatenate([p[name] for _, p, _ in parts]) for name in ("begin", "end"))
+        return merged(path, begin, end, sum(looks for _, _, looks in parts))
+
+    def _search(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> tuple[NDArray[Any], int]:
+        """Search some paths in launches of bounded length; return their intervals and the evaluations."""
+        import pyopencl as cl
+
+        question, context, flags = self._question, self._queue.context, cl.mem_flags
+        states = self._beginning(question.first[receiver], question.last[receiver])
+        constants = {"ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": 12, "RETARDED": 1, "STILL": 0}
+        kernel = self._compiler.kernel("intervals", constants)
+        columns = (np.append(sequence.ravel(), 0), receiver)
+        rows = tuple(self._upload(column.astype(np.int32)) for column in columns)
+        on_device = self._upload(states)
+        active = np.flatnonzero(states["depth"]).astype(np.int32)
+        parts = []
+        while len(active):
+            budget = max(16, _LOOKS // len(active))
+            room = (budget + 1) * len(active)
+            found = cl.Buffer(context, flags.READ_WRITE, _INTERVAL.itemsize * room)
+            count = self._upload(np.zeros(1, dtype=np.int32))
+            kernel(
+                self._queue, *work(len(active), group=16), *self._room, *self._ends, *rows,
+                self._upload(active), np.int32(len(active)), np.float64(question.resolution),
+                np.float64(SMALLEST_MOVE * question.walls.size), np.float64(GRAZE * question.walls.size),
+                np.int32(budget), on_device, found, count,
+            )  # fmt: skip
+            made = np.empty(1, dtype=np.int32)
+            cl.enqueue_copy(self._queue, made, count)
+            if made[0]:
+                parts.append(np.empty(made[0], dtype=_INTERVAL))
+                cl.enqueue_copy(self._queue, parts[-1], found)
+            cl.enqueue_copy(self._queue, states, on_device)
+            active = active[states["depth"][active] > 0]
+            self._refuse_endless(states["looks"], sequence)
+        return np.concatenate(parts) if parts else np.empty(0, dtype=_INTERVAL), int(states["looks"].sum())
+
+    def _refuse_endless(self, looks: NDArray[np.int32], sequence: NDArray[np.int32]) -> None:
+        worst = int(np.argmax(looks))
+        if looks[worst] > MOST_LOOKS:
+            raise InputError(
+                "resolution",
+                f"must let every path be settled within {MOST_LOOKS} evaluations, but the path by the walls "
+                f"{sequence[worst].tolist()} needs more; it runs along an edge: move an end, or ask less finely",
+            )
+
+    def _beginning(self, first: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[Any]:
+        """Return what each path starts from: one span, the whole time."""
+        span = np.dtype([("begin", "f8"), ("end", "f8"), ("known", "i4"), ("valid", "i4")])
+        state = np.dtype([("begin", "f8"), ("end", "f8"), ("depth", "i4"), ("looks", "i4"), ("stack", span, (_DEPTH,))])
+        states = np.zeros(len(last), dtype=state)
+        states["begin"], states["end"] = 1.0, -1.0
+        states["depth"] = first < last
+        states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = first, last
+        return states
+
+    def _upload(self, array: NDArray[Any]) -> Any:
+        return upload(self._queue.context, array)

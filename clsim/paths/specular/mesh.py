@@ -1,0 +1,266 @@
+"""Paths in a room of any shape: candidates from a finder, intervals by certified subdivision of time."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.errors import ClsimWarning, DeviceError, InputError
+from clsim.opencl.device import find_device
+from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
+from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.specular.intervals import Question, find_intervals
+from clsim.paths.specular.ray_shooting import ShotRays
+from clsim.paths.trajectory_tables import Balls, movers
+from clsim.scene.flush import find_mount
+from clsim.scene.room.mesh import MeshRoom
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.specular.intervals import Intervals
+    from clsim.paths.trajectory_tables import Movers
+    from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.walls import Walls
+    from clsim.scene.scene import Scene, Source
+
+    Progress = Callable[[float], None]
+    Search = Callable[[NDArray[np.int32], NDArray[np.int64]], Intervals]
+
+FINDERS = ("auto", "beam-tree", "shooting")
+BEAM_LIMIT = 5_000_000  # of one tree
+_SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not help a tree
+# Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
+# them would be heard at -102 dB.
+_OF_A_SAMPLE = 1.0 / 16.0
+_BATCH = 16_384  # candidates searched at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundPaths:
+    """Paths of one source, sorted by receiver, order, walls and time.
+
+    Attributes
+    ----------
+    receiver, order : ndarray (P,) int
+        Which, and number of reflections.
+    walls : ndarray (P, max_order) int32
+        From the source's side, filled up with -1.
+    begin, end : ndarray (P,)
+        Interval in which it is heard, s; infinite where it reaches an end of what matters.
+    """
+
+    receiver: NDArray[np.int64]
+    order: NDArray[np.int64]
+    walls: NDArray[np.int32]
+    begin: Floats
+    end: Floats
+
+    @staticmethod
+    def none(max_order: int) -> FoundPaths:
+        """Return no paths."""
+        no = np.empty(0, dtype=np.int64)
+        return FoundPaths(no, no, np.empty((0, max_order), dtype=np.int32), np.empty(0), np.empty(0))
+
+    @staticmethod
+    def joined(parts: list[FoundPaths]) -> FoundPaths:
+        """Return the paths of several parts."""
+        names = ("receiver", "order", "walls", "begin", "end")
+        return FoundPaths(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshSearch:
+    """How paths are looked for in a room of any shape; see `find_paths`."""
+
+    max_order: int
+    finder: str
+    resolution: float | None
+    path_limit: int
+    engine: str
+    device: str | None
+
+    def paths(self, scene: Scene, source: Source, progress: Progress) -> FoundPaths:
+        """Return every path from one source to all receivers.
+
+        Raises
+        ------
+        InputError
+            If there are more paths than the limit, or more beams than can be looked at, or the source may be as fast as
+            sound.
+        DeviceError
+            If the device fails.
+        """
+        room, c = scene.room, scene.air.sound_speed
+        assert isinstance(room, MeshRoom)
+        trajectories = [r.trajectory for r in scene.receivers]
+        mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
+        ends = movers(source.trajectory, trajectories, mounts)
+        longest = (self.max_order + 1) * _diameter(room, ends) / c
+        last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
+        fastest = float(ends.scales[0, 2])
+        if fastest >= c:  # a bound: at a sharp corner up to twice the speed
+            raise InputError(
+                "sources.trajectory",
+                f"must surely stay below the speed of sound, {c:.6g} m/s, for paths in a mesh, but {source.name!r} is "
+                f"only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
+            )
+        resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
+        question = Question(room.walls, ends, c, np.zeros(len(last)), last, resolution)
+        shoot = self._shoots(room.walls, ends)
+        parts: list[FoundPaths] = []
+        cells = [(0.0, float(last.max()))]
+        while cells:
+            begin, end = cells.pop()
+            receivers = ends.receiver_balls(begin, end)
+            centre, radius = ends.ball(0, begin - longest, end)
+            finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
+            if shoot:
+                finder = ShotRays(room, source.trajectory, receivers, mounts[0])
+            part = partial(report, progress, begin / last.max(), end / last.max())
+            try:
+                parts.append(self._heard(question.during(begin, end), finder, source.name, part))
+            except TooManyBeamsError as error:
+                if radius < _SMALLEST_CELL * room.walls.size:
+                    raise InputError("max_order", str(error)) from error
+                cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
+        return _sorted(parts, last)
+
+    def _shoots(self, walls: Walls, ends: Movers) -> bool:
+        """Return whether to shoot rays: asked for, or where a tree would be far too large."""
+        if self.finder == "auto":
+            centre, radius = ends.ball(0)
+            tree = BeamTree(walls, centre, min(radius, _SMALLEST_CELL * walls.size), Balls.none(), BEAM_LIMIT)
+            beams = tree.estimate(self.max_order)
+            if beams <= BEAM_LIMIT:
+                return False
+            reason = f"a beam tree would need about {beams:.1g} beams, so rays are shot instead"
+        elif self.finder == "beam-tree":
+            return False
+        else:
+            reason = "rays are shot, as asked"
+        warnings.warn(
+            f"{reason}: paths by small walls can be missed; lower max_order for a search that misses none",
+            ClsimWarning,
+            stacklevel=4,
+        )
+        return True
+
+    def _heard(self, question: Question, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
+        """Return a finder's candidates with the intervals in which they are heard."""
+        search = _searcher(question, self.engine, self.device)
+        parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
+        for batch, waiting in _batches(finder.candidates(self.max_order)):
+            sequence, receiver = batch.sequence[batch.row], batch.receiver
+            found = search(sequence, receiver)
+            walls = np.full((len(found.path), self.max_order), -1, dtype=np.int32)
+            walls[:, : sequence.shape[1]] = sequence[found.path]
+            order = np.full(len(found.path), sequence.shape[1])
+            parts.append(FoundPaths(receiver[found.path], order, walls, found.begin, found.end))
+            count += len(order)
+            if count > self.path_limit:
+                raise InputError(
+                    "max_order",
+                    f"must give at most {self.path_limit} paths (path_limit), but {self.max_order} gives more from "
+                    f"{name!r}, after {finder.share:.0%} of the search",
+                )
+            done += len(receiver)
+            progress(finder.share * done / (done + waiting))
+        return FoundPaths.joined(parts)
+
+
+def image_isometries(walls: Walls, sequence: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """Return matrices (n, 3, 3) and offsets (n, 3) of the images by sequences of walls (n, N), filled up with -1.
+
+    The image of x is at ``matrix @ x + offset``.
+    """
+    matrix, offset = np.tile(np.eye(3), (len(sequence), 1, 1)), np.zeros((len(sequence), 3))
+    for wall in sequence.T:
+        rows = np.flatnonzero(wall >= 0)
+        normal, away = walls.normal[wall[rows]], walls.offset[wall[rows]]
+        mirror = np.eye(3) - 2.0 * normal[:, :, None] * normal[:, None, :]
+        matrix[rows] = mirror @ matrix[rows]
+        offset[rows] = np.einsum("nij,nj->ni", mirror, offset[rows]) + 2.0 * away[:, None] * normal
+    return matrix, offset
+
+
+def report(progress: Progress, first: float, last: float, share: float) -> None:
+    """Report the share of a part of the work."""
+    progress(first + share * (last - first))
+
+
+def _searcher(question: Question, engine: str, device: str | None) -> Search:
+    """Return what finds intervals: a device with float64, or NumPy."""
+    if engine == "opencl":
+        try:
+            info, chosen = find_device(device)
+            if info.fp64:
+                return DeviceSearch(question, chosen).find
+            reason = f"{info.name} has no float64"
+        except DeviceError:
+            if device is not None:
+                raise
+            reason = "there is no OpenCL device"
+        warnings.warn(f"{reason}: paths are validated by NumPy, which is slow", ClsimWarning, stacklevel=5)
+    return partial(find_intervals, question)
+
+
+def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:
+    """Join candidates of the same order until they are worth a launch; yield also how many others wait."""
+    waiting: dict[int, list[Candidates]] = {}
+    count = 0
+    for found in candidates:
+        if not len(found.row):
+            continue
+        order = found.sequence.shape[1]
+        waiting.setdefault(order, []).append(found)
+        count += len(found.row)
+        if sum(len(c.row) for c in waiting[order]) >= _BATCH:
+            batch = Candidates.joined(waiting.pop(order))
+            count -= len(batch.row)
+            yield batch, count
+    for some in waiting.values():
+        batch = Candidates.joined(some)
+        count -= len(batch.row)
+        yield batch, count
+
+
+def _last(source: Motion, longest: float, receiver: Motion) -> float:
+    """Return the time from which on nothing changes, or at which the recording ends at the latest, s."""
+    last = min(source.end + longest, receiver.end)
+    if math.isinf(source.end) and math.isinf(receiver.end):
+        return 1.0  # nothing ever changes
+    return max(last, 1e-3)
+
+
+def _diameter(room: MeshRoom, ends: Movers) -> float:
+    """Return a bound on the length of a leg, m."""
+    balls = [ends.ball(row) for row in range(len(ends.places))]
+    low = np.minimum(room.extent[0], np.min([c - r for c, r in balls], axis=0))
+    high = np.maximum(room.extent[1], np.max([c + r for c, r in balls], axis=0))
+    return float(np.linalg.norm(high - low))
+
+
+def _sorted(parts: list[FoundPaths], last: Floats) -> FoundPaths:
+    """Join paths of all cells, intervals that touch included; sort by receiver, order, walls and time."""
+    found = FoundPaths.joined(parts)
+    keys = [found.begin, *found.walls.T[::-1], found.order, found.receiver]
+    rows = np.lexsort(keys)
+    receiver, order, walls = found.receiver[rows], found.order[rows], found.walls[rows]
+    begin, end = found.begin[rows], found.end[rows]
+    first = np.ones(len(rows), dtype=bool)
+    first[1:] = (receiver[1:] != receiver[:-1]) | np.any(walls[1:] != walls[:-1], axis=1) | (begin[1:] != end[:-1])
+    starts = np.flatnonzero(first)
+    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
+    begin, end, receiver = begin[starts], end[stops], receiver[starts]
+    begin = np.where(begin <= 0.0, -np.inf, begin)
+    end = np.where(end >= last[receiver], np.inf, end)
+    return FoundPaths(receiver, order[starts], walls[starts], begin, end)

@@ -1,0 +1,111 @@
+"""Trajectories as cubics between evenly spaced knots: what a device can evaluate at any emission time."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.numerics.quaternions import rotate
+from clsim.scene.directivity.patterns import Omni
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+    from clsim.scene.scene import Source
+
+KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
+_AXIS = np.array([1.0, 0.0, 0.0])
+_AXIS_TOLERANCE = 1e-5  # rad
+_SLICE = 20_000  # knots looked at at a time
+
+
+def knot_rate(source: Source, end: float, tolerance: float) -> float:
+    """Return knots per second such that positions, and the axis of a beam, are right between them.
+
+    Parameters
+    ----------
+    source : Source
+        Whose trajectory from 0 to its end matters.
+    end : float
+        Last emission time that matters, s.
+    tolerance : float
+        Largest error of a position, m.
+
+    Notes
+    -----
+    Orientations between waypoints turn at constant rates that jump; there the largest rate is taken, and what remains
+    is an error of the axis over one knot.
+    """
+    if math.isinf(source.trajectory.end):
+        return 1.0
+    good = (rate for rate in KNOT_RATES if _largest_error(source, end, rate, tolerance) <= tolerance)
+    return next(good, KNOT_RATES[-1])
+
+
+def motion_knots(
+    source: Source, start: float, end: float, rate: float, *, sideways: bool = False
+) -> tuple[Floats, float]:
+    """Return cubics of position and axis from `start` to `end`, and the time of the first knot.
+
+    Parameters
+    ----------
+    source : Source
+        The source.
+    start, end : float
+        Range of emission times, s.
+    rate : float
+        Knots per second; knots stand at its whole multiples whatever the range.
+
+    sideways : bool
+        Whether the second axis is wanted too.
+
+    Returns
+    -------
+    knots : ndarray (knots, 24 or 36)
+        For position and axis, and second axis: coefficients [power][xyz] in units of the knot's length.
+    first : float
+        Time of the first knot, s.
+    """
+    first = math.floor(start * rate)
+    times = np.arange(first - 1, math.ceil(end * rate) + 3, dtype=np.float64) / rate
+    position, velocity = source.trajectory.position(times), source.trajectory.velocity(times) / rate
+    inner = slice(1, -1)
+    columns = cubics_between(position[inner], velocity[inner])
+    for axis in np.eye(3)[: 2 if sideways else 1]:
+        turned = rotate(source.orientation(times), axis)
+        columns += cubics_between(turned[inner], np.gradient(turned, axis=0)[inner])
+    return np.ascontiguousarray(np.concatenate(columns, axis=1)), first / rate
+
+
+def cubics_between(values: Floats, slopes: Floats) -> list[Floats]:
+    """Return the coefficients of the cubics between neighbouring values, lowest power first, from slopes per step."""
+    v0, v1, s0, s1 = values[:-1], values[1:], slopes[:-1], slopes[1:]
+    return [v0, s0, 3 * (v1 - v0) - 2 * s0 - s1, s0 + s1 - 2 * (v1 - v0)]
+
+
+def _largest_error(source: Source, end: float, rate: float, tolerance: float) -> float:
+    """Return the largest error of the cubics in the middle between knots, m; that of the axis on the same scale."""
+    largest = 0.0
+    trajectory = source.trajectory
+    for first in range(0, math.ceil(end * rate) + 1, _SLICE):
+        times = np.arange(first, min(first + _SLICE, math.ceil(end * rate)) + 1, dtype=np.float64) / rate
+        if len(times) < 2:
+            break
+        cubic = cubics_between(trajectory.position(times), trajectory.velocity(times) / rate)
+        middle = sum(c * 0.5**power for power, c in enumerate(cubic))
+        error = np.linalg.norm(middle - trajectory.position(times[:-1] + 0.5 / rate), axis=1)
+        largest = max(largest, float(error.max()))
+        if not isinstance(source.directivity, Omni):
+            largest = max(largest, _axis_error(source, times, 0.5 / rate) * tolerance / _AXIS_TOLERANCE)
+    return largest
+
+
+def _axis_error(source: Source, times: Floats, half: float) -> float:
+    """Return the largest error of the axis in the middle between knots, rad."""
+    wide = np.concatenate([[times[0] - 2 * half], times, [times[-1] + 2 * half]])
+    axis = rotate(source.orientation(wide), _AXIS)
+    cubic = cubics_between(axis, np.gradient(axis, axis=0))
+    middle = sum(c * 0.5**power for power, c in enumerate(cubic))
+    error = np.linalg.norm(middle - rotate(source.orientation(wide[:-1] + half), _AXIS), axis=1)
+    return float(error[1:-1].max())

@@ -1,0 +1,191 @@
+"""Branch signals: what of the emitted signals can be heard in a chunk, filtered on the device for all its paths."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.opencl.device import upload, work
+from clsim.render.opencl.activity import CELL, Sounding, sounding
+from clsim.render.opencl.batches import Active
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.opencl.device import Compiler, Scratch
+    from clsim.render.interpolator import Bank
+    from clsim.render.plan import Plan
+
+_MARGIN = 64  # samples of branch signal beyond the bounds of the delays
+
+
+@dataclass(frozen=True, slots=True)
+class Feed:
+    """What of a signal can be heard in a chunk, and by which delays."""
+
+    source: int
+    active: list[Active]
+    places: NDArray[np.int32]  # (n,), what sounds
+    values: NDArray[np.float32]  # (functions, parts, n)
+    before: int  # samples from the first place to that at which branch signals begin
+    after: int
+    width: int  # samples of the branch signals
+    first: int  # of these, at which they begin
+    least: int  # of these, of delay
+    most: int
+    found: Sounding | None  # where it is worth leaving out what is silent
+
+
+@dataclass(frozen=True, slots=True)
+class Branches:
+    """Branch signals on the device, and which delays they cover."""
+
+    rows: Any
+    stride: int
+    first: int  # of their own samples, at which the rows begin
+    least: int  # of these
+    most: int
+    sounding: Sounding | None  # where it is worth leaving out what is silent
+
+
+class BranchSignals:
+    """Makes the branch signals of one chunk and source after the other, and looks ahead to the next."""
+
+    def __init__(self, plan: Plan, queue: Any, compiler: Compiler, scratch: Scratch, lanes: int, parts: int) -> None:
+        self._plan, self._queue, self._compiler, self._scratch = plan, queue, compiler, scratch
+        self._lanes, self._parts = lanes, parts
+        self._emitted: tuple[tuple[int, int], int, Any] | None = None  # rows and samples, and where they are not zero
+        self._written: tuple[tuple[int, int], Sounding] | None = None  # branches kept in memory, silent elsewhere
+        self._ahead: tuple[tuple[int, int, int] | None, Feed | None] = None, None  # prepared: source, start, length
+
+    def whole_blocks(self, start: int, stop: int) -> int:
+        """Return the samples of a chunk, rounded up to whole blocks of every length."""
+        unit = math.lcm(*self._plan.blocks)
+        return -(-(stop - start) // unit) * unit
+
+    def take(self, source: int, start: int, length: int) -> Feed | None:
+        """Return what of a signal can be heard in a chunk, prepared or not; None if it is silent."""
+        wanted = source, start, length
+        return self._ahead[1] if self._ahead[0] == wanted else self._feed(*wanted)
+
+    def look_ahead(self, source: int, start: int) -> None:
+        """Prepare what comes after a source's chunk while the device is at work."""
+        plan = self._plan
+        self._queue.flush()
+        source, start = (source + 1, start) if source + 1 < len(plan.emissions) else (0, start + plan.chunk)
+        stop = min(start + plan.chunk, plan.samples)
+        following = source, start, self.whole_blocks(start, stop)
+        if start < stop and self._ahead[0] != following:
+            self._ahead = following, self._feed(*following)
+
+    def _active(self, source: int, start: int, length: int) -> list[Active]:
+        """Return the paths of a source that are heard within a chunk."""
+        plan, found = self._plan, []
+        for i, group in enumerate(plan.tracks.groups):
+            if group.source == source and i not in plan.at_rest.groups:
+                rate = plan.sampling_rate
+                # Nodes lie up to a block before and two after what is rendered.
+                begin, end = start - plan.blocks[0], start + length + 2 * plan.blocks[0]
+                low, high = plan.tracks.delay_range(i, begin / rate, end / rate)
+                found.append(Active(i, np.arange(len(group)), low, high).during(plan, start, start + length))
+        return [group for group in found if len(group.rows)]
+
+    def _feed(self, source: int, start: int, length: int) -> Feed | None:
+        """Return what of a signal can be heard in a chunk; None if it is silent."""
+        emission, rate = self._plan.emissions[source], self._plan.sampling_rate
+        active = self._active(source, start, length)
+        if not active:
+            return None
+        times = emission.oversampling
+        late = emission.start * rate
+        least = times * (int(np.floor(min(group.low.min() for group in active) * rate + late)) - _MARGIN)
+        most = times * (int(np.ceil(max(group.high.max() for group in active) * rate + late)) + _MARGIN)
+        needed = times * length + most - least
+        step = max(64, 1 << needed.bit_length() - 5)  # little, but so much that chunk after chunk has the same width
+        width = -(-needed // step) * step
+        first = times * start - most
+        before, after = (max(side(bank) for bank in emission.banks) for side in (_taps_before, _taps_after))
+        places, values = emission.sounding(first - before, first + width + after)
+        if not len(places):
+            return None
+        found = sounding(places, width, before, after)
+        parts = np.stack([values.real, values.imag][: self._parts], axis=1, dtype=np.float32)
+        return Feed(
+            source, active, places.astype(np.int32), parts, before, after, width, first, least, most,
+            found if found.pays and times == 1 else None,
+        )  # fmt: skip
+
+    def made(self, feed: Feed, skips_silence: bool) -> Branches:
+        """Filter what can be heard of a signal, all of it or what sounds of it."""
+        emission = self._plan.emissions[feed.source]
+        found = feed.found if skips_silence else None
+        # Whole pages apart, rows would fight for the same cache lines.
+        stride = feed.width + 16 * emission.oversampling
+        out, following = self._rows(self._parts * int(emission.rows[-1]), stride, found)
+        emitted, samples = self._emit(feed)
+        channel = 8 * self._lanes
+        for (k, bank), part in itertools.product(enumerate(emission.banks), range(self._parts)):
+            rows, taps = bank.taps.shape
+            constants = {"LANES": self._lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(found is not None)}
+            constants["OVERSAMPLING"] = emission.oversampling
+            kernel = self._compiler.kernel("branches", constants)
+            kernel(
+                self._queue, *work(feed.width // channel, rows), emitted,
+                np.int32((k * self._parts + part) * samples + feed.before - _taps_before(bank)),
+                self._upload(bank.taps.astype(np.float32)), np.int32(feed.width), np.int32(stride),
+                np.int32(self._parts * emission.rows[k] + part * rows), out,
+                following,
+            )  # fmt: skip
+        return Branches(out, stride, feed.first, feed.least, feed.most, found)
+
+    def _emit(self, feed: Feed) -> tuple[Any, int]:
+        """Return memory that holds what is emitted, silence included, and the samples of its rows."""
+        import pyopencl as cl
+
+        rows, samples = feed.values.shape[0] * feed.values.shape[1], feed.before + feed.width + feed.after
+        out = self._scratch.take("emitted", 4 * rows * samples)
+
+        def emit(count: int, places: Any, values: Any, clear: bool) -> None:
+            kernel = self._compiler.kernel("emit", {})
+            size = work(count, rows)
+            kernel(self._queue, *size, np.int32(count), places, values, np.int32(clear), np.int64(samples), out)
+
+        if self._emitted is not None and self._emitted[0] == (rows, samples):
+            emit(*self._emitted[1:], out, clear=True)
+        else:
+            cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, 4 * rows * samples)
+        self._emitted = (rows, samples), len(feed.places), self._upload(feed.places)
+        emit(*self._emitted[1:], self._upload(feed.values), clear=False)
+        return out, samples
+
+    def _rows(self, count: int, stride: int, found: Sounding | None) -> tuple[Any, Any]:
+        """Return memory for branch signals, and where they are to be written: where they sound, or did before."""
+        import pyopencl as cl
+
+        out, shape = self._scratch.take("rows", 4 * count * stride), (count, stride)
+        if found is None:
+            self._written = None
+            return out, out  # of no use: all is written
+        if self._written is None or self._written[0] != shape:
+            cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, 4 * count * stride)
+            write = found
+        else:
+            write = found | self._written[1]
+        self._written = shape, found
+        return out, self._upload(write.following)
+
+    def _upload(self, array: NDArray[Any]) -> Any:
+        return upload(self._queue.context, array)
+
+
+def _taps_before(bank: Bank) -> int:
+    """Return how many samples before the first one the branch filters read."""
+    return int(bank.taps.shape[1]) - 1 - bank.centre
+
+
+def _taps_after(bank: Bank) -> int:
+    return bank.centre + 1

@@ -1,0 +1,313 @@
+"""Tracks computed on the device, in float64, from the images of a scene."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.numerics.quaternions import rotate
+from clsim.opencl.device import Scratch, upload, work
+from clsim.paths.arrivals import MACH_EXPONENT, PathGroup
+from clsim.paths.response import Responses
+from clsim.paths.trajectory_cubics import knot_rate, motion_knots
+from clsim.render.opencl.activity import CELL
+from clsim.render.opencl.lookup_tables import CELLS, SIDE, SPHERICAL, beam_kind, beam_table, wall_table
+from clsim.render.plan import Plan, node_times
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.opencl.device import Compiler
+    from clsim.render.opencl.activity import Sounding
+    from clsim.render.opencl.batches import Slots
+    from clsim.render.opencl.fades import Boundaries
+    from clsim.scene.scene import Receiver, Scene
+    from clsim.tracks.basis import Basis
+    from clsim.tracks.tracks import SceneTracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceNodes:
+    """Block polynomials of a run on the device, and what was found while they were made."""
+
+    delay: Any
+    cubics: Any
+    spans: Any  # groups of each block and path in which something sounds; None if all are looked at
+    error: Floats  # (segments,), of all paths together, relative to what is heard, of the receiver where it is most
+    unheld: Floats  # (segments,), the same of what no function of frequency holds
+    shortest: float  # s
+    longest: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chunk:
+    """What one source and a batch of receivers need over a chunk, on the device."""
+
+    source: int
+    slots: Slots
+    start: int  # sample
+    images: tuple[Any, ...]
+    bounds: Boundaries
+    anchors: Any
+    knots: tuple[Any, ...]
+    sounding: tuple[Any, ...] | None
+    first: int  # sample of the branches
+
+
+class DeviceTracks:
+    """Makes block polynomials with ``tracks.cl``."""
+
+    def __init__(self, plan: Plan, tracks: SceneTracks, queue: Any, compiler: Compiler, together: int) -> None:
+        self._plan, self._tracks, self._queue, self._compiler = plan, tracks, queue, compiler
+        self._together = together  # nodes of a path that are solved side by side
+        self._scratch = Scratch(queue.context)
+        scene = tracks.scene
+        self._knot_rates = []
+        for source, emission in zip(scene.sources, plan.emissions, strict=True):
+            # A position wrong by this much is wrong in phase by half the asked error at the band's end.
+            tolerance = 10 ** (plan.motion_error_db / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.swiftness)
+            self._knot_rates.append(
+                knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
+            )
+        self._surroundings = [
+            _Surroundings(scene, i, emission.basis, self._upload) for i, emission in enumerate(plan.emissions)
+        ]
+        self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
+        self._at_rest = {
+            i: _receiver_at(r, np.zeros(1))
+            for i, r in enumerate(scene.receivers)
+            if math.isinf(r.trajectory.end) and r.electronics is None
+        }
+        self._still = len(self._at_rest) == len(scene.receivers)
+        for i, around in enumerate(self._surroundings):
+            around.most_bounces(g for g in tracks.path_groups if g.source == i)
+
+    def prepare(
+        self,
+        source: int,
+        slots: Slots,
+        bounds: Boundaries,
+        start: int,
+        length: int,
+        sounding: Sounding | None,
+        first: int,
+    ) -> _Chunk:
+        """Upload images and motion for one source and a batch of receivers over a stretch of samples.
+
+        Where `sounding` is given, what is silent is left out; `first` is the sample at which branch signals begin.
+        """
+        plan, scene = self._plan, self._tracks.scene
+        around, all_paths = self._surroundings[source], self._tracks.paths
+        rows = np.concatenate(
+            [self._tracks.path_rows[g][slots.path[slots.of_group(i)]] for i, g in enumerate(slots.groups)]
+        )
+        paths = PathGroup(source, -1, all_paths.image_matrix[rows], all_paths.image_offset[rows], all_paths.walls[rows])
+        reflection = np.where(slots.filling[:, None, None], 0.0, around.reflection(paths)).astype(np.float32)
+        receiver_of = np.repeat(np.arange(len(slots.groups), dtype=np.int32), np.diff(slots.first_slot))
+        rate = plan.sampling_rate
+        longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
+        spare = 0.05 + plan.segment / rate  # for nodes and anchors beside the run
+        knots, knot_first = motion_knots(
+            scene.sources[source], start / rate - longest - 0.01 * abs(longest) - spare,
+            (start + length) / rate - shortest + spare,
+            self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
+        )  # fmt: skip
+        columns = (paths.matrix.reshape(-1, 9).T, paths.offset.T, receiver_of, reflection, *around.bounces(paths))
+        images = tuple(self._upload(column) for column in columns)
+        motion = (
+            self._upload(knots), np.int32(len(knots)), np.float64(knot_first), np.float64(self._knot_rates[source]),
+        )  # fmt: skip
+        anchors = self._anchors(source, slots, images, motion, start, -(-length // plan.segment) + 3)
+        cells = None
+        if sounding is not None:
+            signal = (sounding.following, sounding.preceding)
+            cells = (*(self._upload(column) for column in signal), np.int32(len(sounding.cells)))
+        return _Chunk(source, slots, start, images, bounds, anchors, motion, cells, first)
+
+    def _anchors(
+        self, source: int, slots: Slots, images: tuple[Any, ...], motion: tuple[Any, ...], start: int, ends: int
+    ) -> Any:
+        """Solve the delays at the ends of segments, from which those between are predicted."""
+        import pyopencl as cl
+
+        rate, segment = self._plan.sampling_rate, self._plan.segment
+        out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * slots.count)
+        times = (start + segment * np.arange(-1.0, ends - 1)) / rate
+        kernel = self._compiler.kernel("anchors", self._motion_constants(source))
+        kernel(
+            self._queue, *work(slots.count, ends), *images[:3],
+            self._upload(self._receivers_at(slots, times)), np.int32(ends), *motion,
+            np.float64(start / rate), np.float64(segment / rate),
+            np.float64(self._tracks.scene.air.sound_speed), out,
+        )  # fmt: skip
+        return out
+
+    def nodes(
+        self, chunk: _Chunk, start: int, block: int, blocks: int, meanwhile: Callable[[], None] | None = None
+    ) -> DeviceNodes:
+        """Make the polynomials of `blocks` blocks from a sample on; something else can be done meanwhile."""
+        import pyopencl as cl
+
+        plan, scene, slots = self._plan, self._tracks.scene, chunk.slots
+        emission = plan.emissions[chunk.source]
+        rate, c = plan.sampling_rate, scene.air.sound_speed
+        walks = -(-blocks * block // plan.segment)
+        terms = plan.delay_terms + 4 * len(emission.basis)
+        delay = self._scratch.take(("delay", block), 4 * blocks * slots.count)
+        cubics = self._scratch.take(("cubics", block), 4 * (terms * blocks * slots.count + 8))
+        found = np.empty((walks, slots.count, 4), dtype=np.float32)
+        unheld = np.empty((walks, slots.count), dtype=np.float32)
+        found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
+        receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
+        around = self._surroundings[chunk.source]
+        spread = emission.filter_half / rate  # by which the functions' filters are longer than what is emitted
+        spans, cells = None, (delay, delay, np.int32(0))
+        if chunk.sounding is not None:
+            spans, cells = self._scratch.take(("spans", block), 4 * blocks * slots.count), chunk.sounding
+            cl.enqueue_fill_buffer(self._queue, spans, np.zeros(1, np.int32), 0, 4 * blocks * slots.count)
+        constants = self._constants(chunk.source, block) | {"SPARSE": int(spans is not None)}
+        kernel = self._compiler.kernel("tracks", constants)
+        kernel(
+            self._queue, *work(slots.count, walks), *chunk.images,
+            *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
+            np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // plan.segment), *chunk.knots,
+            np.float64(start / rate), np.float64(rate), np.float64(c),
+            *around.basis, np.float64(emission.late),
+            np.float64(emission.start - spread), np.float64(emission.start + emission.signal.duration + spread),
+            np.float32(2.0 * math.pi * emission.swiftness), *around.tables,
+            self._upload(around.beam_of[slots.receiver]),
+            np.int32(blocks), delay, cubics, found_there, unheld_there, *cells, np.float64(start - chunk.first),
+            np.float64(self._max_rates[chunk.source]), delay if spans is None else spans,
+        )  # fmt: skip
+        if meanwhile is not None:
+            meanwhile()
+        cl.enqueue_copy(self._queue, found, found_there)
+        cl.enqueue_copy(self._queue, unheld, unheld_there)
+        first = slots.first_slot[:-1]
+        # Errors of paths add up like the paths themselves: as the root of the sum of squares.
+        error, heard, left = (
+            np.sqrt(np.add.reduceat(square, first, axis=1), dtype=np.float64)
+            for square in (found[..., 0], found[..., 1], unheld)
+        )
+        heard = np.maximum(heard, 1e-30)
+        return DeviceNodes(
+            delay, cubics, spans, (error / heard).max(axis=1), (left / heard).max(axis=1), float(found[..., 2].min()),
+            float(found[..., 3].max()),
+        )  # fmt: skip
+
+    def _motion_constants(self, source: int) -> dict[str, int]:
+        sideways = self._surroundings[source].source_kind == SPHERICAL
+        return {
+            "KNOT_COLUMNS": 36 if sideways else 24,
+            "RETARDED": int(self._tracks.motion == "retarded"),
+            "STILL": int(self._still),
+        }
+
+    def _constants(self, source: int, block: int) -> dict[str, int]:
+        retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
+        return self._motion_constants(source) | {
+            "BLOCK": block,
+            "TOGETHER": self._together,
+            "GROUP": self._plan.group(source, block),
+            "FINE": int(self._plan.is_fine(block)),
+            "OVERSAMPLING": self._plan.emissions[source].oversampling,
+            "CELL": CELL,
+            "WALK": self._plan.segment // block,
+            "DELAY_TERMS": self._plan.delay_terms,
+            "FUNCTIONS": len(self._plan.emissions[source].basis),
+            "NODES": around.count,
+            "PARTS": around.parts,
+            "CELLS": CELLS,
+            "SIDE": SIDE,
+            "MACH_EXPONENT": MACH_EXPONENT[self._tracks.amplitude] if retarded else 0,
+            "SOURCE_BEAM": around.source_kind,
+            "RECEIVER_BEAM": around.receiver_kind,
+            "ANGULAR": around.angular,
+        }
+
+    def _receivers_at(self, slots: Slots, times: Floats) -> Floats:
+        """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes, 14).
+
+        Where all receivers are at rest, a single node is enough.
+        """
+        times = times[:1] if self._still else times
+        out = np.empty((len(slots.groups), len(times), 14))
+        for i, r in enumerate(slots.receiver):
+            out[i] = self._at_rest[r] if r in self._at_rest else _receiver_at(self._tracks.scene.receivers[r], times)
+        return out
+
+    def _upload(self, array: NDArray[Any]) -> Any:
+        return upload(self._queue.context, array)
+
+
+def _receiver_at(receiver: Receiver, times: Floats) -> Floats:
+    """Return position, velocity, axes and clock of a receiver, (times, 14)."""
+    ahead = receiver.clock_ahead(times)
+    true = times + ahead
+    axes = [rotate(receiver.orientation(true), axis) for axis in np.eye(3)[:2]]
+    clock = [ahead[:, None], np.full((len(times), 1), receiver.pace)]
+    return np.concatenate(
+        [receiver.trajectory.position(true), receiver.trajectory.velocity(true), *axes, *clock], axis=1
+    )
+
+
+class _Surroundings:
+    """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``gain.h``."""
+
+    def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
+        c = scene.air.sound_speed
+        self.count, self.parts = len(basis.nodes), basis.parts
+        self._responses = Responses(scene, basis.nodes)
+        padding = -len(basis) % 8 if len(basis) > 1 else 0  # of gains, which stand side by side
+        columns = (
+            self._responses.nepers, np.pad(basis.projection.T, ((0, 0), (0, padding))), basis.functions, basis.weight,
+            np.pad(basis.strengths, (0, padding)),
+        )  # fmt: skip
+        self.basis = tuple(put(column.astype(np.float32)) for column in columns)
+        beams = [r.directivity for r in scene.receivers]
+        self.source_kind, self.receiver_kind = beam_kind([scene.sources[source].directivity]), beam_kind(beams)
+        source_beam = beam_table(scene.sources[source].directivity, self.source_kind, basis.nodes, c, self.parts)
+        kinds = list(dict.fromkeys(beams))
+        tables = [beam_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
+        bands = len(tables[0]) // min(self.count, 8)
+        self.beam_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
+        materials, angular = scene.room.wall_materials, self._responses.angular
+        different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
+        kind = {key: i for i, key in enumerate(different)}
+        self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)
+        walls = [wall_table(m, basis.nodes, c, self.parts) for m in different.values()]
+        nothing = np.zeros(8, dtype=np.float32)
+        self.tables = tuple(put(np.concatenate([*part, nothing])) for part in (walls, [source_beam], tables))
+        self.angular = 0
+
+    def most_bounces(self, groups: Iterable[PathGroup]) -> None:
+        """Make room for the most walls that depend on the angle that any path of some groups meets."""
+        met = self._responses.angular
+        self.angular = max((int(met[g.walls].sum(axis=1).max(initial=0)) for g in groups), default=0)
+
+    def no_bounces(self, slots: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return empty columns: material (at least 1, slots) and normal (at least 1, 3, slots) of every bounce."""
+        count = max(self.angular, 1)
+        return np.full((count, slots), -1, dtype=np.int32), np.zeros((count, 3, slots), dtype=np.float32)
+
+    def reflection(self, group: PathGroup) -> Floats:
+        """Return what the walls that are the same at every angle do to each path, (P, parts, nodes)."""
+        product = self._responses.walls(group)
+        return np.stack([product.real, product.imag][: self.parts], axis=1)
+
+    def bounces(self, group: PathGroup) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return material and normal of every bounce that depends on the angle, those of each path first."""
+        wall_of, normal = self.no_bounces(len(group.walls))
+        filled = np.zeros(len(group.walls), dtype=np.int64)
+        for bounce, normals in self._responses.angular_bounces(group):
+            here = np.flatnonzero(self._responses.angular[group.walls[:, bounce]])
+            wall_of[filled[here], here] = self._material_of[group.walls[here, bounce]]
+            normal[filled[here], :, here] = normals[here]
+            filled[here] += 1
+        return wall_of, normal

@@ -1,0 +1,343 @@
+"""The OpenCL engine: branch signals, tracks and their sum on the device, chunk by chunk."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import ClsimError, ClsimWarning, DeviceError
+from clsim.opencl.device import Scratch, find_device, opened, upload, work
+from clsim.render.opencl.batches import Active, Slots, fill_slots
+from clsim.render.opencl.branch_signals import Branches, BranchSignals
+from clsim.render.opencl.device_nodes import DeviceTracks
+from clsim.render.opencl.fades import boundaries, find_edges
+from clsim.render.opencl.host_nodes import HostTracks
+from clsim.render.plan import NODE_BUDGET, Plan
+from clsim.tracks.tracks import SceneTracks
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+
+BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
+_TILE = 128  # paths whose branch signals stay in cache together
+_STRETCH = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
+_TOGETHER = 8  # functions of frequency that are summed at a time
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How the sum of paths is spread over a device: a group of samples over lanes of vectors, or over work-items."""
+
+    lanes: int
+    span: int  # groups to a work-item, or group of them
+    sparse_span: int  # the same where signals pause
+    nodes: int  # of a path, whose delays are solved side by side
+
+    def constants(self, group: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
+        """Return the compile-time constants of the render kernel for a group length."""
+        workers = 1 if self.lanes > 1 else group
+        return {
+            "LANES": self.lanes,
+            "VECTORS": group // (workers * self.lanes),
+            "WORKERS": workers,
+            "SPARSE": int(sparse),
+            "FINE": int(fine),
+            "OVERSAMPLING": oversampling,
+            **({} if sparse else {"BATCH": BATCH}),
+            "TILE": _TILE,
+            "SPAN": (self.sparse_span if sparse else self.span) * (32 // group),
+        }
+
+
+CPU_LAYOUT = Layout(lanes=8, span=16, sparse_span=48, nodes=4)
+GPU_LAYOUT = Layout(lanes=1, span=4, sparse_span=16, nodes=1)
+
+
+class OpenclEngine:
+    """Carries out a plan on an OpenCL device.
+
+    Parameters
+    ----------
+    plan : Plan
+        What to compute.
+    layout : Layout, optional
+        How to spread it; by the kind of device when left out.
+
+    Raises
+    ------
+    DeviceError
+        If there is no device, or it fails; the message says what to do.
+    """
+
+    parts = 1  # rows of what is heard of a receiver
+
+    def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
+        import pyopencl as cl
+
+        self._plan = plan
+        self._info, device = find_device(plan.device)
+        self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
+        self._context, self._compiler = opened(device)
+        self._queue = cl.CommandQueue(self._context)
+        self._scratch = Scratch(self._context)
+        self.branch_signals = BranchSignals(
+            plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts
+        )
+        self.skips_silence = True
+        self._unheld = np.zeros(len(plan.emissions))  # largest part of what is heard that no function holds
+        self._coarse = [(0.0, 0.0)] * len(plan.emissions)  # largest error of the shortest blocks, and when, s
+        self._tracks: DeviceTracks | HostTracks
+        if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
+            self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler, self._layout.nodes)
+        else:
+            self._tracks = HostTracks(plan, self._queue)
+
+    def render(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
+        import pyopencl as cl
+
+        try:
+            return self._render(start, stop)
+        except (cl.MemoryError, cl.RuntimeError) as error:
+            raise DeviceError(
+                f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
+                "receivers at a time, or on another device (see `clsim devices`)"
+            ) from error
+
+    def warn(self) -> None:
+        """Warn where responses came along that the functions of frequency hold worse than asked."""
+        for i, emission in enumerate(self._plan.emissions):
+            reached = 20.0 * math.log10(max(float(self._unheld[i]), 1e-15))
+            if reached > emission.basis.asked_db + 1.0 > -math.inf:
+                _warn(
+                    f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
+                    f"{emission.basis.asked_db:g} dB asked for; ask for a smaller response_error_db"
+                )
+            wrong, time = self._coarse[i]
+            wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
+            if wrong_db > self._plan.motion_error_db + 6.0:  # that of the delay filters
+                _warn(
+                    f"source {i}: at about {time:.3f} s ends are so near and fast, or turn so sharply, that even the "
+                    f"shortest blocks are wrong by {wrong_db:.0f} dB of what is heard; sample faster, or keep off"
+                )
+
+    def note(self, source: int, unheld: float) -> None:
+        """Remember the largest part of what is heard of a source that no function holds."""
+        self._unheld[source] = max(self._unheld[source], unheld)
+
+    def note_coarse(self, source: int, wrong: float, time: float) -> None:
+        """Remember the largest error that the shortest blocks leave of a source, and when."""
+        self._coarse[source] = max(self._coarse[source], (wrong, time))
+
+    @property
+    def run(self) -> type[Run]:
+        """What renders a batch of receivers."""
+        return Run
+
+    def _render(self, start: int, stop: int) -> NDArray[np.float32]:
+        import pyopencl as cl
+
+        plan, length = self._plan, self.branch_signals.whole_blocks(start, stop)
+        pressure = np.empty((self.parts * plan.receiver_count, length), dtype=np.float32)
+        on_device = self._scratch.take("pressure", pressure.nbytes)
+        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)
+        for source in range(len(plan.emissions)):
+            feed = self.branch_signals.take(source, start, length)
+            if feed is None:
+                continue
+            active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
+            segments = -(-length // plan.segment)
+            always = all(plan.tracks.groups[group.index].always_heard for group in active)
+            step = segments if always else _STRETCH
+            for first in range(0, segments, step):
+                last = min(first + step, segments)
+                here = [
+                    group.during(plan, start + first * plan.segment, start + last * plan.segment) for group in active
+                ]
+                node = bytes_per_node(plan, source)
+                per_segment = node * (plan.segment // plan.shortest_block)
+                for some in _batches([group for group in here if len(group.rows)], per_segment):
+                    slots = fill_slots(plan, some, BATCH)
+                    self.run(self, source, slots, branches, on_device, length, start, first, last).render()
+        cl.enqueue_copy(self._queue, pressure, on_device)
+        return pressure[:, : stop - start]
+
+    def _upload(self, array: NDArray[Any]) -> Any:
+        return upload(self._context, array)
+
+
+class Run:
+    """Renders one batch of receivers over some segments of a chunk, choosing the block length for each."""
+
+    def __init__(
+        self,
+        engine: OpenclEngine,
+        source: int,
+        slots: Slots,
+        branches: Branches,
+        pressure: Any,
+        length: int,
+        start: int,
+        first: int,
+        last: int,
+    ) -> None:
+        self._engine, self._plan = engine, engine._plan
+        self._source, self._slots, self._branches = source, slots, branches
+        self._pressure, self._length, self._start = pressure, length, start
+        self._first_slot, self._row = engine._upload(slots.first_slot), engine._upload(slots.receiver)
+        self._bounds = boundaries(self._plan, slots)
+        self._first, self._last = first, last
+        begin, end = first * self._plan.segment, min(last * self._plan.segment, length)
+        self._state: Any = engine._tracks.prepare(
+            source, slots, self._bounds, start + begin, end - begin, branches.sounding, branches.first
+        )
+        self._tolerance = 10 ** (self._plan.motion_error_db / 20)
+        self._functions = len(self._plan.emissions[source].basis)
+
+    def render(self) -> None:
+        """Add what is heard to the pressure on the device."""
+        self._cover(self._first, self._last, 0)
+
+    def _cover(self, first: int, last: int, level: int) -> None:
+        """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
+        plan, segment = self._plan, self._plan.segment
+        block = plan.blocks[level]
+        node = bytes_per_node(plan, self._source)
+        step = max(1, NODE_BUDGET // (node * self._slots.count * (segment // block)))
+        for at in range(first, last, step):
+            upto = min(at + step, last)
+            begin, end = at * segment, min(upto * segment, self._length)
+            nodes = self._engine._tracks.nodes(
+                self._state, self._start + begin, block, (end - begin) // block,
+                lambda: self._engine.branch_signals.look_ahead(self._source, self._start),
+            )  # fmt: skip
+            self._check(nodes.shortest, nodes.longest)
+            self._engine.note(self._source, float(nodes.unheld.max()))
+            coarse = nodes.error > self._tolerance
+            if level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1]):
+                for i in np.flatnonzero(coarse).tolist():
+                    middle = self._start + (at + i + 0.5) * segment
+                    self._engine.note_coarse(self._source, float(nodes.error[i]), middle / plan.sampling_rate)
+                coarse[:] = False
+            for a, b in _runs(coarse):
+                if coarse[a]:
+                    self._cover(at + a, at + b, level + 1)
+                else:
+                    self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
+
+    def _fits(self, block: int) -> bool:
+        """Return whether the polynomials of one segment in blocks of a length can be held."""
+        needed = bytes_per_node(self._plan, self._source) * self._slots.count * (self._plan.segment // block)
+        return not self._plan.is_fine(block) or needed <= 4 * NODE_BUDGET
+
+    def _check(self, shortest: float, longest: float) -> None:
+        """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
+        emission = self._plan.emissions[self._source]
+        rate = emission.oversampling * self._plan.sampling_rate
+        low, high = ((delay + emission.start) * rate for delay in (shortest, longest))
+        if not (low > self._branches.least + 1 and high < self._branches.most - 1):
+            raise ClsimError(
+                f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
+                "please report this scene as a defect"
+            )
+
+    def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        engine, emission = self._engine, self._plan.emissions[self._source]
+        self._render_edges(nodes, segment, end, block, first_block)
+        group, fine = self._plan.group(self._source, block), self._plan.is_fine(block)
+        constants = engine._layout.constants(
+            group, sparse=nodes.spans is not None, fine=fine, oversampling=emission.oversampling
+        )
+        spans = nodes.delay if nodes.spans is None else nodes.spans
+        begin = segment * self._plan.segment
+        groups = (end - begin) // group
+        size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
+        counts = [len(bank.taps) for bank in emission.banks]
+        together = _TOGETHER if nodes.spans is not None else 1
+        for k in range(0, len(counts), together):
+            here = counts[k : k + together]
+            each = "".join(f"ADD({i},{count})" for i, count in enumerate(here))
+            functions: dict[str, int | str] = {"FUNCTIONS": len(here), "EACH_FUNCTION": each, "MOST_ROWS": max(here)}
+            kernel = engine._compiler.kernel("render", constants | functions)
+            kernel(
+                engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
+                np.int32(emission.rows[k]), np.int32(self._functions), np.int32(k),
+                np.int32(self._lead(begin)), nodes.delay, nodes.cubics, self._first_slot,
+                np.int32(self._slots.count), np.int32(block // group), np.int32(first_block),
+                np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
+            )  # fmt: skip
+
+    def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        """Render the blocks in which paths begin or end, and take them out of the polynomials."""
+        engine, slots, begin = self._engine, self._slots, segment * self._plan.segment
+        edges = find_edges(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
+        if edges is None:
+            return
+        per_ramp, rows = self._bounds.ramp, self._plan.emissions[self._source].rows.astype(np.int32)
+        slot, at = engine._upload(edges.slot), engine._upload(edges.block + np.int32(first_block))
+        oversampling = self._plan.emissions[self._source].oversampling
+        kernel = engine._compiler.kernel(
+            "edges", {"SPARSE": int(nodes.spans is not None), "OVERSAMPLING": oversampling}
+        )
+        kernel(
+            engine._queue, *work(block, len(edges.row), group=math.gcd(block, 32)), self._branches.rows,
+            np.int32(self._branches.stride),
+            np.int32(self._functions), engine._upload(rows), np.int32(self._lead(begin)),
+            nodes.delay, nodes.cubics, np.int32(slots.count), np.int32(block), np.int32(first_block),
+            np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
+            *(engine._upload(column) for column in (edges.start, edges.end, edges.first, edges.row, edges.at)),
+            self._pressure, np.int32(self._length), np.int32(begin), np.int32(end - begin),
+            nodes.delay if nodes.spans is None else nodes.spans,
+        )  # fmt: skip
+        self._mute(nodes, slot, at)
+
+    def _lead(self, begin: int) -> int:
+        """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
+        return self._start + begin - self._branches.first // self._plan.emissions[self._source].oversampling
+
+    def _mute(self, nodes: Any, slot: Any, at: Any) -> None:
+        """Take paths, by slot and block, out of the polynomials."""
+        kernel = self._engine._compiler.kernel(
+            "mute", {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(nodes.spans is not None)}
+        )
+        kernel(
+            self._engine._queue, *work(slot.size // 4), np.int32(slot.size // 4), slot, at, np.int32(self._functions),
+            nodes.cubics, np.int32(self._slots.count),
+        )  # fmt: skip
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, ClsimWarning, stacklevel=4)
+
+
+def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the maximal ranges of equal values."""
+    edges = (np.flatnonzero(np.diff(values)) + 1).tolist()
+    return list(zip([0, *edges], [*edges, len(values)], strict=True))
+
+
+def bytes_per_node(plan: Plan, source: int) -> int:
+    """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain."""
+    return 4 + 4 * plan.delay_terms + 16 * len(plan.emissions[source].basis)
+
+
+def _batches(active: list[Active], per_segment: int) -> list[list[Active]]:
+    """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path."""
+    most = max(BATCH, NODE_BUDGET // per_segment)
+    batches: list[list[Active]] = []
+    count = most
+    for group in active:
+        slots = -(-len(group.rows) // BATCH) * BATCH
+        if count + slots > most:
+            batches.append([])
+            count = 0
+        batches[-1].append(group)
+        count += slots
+    return batches

@@ -1,0 +1,120 @@
+"""Blocks in which paths begin or end: found on the host, rendered sample by sample on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.tracks.transition import heard_samples
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.render.opencl.batches import Slots
+    from clsim.render.plan import Plan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boundaries:
+    """When the paths of slots are heard.
+
+    Attributes
+    ----------
+    start, end : ndarray (slots,)
+        Boundaries in samples from time 0; infinite where there is none.
+    first, last : ndarray (slots,) int64
+        First sample with a weight, and the one after the last; empty for slots that fill up a batch.
+    ramp : float
+        Length of a transition, samples; 0 for a gate.
+    """
+
+    start: Floats
+    end: Floats
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    ramp: float
+
+    def samples_from(self, start: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Return first and last as counted from a sample on, bounded to 31 bits."""
+        most = 2**30
+        first, last = (np.clip(x - start, -most, most).astype(np.int32) for x in (self.first, self.last))
+        return first, last
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Slots and blocks that are heard with a weight, grouped by receiver and block.
+
+    Attributes
+    ----------
+    slot, block : ndarray (n,) int32
+        Which.
+    start, end : ndarray (n,) float32
+        Boundaries in samples from the block's start.
+    first : ndarray (places + 1,) int32
+        Where each receiver and block begins in the columns above.
+    row : ndarray (places,) int32
+        Row of its receiver in the output.
+    at : ndarray (places,) int32
+        Its block.
+    """
+
+    slot: NDArray[np.int32]
+    block: NDArray[np.int32]
+    start: NDArray[np.float32]
+    end: NDArray[np.float32]
+    first: NDArray[np.int32]
+    row: NDArray[np.int32]
+    at: NDArray[np.int32]
+
+
+def boundaries(plan: Plan, slots: Slots) -> Boundaries:
+    """Return when the paths of slots are heard."""
+    rate, transition = plan.sampling_rate, plan.tracks.transition
+    groups = [plan.tracks.groups[i] for i in slots.groups]
+    rows = [slots.path[slots.of_group(i)] for i in range(len(groups))]
+    start = np.concatenate([g.start[r] for g, r in zip(groups, rows, strict=True)])
+    end = np.concatenate([g.end[r] for g, r in zip(groups, rows, strict=True)])
+    first, last = heard_samples(start, end, transition, rate)
+    first[slots.filling], last[slots.filling] = 0, 0
+    if transition == 0.0:  # a gate opens and closes between samples
+        return Boundaries(first.astype(np.float64), last.astype(np.float64), first, last, 0.0)
+    return Boundaries(start * rate, end * rate, first, last, transition * rate)
+
+
+def find_edges(bounds: Boundaries, slots: Slots, start: int, block: int, blocks: int) -> Edges | None:
+    """Return the edges within some blocks from a sample on; None if there are none."""
+    found = []
+    for place in (bounds.start, bounds.end):
+        half = 0.5 * bounds.ramp
+        low = np.clip((place - half - start) / block, -1.0, blocks)
+        high = np.clip((place + half - start) / block, -1.0, blocks)
+        low, high = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
+        if bounds.ramp == 0.0:
+            high = np.where(place - start == high * block, low - 1, high)  # a gate between blocks needs nothing
+        high = np.minimum(high, blocks - 1)
+        low = np.maximum(low, 0)
+        count = np.where(slots.filling, 0, np.maximum(high - low + 1, 0))
+        which = np.repeat(np.arange(slots.count), count)
+        found.append((which, low[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)))
+    slot, at = (np.concatenate([f[i] for f in found]) for i in range(2))
+    if not len(slot):
+        return None
+    slot, at = np.unique(np.stack([slot, at]), axis=1)
+    group = np.searchsorted(slots.first_slot, slot, side="right") - 1
+    order = np.lexsort((slot, at, group))
+    slot, at, group = slot[order], at[order], group[order]
+    new = np.flatnonzero(np.diff(group * np.int64(blocks) + at, prepend=-1))
+    begin = (start + at * block).astype(np.float64)
+    far = 2.0**23
+
+    def here(place: Floats) -> NDArray[Any]:
+        return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
+
+    return Edges(
+        slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
+        np.append(new, len(slot)).astype(np.int32), slots.receiver[group[new]], at[new].astype(np.int32),
+    )  # fmt: skip

@@ -1,0 +1,115 @@
+"""Tracks computed on the host: sampled ones, scenes whose paths begin or end, and devices without float64."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.opencl.device import upload
+from clsim.render.opencl.block_polynomials import block_error, block_polynomials
+from clsim.render.plan import Plan, node_times
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.render.opencl.activity import Sounding
+    from clsim.render.opencl.batches import Slots
+    from clsim.render.opencl.fades import Boundaries
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HostNodes:
+    """Block polynomials of a run, uploaded, and what was found while they were made."""
+
+    delay: Any
+    cubics: Any
+    spans: None
+    error: Floats
+    unheld: Floats
+    shortest: float
+    longest: float
+
+
+class HostTracks:
+    """Makes block polynomials in NumPy and uploads them."""
+
+    def __init__(self, plan: Plan, queue: Any) -> None:
+        self._plan, self._queue = plan, queue
+
+    def prepare(
+        self,
+        source: int,
+        slots: Slots,
+        bounds: Boundaries,
+        start: int,
+        length: int,
+        sounding: Sounding | None,
+        first: int,
+    ) -> tuple[int, Slots, Boundaries]:
+        """Return what `nodes` needs; nothing is left out here."""
+        return source, slots, bounds
+
+    def nodes(
+        self,
+        state: tuple[int, Slots, Boundaries],
+        start: int,
+        block: int,
+        blocks: int,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> HostNodes:
+        """Make the polynomials of `blocks` blocks from a sample on; the host has no time for anything else."""
+        source, slots, bounds = state
+        plan, emission = self._plan, self._plan.emissions[source]
+        rate = plan.sampling_rate
+        whole = np.empty((blocks, slots.count), dtype=np.int32)
+        cubics = np.empty((blocks, plan.delay_terms + 4 * len(emission.basis), slots.count), dtype=np.float32)
+        error = np.zeros(-(-blocks * block // plan.segment))
+        shortest, longest = math.inf, -math.inf
+        times = node_times(start, block, blocks, rate)
+        first, last = bounds.samples_from(start)
+        begins = block * np.arange(blocks)
+        for i, index in enumerate(slots.groups):
+            here = slots.of_group(i)
+            delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
+            whole[:, here], made = block_polynomials(
+                delay, change, gain, block, rate, emission.late, emission.oversampling, plan.delay_terms
+            )
+            sized = gain * emission.basis.strengths[:, None, None]
+            part = 0.0 if plan.is_fine(block) else plan.group(source, block) / block
+            swiftness = 2.0 * math.pi * emission.swiftness
+            wrong = block_error(delay, change, sized, swiftness, block / rate, part, plan.delay_terms)
+            heard = (first[here, None] < begins + block) & (last[here, None] > begins)
+            terms = plan.delay_terms
+            made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
+            cubics[:, :, here] = made
+            np.maximum(
+                error,
+                _by_segment(
+                    np.where(heard, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, plan.segment // block
+                ),
+                out=error,
+            )
+            shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
+        if plan.delay_terms == 8:  # as in nodes.h
+            cubics = cubics.transpose(0, 2, 1)
+        return HostNodes(
+            self._upload(whole), self._upload(cubics), None, error, np.zeros(len(error)), shortest, longest
+        )
+
+    def _upload(self, array: NDArray[Any]) -> Any:
+        return upload(self._queue.context, array)
+
+
+def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:
+    """Return the largest error of each segment relative to what is heard, of those of paths (paths, blocks)."""
+    first = np.arange(0, wrong.shape[1], step)
+    error, heard = (
+        np.sqrt(np.sum(np.maximum.reduceat(values, first, axis=1) ** 2, axis=0)) for values in (wrong, np.abs(gain))
+    )
+    return np.asarray(error / np.maximum(heard, 1e-30))

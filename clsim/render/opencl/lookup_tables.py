@@ -1,0 +1,120 @@
+"""Walls and beams as tables that a device looks up: cubics over an angle, B-splines over a sphere."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.paths.response import beam_gain, known
+from clsim.scene.directivity.patterns import Omni, SphericalDirectivity
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.scene.directivity.patterns import AnyDirectivity
+    from clsim.scene.material.material import Material
+
+CELLS = 1024  # of a table over an angle; its cubics are within 1e-9 for a piston of ka = 10
+SIDE = 101  # points of a table over a sphere along a face of the cube: 96 cells and two points beyond either edge
+_MARGIN = 14  # points beyond an edge that the spline is made of, where 0.27 ** 12 of what is not known there is left
+NONE, AXIAL, SPHERICAL = 0, 1, 2  # as in gain.h
+
+
+def beam_kind(directivities: Sequence[AnyDirectivity]) -> int:
+    """Return the kind of table that holds all of some directivities."""
+    if any(isinstance(d, SphericalDirectivity) for d in directivities):
+        return SPHERICAL
+    return NONE if all(isinstance(d, Omni) for d in directivities) else AXIAL
+
+
+def beam_table(
+    directivity: AnyDirectivity, kind: int, frequencies: Floats, speed_of_sound: float, parts: int
+) -> NDArray[np.float32]:
+    """Return the table of a directivity, flat; see ``gain.h`` for its layout.
+
+    Parameters
+    ----------
+    directivity : Directivity or SphericalDirectivity
+        What to tabulate.
+    kind : int
+        `NONE`, `AXIAL` or `SPHERICAL`; axial directivities have tables of either kind.
+    frequencies : ndarray (M,)
+        Hz.
+    speed_of_sound : float
+        m/s.
+    parts : int
+        1 for real gains, 2 for complex ones.
+    """
+    if kind == NONE:
+        return np.zeros(0, dtype=np.float32)
+    if kind == SPHERICAL:
+        return _sphere(
+            lambda towards: beam_gain(directivity, towards, frequencies, speed_of_sound), len(frequencies), parts
+        )
+    assert not isinstance(directivity, SphericalDirectivity)
+    frequencies = known(frequencies, directivity)
+    half = CELLS // 2  # two splines: the gain of a piston bends at 90 degrees
+    cosine = np.linspace(-1.0, 1.0, CELLS + 1)
+    ends = (slice(0, half + 1), slice(half, CELLS + 1))
+    return np.concatenate(
+        [
+            _cubics(cosine[piece], _shaped(directivity.gain(cosine[piece][:, None], frequencies, speed_of_sound),
+                                           (half + 1, len(frequencies))), parts)
+            for piece in ends
+        ]
+    )  # fmt: skip
+
+
+def wall_table(material: Material, frequencies: Floats, speed_of_sound: float, parts: int) -> NDArray[np.float32]:
+    """Return the table of a material over the root of the cosine of the angle of incidence, flat."""
+    root = np.linspace(0.0, 1.0, CELLS + 1)
+    cosine = np.maximum(root, 1e-6)[:, None] ** 2
+    factor = material.reflection_at(known(frequencies, material), cosine, speed_of_sound)
+    return _cubics(root, _shaped(factor, (CELLS + 1, len(frequencies))), parts)
+
+
+def _shaped(values: Floats | Complexes, shape: tuple[int, ...]) -> Any:
+    return np.broadcast_to(values, shape)
+
+
+def _cubics(place: Floats, values: Floats | Complexes, parts: int) -> NDArray[np.float32]:
+    """Return cubics between equidistant places (n + 1,), (n, 4, parts, M) flat, lowest power first."""
+    from scipy.interpolate import CubicSpline
+
+    coefficients = CubicSpline(place, _split(values, parts)).c[::-1]  # [power][cell][part][frequency]
+    width = (place[1] - place[0]) ** np.arange(4)
+    return np.ascontiguousarray(np.moveaxis(coefficients, 0, 1) * width[:, None, None], dtype=np.float32).ravel()
+
+
+def _split(values: Floats | Complexes, parts: int) -> Floats:
+    """Return real, and imaginary, parts (..., parts, M) of values (..., M)."""
+    return np.stack([values.real, values.imag][:parts], axis=-2)
+
+
+def _sphere(gain: Callable[[Floats], Floats | Complexes], count: int, parts: int) -> NDArray[np.float32]:
+    """Return B-spline coefficients over the faces of a cube, (6, SIDE, SIDE, parts, M) flat.
+
+    A face's own points go on beyond its edges, so that its spline knows no edge.
+    """
+    from scipy.ndimage import spline_filter
+
+    cells = SIDE - 5
+    place = np.arange(-_MARGIN, cells + _MARGIN + 1) * (2.0 / cells) - 1.0
+    p, q = np.meshgrid(place, place, indexing="ij")
+    kept = slice(_MARGIN - 2, _MARGIN - 2 + SIDE)
+    table = np.empty((6, SIDE, SIDE, parts, count), dtype=np.float32)
+    for face in range(6):
+        axis = face // 2
+        towards = np.empty((*p.shape, 3))
+        towards[..., axis] = 1.0 - 2.0 * (face % 2)
+        towards[..., (axis + 1) % 3], towards[..., (axis + 2) % 3] = p, q
+        towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+        values = _split(_shaped(gain(towards), (*p.shape, count)), parts)
+        for part in range(parts):
+            for m in range(count):
+                table[face, :, :, part, m] = spline_filter(values[..., part, m], order=3)[kept, kept]
+    return table.ravel()

@@ -1,0 +1,191 @@
+"""From the sound pressure at the receivers to what they record, piece by piece."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from clsim.errors import ClsimWarning, InputError
+from clsim.render.plan import SEGMENT, Plan
+from clsim.scene.signal.filtering import StreamFilter
+from clsim.scene.signal.waveforms import white_noise
+from clsim.scene.transducer.electronics import Electronics
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.scene import Receiver
+
+_Kind = Literal["highpass", "lowpass"]
+
+
+class Receiving:
+    """What all receivers of a plan do to the pressure; pieces must come in order.
+
+    Attributes
+    ----------
+    clipped : list of int
+        Samples at each receiver that its converter clipped so far.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._ends = {
+            i: ReceiverEnd(receiver, plan.sampling_rate)
+            for i, receiver in enumerate(plan.receivers)
+            if plan.baseband is None and (receiver.transducer is not None or receiver.electronics is not None)
+        }
+        self._plan = plan
+
+    @property
+    def clipped(self) -> tuple[int, ...]:
+        """Samples at each receiver that its converter clipped so far."""
+        return tuple(self._ends[i].clipped if i in self._ends else 0 for i in range(self._plan.receiver_count))
+
+    def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[Any]:
+        """Return what is recorded of pressure (receivers, n) in Pa from sample `start` on.
+
+        Raises
+        ------
+        InputError
+            If a sample is not finite.
+        """
+        with np.errstate(over="ignore"):  # what float32 does not hold is refused
+            out = np.array(pressure, dtype=self._plan.sample_type)
+            for i, end in self._ends.items():
+                out[i] = end(start, np.asarray(pressure[i], dtype=np.float64))
+        _check_finite(start, out)
+        return out
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return all that the receivers remember of the pieces so far; noise and clocks remember nothing."""
+        return {f"{i}.{name}": value for i, end in self._ends.items() for name, value in end.state().items()}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Go on where another one of the same plan was; `state` is what that remembered."""
+        for i, end in self._ends.items():
+            end.restore({name: state[f"{i}.{name}"] for name in end.state()})
+
+    def describe(self) -> list[str]:
+        """Return what the converters clipped, a line each."""
+        samples = self._plan.samples
+        return [
+            f"receiver {end.name!r}: {end.clipped} of {samples} samples clipped at full scale"
+            for end in self._ends.values()
+            if end.electronics.step
+        ]
+
+    def warn(self) -> None:
+        """Warn of samples that were clipped."""
+        for i, end in self._ends.items():
+            if end.clipped:
+                warnings.warn(
+                    f"receivers[{i}].electronics: {end.clipped} of {self._plan.samples} samples of {end.name!r} were "
+                    f"clipped at adc_full_scale, {end.electronics.adc_full_scale:g} {end.unit}; "
+                    "lower gain_db or raise it",
+                    ClsimWarning,
+                    stacklevel=4,
+                )
+
+
+def _check_finite(start: int, samples: NDArray[Any]) -> None:
+    """Refuse samples (receivers, n) from `start` on that are not finite."""
+    parts = samples.view(np.float32)  # of envelopes, too
+    if parts.size and np.isfinite(parts.max()) and np.isfinite(parts.min()):  # NaN is both
+        return
+    for i, k in np.argwhere(~np.isfinite(samples))[:1]:
+        raise InputError(
+            f"receivers[{i}]",
+            f"must hear what float32 holds, but sample {start + k} is {samples[i, k]}: lower amplitudes, sensitivities "
+            "or gain_db",
+        )
+
+
+class ReceiverEnd:
+    """One receiver's transducer and electronics, with all that they remember."""
+
+    def __init__(self, receiver: Receiver, sampling_rate: float) -> None:
+        self.name, self.unit = receiver.name, receiver.unit
+        self.electronics = end = receiver.electronics or Electronics()
+        self.clipped = 0
+        end.check_rate(sampling_rate)
+        sensitivity, self._transducer = 1.0, None
+        if receiver.transducer is not None:
+            sensitivity = receiver.transducer.sensitivity
+            self._transducer = StreamFilter(receiver.transducer.impulse_response(sampling_rate), SEGMENT)
+        self._ambient = _Noise(end.ambient_rms(sampling_rate), end.seed, f"ambient {receiver.name}")
+        self._own = _Noise(end.self_rms(sampling_rate) * sensitivity, end.seed, f"self {receiver.name}")
+        self._cuts = [_Cut(frequency, kind, end.order, sampling_rate) for frequency, kind in _cuts(end)]
+
+    def __call__(self, start: int, samples: Floats) -> Floats:
+        """Return what is recorded of pressure (n,) in Pa from sample `start` on, a whole number of segments."""
+        samples = self._ambient.added(start, samples)
+        if self._transducer is not None:
+            samples = self._transducer(samples)
+        samples = self._own.added(start, samples)
+        for cut in self._cuts:
+            samples = cut(samples)
+        samples = samples * 10 ** (self.electronics.gain_db / 20)
+        return self._converted(samples) if self.electronics.step else samples
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return what is remembered of the samples so far."""
+        state: dict[str, NDArray[Any]] = {f"cut{i}": cut.state for i, cut in enumerate(self._cuts)}
+        if self._transducer is not None:
+            state["ringing"] = self._transducer.ringing
+        return state | {"clipped": np.array(self.clipped)}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Remember what another one remembered."""
+        for i, cut in enumerate(self._cuts):
+            cut.state = state[f"cut{i}"]
+        if self._transducer is not None:
+            self._transducer.ringing = state["ringing"]
+        self.clipped = int(state["clipped"])
+
+    def _converted(self, samples: Floats) -> Floats:
+        """Round to the converter's steps, and count what is clipped."""
+        codes = np.rint(samples / self.electronics.step)
+        most = 2.0 ** ((self.electronics.adc_bits or 0) - 1)
+        kept = np.clip(codes, -most, most - 1.0)
+        self.clipped += int(np.count_nonzero(kept != codes))
+        return kept * self.electronics.step
+
+
+class _Noise:
+    """White noise that depends on seed, purpose and sample only."""
+
+    def __init__(self, rms: float, seed: int, purpose: str) -> None:
+        digest = hashlib.sha256(f"{seed} {purpose}".encode()).digest()
+        self._rms, self._stream = rms, int.from_bytes(digest[:8], "little")
+
+    def added(self, start: int, samples: Floats) -> Floats:
+        """Return samples with the noise added."""
+        if self._rms == 0.0 or not len(samples):
+            return samples
+        return samples + self._rms * white_noise(self._stream, start, start + len(samples))
+
+
+class _Cut:
+    """A Butterworth filter, sample after sample."""
+
+    def __init__(self, frequency: float, kind: _Kind, order: int, sampling_rate: float) -> None:
+        from scipy.signal import butter
+
+        self._sections: Any = butter(order, frequency, kind, fs=sampling_rate, output="sos")
+        self.state = np.zeros((len(self._sections), 2))
+
+    def __call__(self, samples: Floats) -> Floats:
+        """Return filtered samples (n,)."""
+        from scipy.signal import sosfilt
+
+        out, self.state = sosfilt(self._sections, samples, zi=self.state)
+        return np.asarray(out, dtype=np.float64)
+
+
+def _cuts(end: Electronics) -> list[tuple[float, _Kind]]:
+    kinds: tuple[tuple[float | None, _Kind], ...] = ((end.low_cut, "highpass"), (end.high_cut, "lowpass"))
+    return [(frequency, kind) for frequency, kind in kinds if frequency is not None]

@@ -1,0 +1,415 @@
+"""What is emitted, and the filters for it: delays, and what air, walls and beams do over a signal's band."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import as_number
+from clsim.errors import ClsimWarning, InputError
+from clsim.paths.coverage import check_known
+from clsim.paths.response import is_complex
+from clsim.render.interpolator import Bandlimited, Bank, Interpolator
+from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_above, shares
+from clsim.tracks.basis import Basis, flat_basis, scene_basis, turning_basis
+from clsim.tracks.sampled import band_of
+from clsim.tracks.tracks import SceneTracks, Tracks
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.impulse_response import ImpulseResponse
+    from clsim.scene.signal.signal import Signal
+
+DEFAULT_RESPONSE_ERROR_DB = -90.0  # of air, walls and beams over a signal's band, of all paths together
+AT_CENTRE = "centre"  # instead of that error: all of them as at the centre of the signal's band
+EXACT_DB = -100.0  # the same for the reference engine
+_MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, for which walls and beams need not be known
+_WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
+_WIDEST_OVERSAMPLED = 0.98  # the same where branch signals have twice the sampling rate
+_OVERSAMPLED_DB = -40.0  # of the signal's energy beyond that, up to which it is worth it
+_LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on it is a warning
+_WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
+_LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
+_LIMIT_WIDTH, _LEAST_LIMIT_WIDTH = 0.08, 0.02  # of half the sampling rate, over which it falls to that
+_MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may weaken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Emission:
+    """One source's signal and the filters for it.
+
+    Attributes
+    ----------
+    signal : Signal
+        At the sampling rate of the recording.
+    start : float
+        Time at which it begins, s.
+    banks : tuple of Bank
+        Branch filters, for each function of the basis; fewer for those that add little.
+    basis : Basis
+        Functions of frequency that carry the responses of its paths.
+    filters : ndarray (K, L)
+        The functions of the basis behind the band limit, as filters of odd length about their middle tap.
+    band_limit : ndarray (M,)
+        Low-pass without delay that removes what lies above the band, of odd length; a single 1 where nothing does.
+    band : float
+        Highest frequency that the bank holds, Hz.
+    swiftness : float
+        Frequency by which an error of a delay is heard, Hz.
+    oversampling : int
+        Samples of the branch signals in one of the recording, 1 or 2.
+    removed_db : float
+        Share of the signal's energy above the band, dB; -inf for none.
+    """
+
+    signal: Signal
+    start: float
+    banks: tuple[Bank, ...]
+    basis: Basis
+    filters: Floats
+    band_limit: Floats
+    band: float
+    swiftness: float
+    oversampling: int
+    removed_db: float
+
+    @property
+    def bank(self) -> Bank:
+        """The branch filters of the strongest function."""
+        return self.banks[0]
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate of the branch signals, Hz."""
+        return self.oversampling * self.signal.sampling_rate
+
+    @property
+    def late(self) -> float:
+        """What is added to delays, samples of the branch signals."""
+        return self.start * self.rate - self.bank.shift
+
+    @property
+    def filter_half(self) -> int:
+        """Taps on either side of the filters' middle."""
+        return int(self.filters.shape[1] // 2)
+
+    @property
+    def reach(self) -> int:
+        """Samples by which the filters look to either side: so much sounds before a path's first arrival at most."""
+        return -(-(self.filter_half + self.bank.reach) // self.oversampling)
+
+    @property
+    def rows(self) -> NDArray[Any]:
+        """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
+        return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
+
+    def streams(self, first: int, last: int) -> NDArray[Any]:
+        """Return samples `first` to `last`, at `rate`, of the signal through each function of the basis, (K, n)."""
+        places, values = self.sounding(first, last)
+        out = np.zeros((len(self.basis), last - first))
+        out[:, places] = values
+        return out
+
+    def sounding(self, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
+        """Return where samples `first` to `last` of those streams sound, from `first` on, (n,), and these (K, n).
+
+        What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
+        """
+        return _filtered(self._read, self.filters, first, last)
+
+    def _read(self, first: int, last: int) -> Floats:
+        """Return samples at `rate` of the signal, zero between its own."""
+        if self.oversampling == 1:
+            return self.signal.read(first, last)
+        before, times = first // self.oversampling, self.oversampling
+        own = self.signal.read(before, -(-last // times))
+        return np.kron(own, np.eye(1, times)[0])[first - times * before :][: last - first]
+
+    def turned(self, late: Floats) -> Floats | Complexes | float:
+        """Return the factor by which delays (P, n), samples, turn the phase of what is carried: 1 of sound as it is."""
+        return 1.0
+
+    @property
+    def held(self) -> tuple[float, float]:
+        """Frequencies between which sound is not removed on purpose, Hz."""
+        return 0.0, 0.5 * self.signal.sampling_rate
+
+    def emitted(self, first: int, last: int) -> NDArray[Any]:
+        """Return samples `first` to `last` of what impulse responses are convolved with."""
+        places, values = _filtered(self.signal.read, self.band_limit[None], first, last)
+        out = np.zeros(last - first)
+        out[places] = values[0]
+        return out
+
+    def acting(self, response: ImpulseResponse) -> ImpulseResponse:
+        """Return an impulse response at the signal's sampling rate as it acts on what is emitted."""
+        return response
+
+    def describe_filters(self) -> str:
+        """Return how delays are carried."""
+        removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
+        reach = self.reach / self.signal.sampling_rate
+        return (
+            f"filters of {len(self.bank.taps)} branches hold up to {self.band:.0f} Hz within "
+            f"{self.bank.error_db:.1f} dB; share of the signal above, which is removed: {removed}; they sound up to "
+            f"{self.reach} samples ({1e3 * reach:.3g} ms) before an arrival"
+            + ("; the signal is taken at twice the sampling rate" if self.oversampling > 1 else "")
+        )
+
+    def describe(self) -> str:
+        """Return how air, walls and beams are carried, and what it costs."""
+        basis = self.basis
+        if not math.isfinite(basis.asked_db):
+            return f"air, walls and beams are those at {basis.nodes[0]:.6g} Hz"
+        if len(basis) == 1 and basis.at_one_frequency:
+            return f"air, walls and beams hardly change over the signal's band ({basis.error_db:.1f} dB)"
+        rows, most = int(self.rows[-1]), len(self.bank.taps)
+        return (
+            f"{len(basis)} functions of frequency, taken at {len(basis.nodes)} frequencies, carry air, walls and beams "
+            f"within {basis.error_db:.1f} dB ({rows} branch signals, {rows / most:.1f} times the work of one function)"
+        )
+
+
+def design_emission(
+    index: int,
+    signal: Signal,
+    start: float,
+    tracks: Tracks,
+    *,
+    interpolator: Interpolator,
+    until: float,
+    sampling_rate: float,
+    response_error_db: float | str,
+    exact: bool,
+    at_rest: bool = False,
+) -> Emission:
+    """Return a source's signal at the sampling rate, Hz, with filters for its band and for how its paths move.
+
+    Parameters
+    ----------
+    index : int
+        Of the source.
+    signal : Signal
+        What it emits.
+    start : float
+        Time at which that begins, s.
+    tracks : Tracks
+        Its paths.
+    interpolator : Interpolator
+        Delays.
+    until : float
+        End of the run, s.
+    sampling_rate : float
+        Hz.
+    response_error_db : float or "centre"
+        As in `render`.
+    exact : bool
+        For the reference engine: -100 dB at least.
+    at_rest : bool
+        All its paths are convolved, so that nothing needs functions of frequency.
+
+    Raises
+    ------
+    InputError
+        If a wall or a beam is not known over the signal's band, or asks for too many functions.
+    """
+    check_response_error(response_error_db)
+    signal = signal.at_rate(sampling_rate)
+    sound = ShortTimeSpectra.of(signal)
+    times = _oversampling(sound, interpolator, tracks.max_rate(index), sampling_rate)
+    high, removed_db, limit = _band(index, signal, sound, interpolator, tracks, times)
+    rate = times * sampling_rate
+    basis = basis_of(index, signal, sound, high, tracks, until, rate, response_error_db, exact, at_rest)
+    banks = _banks(index, basis, sound, high, interpolator, tracks.max_rate(index), rate, times)
+    filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])
+    swiftness = min(sound.swiftness(), high) or high
+    return Emission(signal, start, banks, basis, filters, limit, high, swiftness, times, removed_db)
+
+
+def check_response_error(response_error_db: float | str) -> None:
+    """Raise an InputError if the asked error of responses is neither in dB nor that of the centre frequency."""
+    if response_error_db == AT_CENTRE:
+        return
+    if isinstance(response_error_db, str):
+        raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
+    as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
+
+
+def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:
+    """Return 2 where a signal's band ends so near half the sampling rate that twice that rate holds it, else 1."""
+    nyquist = 0.5 * rate / (1.0 + max_rate)
+    if not isinstance(interpolator, Bandlimited) or sound.bounds(_MAIN_WINDOW_SHARE)[1] <= _WIDEST * nyquist:
+        return 1
+    return 2 if sound.bounds(10 ** (_OVERSAMPLED_DB / 10))[1] <= _WIDEST_OVERSAMPLED * nyquist else 1
+
+
+def _doubling(rate: float) -> Floats:
+    """Return the low-pass behind a signal's samples with zeros between them, at twice its rate in Hz."""
+    limit = _low_pass((2.0 - _WIDEST_OVERSAMPLED) * 0.5 * rate, (1.0 - _WIDEST_OVERSAMPLED) * rate, 2.0 * rate)
+    return 2.0 * limit
+
+
+def _band(
+    index: int, signal: Signal, sound: ShortTimeSpectra, interpolator: Interpolator, tracks: Tracks, times: int
+) -> tuple[float, float, Floats]:
+    """Return the end of the band that matters, Hz, the share above it in dB, and the band limit."""
+    rate = signal.sampling_rate
+    widest = (_WIDEST if times == 1 else _WIDEST_OVERSAMPLED) * 0.5 * rate / (1.0 + tracks.max_rate(index))
+    floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
+    band = max(sound.bounds(10 ** ((floor_db - 6.0) / 10))[1], 0.05 * widest)
+    if band <= widest:
+        return band, -math.inf, np.ones(1)
+    spectrum = signal.energy_spectrum()
+    removed_db = share_above(spectrum, widest)
+    still = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
+    _check_received(index, spectrum, widest, still, tracks, rate)
+    if removed_db > _LOUD_SHARE_DB:
+        _warn(
+            f"signals[{index}]: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
+            "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
+        )
+    limit = _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate) if times == 1 else np.ones(1)
+    return widest, removed_db, limit
+
+
+def _check_received(
+    index: int, spectrum: tuple[Floats, Floats], widest: float, still: float, tracks: Tracks, rate: float
+) -> None:
+    """Refuse a signal that has more than half of its energy above the band, by itself (`still`) or by Doppler."""
+    middle = shares(spectrum, 0.5)[1]
+    if middle <= widest:
+        return
+    if tracks.max_rate(index) == 0.0 or middle >= still:
+        raise InputError(
+            f"signals[{index}]",
+            f"must lie below {widest:.0f} Hz at a sampling rate of {rate:g} Hz, but half of its energy lies at "
+            f"{middle:.0f} Hz and above: sample faster",
+        )
+    speed, most = tracks.fastest(index, still / middle - 1.0)
+    raise InputError(
+        f"signals[{index}]",
+        f"must be received below {still:.0f} Hz at a sampling rate of {rate:g} Hz, but at speeds of up to {speed:.4g} "
+        f"m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or stay below {most:.4g} m/s",
+    )
+
+
+def _banks(
+    index: int,
+    basis: Basis,
+    sound: ShortTimeSpectra,
+    high: float,
+    interpolator: Interpolator,
+    max_rate: float,
+    rate: float,
+    times: int,
+) -> tuple[Bank, ...]:
+    """Return the delay filters for each function of the basis, by what it carries of the sound."""
+    edge = min(math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi)  # rounded up: designs are found again
+    importance = sound.importance(edge * rate / (2.0 * math.pi), basis.loudness)
+    fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
+    taps = np.arange(basis.filters.shape[1]) - basis.half
+    carried = np.abs(basis.filters @ np.exp(-1j * np.outer(taps, fine))).reshape(len(basis), CELLS, 8).max(axis=2)
+    banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist()), times) for row in carried)
+    if banks[0].error_db > _WEAK_ERROR_DB:
+        _warn(
+            f"signals[{index}]: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
+            f'{high:.0f} Hz; sample faster or use the "bandlimited" interpolator'
+        )
+    return banks
+
+
+def _band_limit(main: float, stop: float, rate: float) -> Floats:
+    """Return a low-pass without delay that stops at `stop` Hz and leaves what lies below `main` Hz, if there is room.
+
+    By the window method (Kaiser): wide where there is room, so that it rings shortly.
+    """
+    width = 0.5 * rate * float(np.clip((stop - main) / (0.5 * rate), _LEAST_LIMIT_WIDTH, _LIMIT_WIDTH))
+    return _low_pass(stop, width, rate)
+
+
+def _low_pass(stop: float, width: float, rate: float) -> Floats:
+    """Return a low-pass without delay that falls within `width` Hz up to `stop` Hz, of odd length."""
+    from scipy.signal import firwin, kaiserord
+
+    length, beta = kaiserord(_LIMIT_DB, width / (0.5 * rate))
+    length += 1 - length % 2
+    return np.asarray(firwin(length, stop - 0.5 * width, window=("kaiser", beta), fs=rate))
+
+
+def basis_of(
+    index: int,
+    signal: Signal,
+    sound: ShortTimeSpectra,
+    high: float,
+    tracks: Tracks,
+    until: float,
+    rate: float,
+    error_db: float | str,
+    exact: bool,
+    at_rest: bool,
+    least: float = 0.0,
+) -> Basis:
+    """Return the functions of frequency that a source's paths need, from `least` to `high` Hz at most."""
+    if not isinstance(tracks, SceneTracks):
+        return flat_basis(signal.centre_frequency)
+    if not len(sound.energy):  # silence needs nothing
+        return flat_basis(signal.centre_frequency)
+    told = shares(signal.energy_spectrum(), _MAIN_SHARE)
+    check_known(tracks.scene, [index], *told, f"the signal of source {index}")
+    if at_rest:
+        return flat_basis(signal.centre_frequency)
+    floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
+    low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
+    low = min(max(low, least, float(sound.frequencies[1])), 0.999 * high)
+    band = partial(band_of, low, high, sound)
+    if not isinstance(error_db, str):
+        return scene_basis(tracks, index, band, until, rate, min(floor_db, error_db))
+    if is_complex(tracks.scene):
+        return turning_basis(index, signal.centre_frequency, band(), rate, floor_db)
+    return flat_basis(signal.centre_frequency)
+
+
+def _filtered(
+    read: Callable[[int, int], Floats], filters: Floats, first: int, last: int
+) -> tuple[NDArray[np.int64], Floats]:
+    """Return where a signal through filters sounds from `first` to `last`, from there on (n,), and what (K, n).
+
+    What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
+    """
+    half = filters.shape[1] // 2
+    reach = 2 * half  # of a sample, into what is filtered before it
+    samples = read(first - half, last + half)
+    heard = np.flatnonzero(samples)
+    if not len(heard):
+        return heard, np.zeros((len(filters), 0))
+    pause = np.flatnonzero(np.diff(heard) > reach + 1)
+    begins = np.maximum(heard[np.concatenate([[0], pause + 1])] - reach, 0)
+    lengths = np.minimum(heard[np.concatenate([pause, [-1]])] + 1, last - first) - begins
+    places = _ranges(begins, lengths)
+    if reach == 0:
+        return places, samples[places] * filters
+    from scipy.signal import oaconvolve
+
+    together = samples[_ranges(begins, lengths + reach)]  # without the pauses
+    made = oaconvolve(together[None], filters, mode="valid", axes=1)
+    within = _ranges(np.cumsum(lengths + reach) - lengths - reach, lengths)
+    return places, np.asarray(made[:, within])
+
+
+def _ranges(begins: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return whole numbers from each beginning on, range after range."""
+    ends = np.cumsum(lengths)
+    return np.repeat(begins - ends + lengths, lengths) + np.arange(int(ends[-1]) if len(ends) else 0)
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, ClsimWarning, stacklevel=6)

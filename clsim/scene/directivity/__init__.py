@@ -1,0 +1,1 @@
+"""How loud ends are in each direction."""

@@ -1,0 +1,389 @@
+"""A beam that was measured: values by angle from the axis and frequency."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from clsim.acoustics.acoustic_centre import fit_delay
+from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.errors import InputError
+from clsim.scene.directivity.angles import SAME_ANGLE as _SAME_ANGLE
+from clsim.scene.directivity.angles import overhangs, within_half_turn
+from clsim.scene.directivity.gain_tables import (
+    as_frequencies,
+    as_gains,
+    check_known,
+    check_level,
+    check_options,
+    joined_over_frequency,
+    known_band,
+    over_axis,
+)
+from clsim.scene.directivity.text_files import as_table, read_csv_table, read_mat_arrays, read_npz_arrays
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+_REAR = ("hold", "mirror", "zero")
+_SIDES = ("positive", "negative", "mean")
+_SAME_SIDES = 1e-3  # of the largest value, or of a neper: sides that differ by less are the same
+_FALL = math.radians(10.0)  # over which rear="zero" falls to nothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectivityTable:
+    """A gain by angle from the axis and by frequency, the same all round the axis.
+
+    Parameters
+    ----------
+    angles_degrees : array_like (a,)
+        From the axis, increasing: 0 to 180, or less with `rear`; or with negative angles too, see `side`. What goes up
+        to 15° beyond 0 and 180 is left out, with a warning.
+    frequencies : array_like (f,)
+        Increasing, Hz. One is enough.
+    values : array_like (a, f)
+        Gain of sound pressure, complex (``exp(+j 2 pi f t)``: a delay has falling phase) or real with its sign; or,
+        with ``scale="db"``, its magnitude in dB.
+    scale : {"linear", "db"}
+        What `values` are.
+    rear : {None, "hold", "mirror", "zero"}
+        What the gain is beyond the last angle: refused if the table does not reach 180° (None), the value at the last
+        angle, that of the angle mirrored at 90° (of a table that ends there), or nothing: it falls to zero as a raised
+        cosine over 10°.
+    side : {None, "positive", "negative", "mean"}
+        Which of two unequal sides of a table over negative and positive angles counts: refused (None), one of them, or
+        the mean of both `values`.
+    outside : {None, "hold"}
+        What the gain is beyond the table's frequencies: refused (None), or as at the nearest one.
+    relative_to_axis : bool
+        Divide by the value on the axis, frequency by frequency: the response on the axis, its delay included, is then
+        that of `transducer=` alone.
+    name : str
+        What to call it.
+
+    Raises
+    ------
+    InputError
+        If a value breaks one of these rules.
+
+    Notes
+    -----
+    Complex and signed values: the delay that all phases share, linear in the cosine, is found (`fit_delay`) and taken
+    out, real and imaginary part of the rest are joined by cubic splines over frequency and over angle, and the delay is
+    put back. Magnitudes in dB are joined by monotone cubics (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17
+    (2), 238-246, 1980), which do not overshoot. Both have zero slope on the axis and where the rear begins. With
+    ``outside="hold"`` the shared delay goes on.
+
+    Examples
+    --------
+    >>> beam = DirectivityTable([0, 45, 90], [40e3], [[0.0], [-6.0], [-20.0]], scale="db", rear="hold")
+    >>> gain = beam.gain(np.cos(np.radians([0.0, 45.0, 150.0])), 40e3, 343.0)
+    >>> (20 * np.log10(gain)).round(6).tolist()
+    [0.0, -6.0, -20.0]
+    """
+
+    kind: ClassVar[str] = "table"
+    angles_degrees: Floats
+    frequencies: Floats
+    values: NDArray[Any]
+    _: KW_ONLY
+    scale: str = "linear"
+    rear: str | None = None
+    side: str | None = None
+    outside: str | None = None
+    relative_to_axis: bool = False
+    name: str = ""
+    delay: Floats = field(init=False, repr=False)  # (2,) s, by 1 and by cosine
+
+    def __post_init__(self) -> None:
+        as_choice("scale", self.scale, ("linear", "db"))
+        for name, choices in (("rear", _REAR), ("side", _SIDES)):
+            if getattr(self, name) is not None:
+                as_choice(name, getattr(self, name), choices)
+        check_options(self.outside, self.relative_to_axis, self.name)
+        frequencies = as_frequencies(self.frequencies)
+        angles = as_floats("angles_degrees", self.angles_degrees, (None,))
+        for i in np.flatnonzero(np.diff(angles) <= _SAME_ANGLE)[:1]:
+            raise InputError(
+                "angles_degrees",
+                f"must increase strictly, but [{i + 1}] = {angles[i + 1]:g}° follows [{i}] = {angles[i]:g}°",
+            )
+        overhanging = overhangs(angles)
+        if not overhanging and (angles[0] < -180.0 - _SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE):
+            raise InputError(
+                "angles_degrees", f"must lie from -180° to 180°, but go from {angles[0]:g}° to {angles[-1]:g}°"
+            )
+        values = as_gains(self.values, (len(angles), len(frequencies)), "angles by frequencies")
+        if self.scale == "db" and np.iscomplexobj(values):
+            raise InputError("values", 'must be real with scale="db", but are complex; from_db takes phases')
+        unit = "dB" if self.scale == "db" else ""
+        check_level(values, unit)
+        angles, values = within_half_turn(angles, values, unit) if overhanging else self._one_side(angles, values)
+        if len(angles) < 2 or abs(angles[0]) > _SAME_ANGLE:
+            raise InputError(
+                "angles_degrees", f"must begin on the axis, 0°, and go on, but are {angles.tolist()!s:.80}"
+            )
+        self._check_rear(float(angles[-1]))
+        if self.relative_to_axis:
+            values = values - values[0] if self.scale == "db" else over_axis(values, values[0], frequencies)
+        delay = np.zeros(2)
+        if np.iscomplexobj(values):
+            cosine = np.cos(np.radians(angles))[:, None]
+            pairs = np.arange(len(angles) - 1)[:, None] + np.array([0, 1])
+            delay = fit_delay(cosine, frequencies, values, pairs)
+        kept = (angles, frequencies, values, delay)
+        for name, array in zip(("angles_degrees", "frequencies", "values", "delay"), kept, strict=True):
+            object.__setattr__(self, name, read_only(array))
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether gains have a phase."""
+        return np.iscomplexobj(self.values)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies (low, high) in Hz at which the gain is known."""
+        return known_band(self.frequencies, self.outside)
+
+    def gain(self, cosine: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
+        """Return the gain; see `Directivity.gain`.
+
+        Raises
+        ------
+        InputError
+            If a frequency lies outside `band`.
+        """
+        f = np.asarray(frequency, dtype=np.float64)
+        check_known(f, self.band)
+        angle = np.arccos(np.clip(np.asarray(cosine, dtype=np.float64), -1.0, 1.0))
+        knots = np.radians(self.angles_degrees)
+        behind = np.pi - angle if self.rear == "mirror" else knots[-1]
+        seen = np.where(angle > knots[-1], np.minimum(behind, knots[-1]), angle)
+        unique, column = np.unique(f, return_inverse=True)
+        cell = np.clip(np.searchsorted(knots, seen, side="right") - 1, 0, len(knots) - 2)
+        piece = _pieces(self, unique.tobytes())[:, cell, column.reshape(f.shape)]
+        x = seen - knots[cell]
+        gain: NDArray[Any] = ((piece[0] * x + piece[1]) * x + piece[2]) * x + piece[3]
+        if self.scale == "db":
+            gain = 10.0 ** (gain / 20.0)
+        elif self.is_complex:
+            gain = gain * np.exp(-2j * np.pi * f * (self.delay[0] + self.delay[1] * np.cos(seen)))
+        if self.rear == "zero" and knots[-1] < np.pi:
+            fallen = np.clip((angle - knots[-1]) / min(_FALL, np.pi - knots[-1]), 0.0, 1.0)
+            gain = gain * np.cos(0.5 * np.pi * fallen) ** 2
+        return gain
+
+    @classmethod
+    def from_db(
+        cls,
+        angles_degrees: ArrayLike,
+        frequencies: ArrayLike,
+        magnitudes_db: ArrayLike,
+        phases_degrees: ArrayLike | None = None,
+        **options: Any,
+    ) -> DirectivityTable:
+        """Return the table of magnitudes (a, f) in dB and, if given, phases (a, f) in degrees.
+
+        Parameters
+        ----------
+        angles_degrees, frequencies
+            As in the constructor.
+        magnitudes_db : array_like (a, f)
+            20 times the logarithm of the gain. Silence has none: give a floor.
+        phases_degrees : array_like (a, f), optional
+            With them the gain is complex; a delay has falling phase.
+        **options
+            `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
+
+        Raises
+        ------
+        InputError
+            If a value breaks a rule.
+
+        Examples
+        --------
+        >>> beam = DirectivityTable.from_db([0, 180], [1e3], [[0.0], [-6.0206]], [[0.0], [90.0]])
+        >>> beam.gain(-1.0, 1e3, 343.0).imag.round(4).tolist()
+        0.5
+        """
+        angles, f = (np.asarray(given) for given in (angles_degrees, frequencies))
+        magnitudes = as_floats("magnitudes_db", magnitudes_db, (None, None))
+        if phases_degrees is None:
+            return cls(angles, f, magnitudes, scale="db", **options)
+        phases = as_floats("phases_degrees", phases_degrees, magnitudes.shape)
+        values = 10.0 ** (magnitudes / 20.0) * np.exp(1j * np.radians(phases))
+        return cls(angles, f, values, **options)
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | PathLike[str],
+        phases_path: str | PathLike[str] | None = None,
+        scale: str = "db",
+        **options: Any,
+    ) -> DirectivityTable:
+        """Return the table of a text file: frequencies in its first row, angles in its first column.
+
+        Parameters
+        ----------
+        path : path-like
+            First row: any word (or nothing), then the frequencies in Hz. Other rows: the angle in degrees, then a value
+            for each frequency. Separated by commas, semicolons or tabs; with semicolons or tabs a decimal comma is
+            understood. Empty lines and lines that begin with ``#`` are skipped.
+        phases_path : path-like, optional
+            Another file of the same layout, angles and frequencies, with phases in degrees.
+        scale : {"db", "linear"}
+            What the first file's values are.
+        **options
+            `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
+
+        Raises
+        ------
+        InputError
+            If a file cannot be read or is laid out otherwise, or a value breaks a rule.
+        """
+        as_choice("scale", scale, ("linear", "db"))
+        angles, frequencies, values = read_csv_table("path", path)
+        if phases_path is None:
+            return cls(angles, frequencies, values, scale=scale, **options)
+        same, also, turned = read_csv_table("phases_path", phases_path)
+        if not (np.array_equal(same, angles) and np.array_equal(also, frequencies)):
+            raise InputError(
+                "phases_path", f"must have the angles and frequencies of {path}, but has others: {phases_path}"
+            )
+        if scale == "db":
+            return cls.from_db(angles, frequencies, values, turned, **options)
+        return cls(angles, frequencies, values * np.exp(1j * np.radians(turned)), **options)
+
+    @classmethod
+    def from_npz(
+        cls,
+        path: str | PathLike[str],
+        scale: str | None = None,
+        angle: str = "angles",
+        frequency: str = "frequencies",
+        values: str = "values",
+        angle_unit: str = "degree",
+        **options: Any,
+    ) -> DirectivityTable:
+        """Return the table of a NumPy file with three arrays.
+
+        Parameters
+        ----------
+        path : path-like
+            Written by ``numpy.savez``.
+        scale : {None, "linear", "db"}
+            What real values are; complex ones are linear.
+        angle, frequency, values : str
+            Names of the arrays: angles (a,), frequencies (f,) in Hz, values (a, f), or (f, a) where that fits only.
+        angle_unit : {"degree", "radian"}
+            That of the angles. Radians are rounded to a ten-thousandth of a degree.
+        **options
+            `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or lacks an array, or a value breaks a rule.
+        """
+        found = as_table(read_npz_arrays(path, (angle, frequency, values)), angle_unit)
+        return cls(*found, scale=_scale_of(found[2], scale), **options)
+
+    @classmethod
+    def from_mat(
+        cls,
+        path: str | PathLike[str],
+        scale: str | None = None,
+        angle: str = "angles",
+        frequency: str = "frequencies",
+        values: str = "values",
+        angle_unit: str = "degree",
+        variable: str | None = None,
+        **options: Any,
+    ) -> DirectivityTable:
+        """Return the table of a MATLAB file with three variables, or a struct of three fields; see `from_npz`.
+
+        Parameters
+        ----------
+        path, scale, angle, frequency, values, angle_unit, **options
+            As in `from_npz`.
+        variable : str, optional
+            Name of the struct; `angle`, `frequency` and `values` are its fields then.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read (a file of version 7.3 must be saved with ``-v7``) or lacks a variable or field,
+            or a value breaks a rule.
+        """
+        found = as_table(read_mat_arrays(path, (angle, frequency, values), variable), angle_unit)
+        return cls(*found, scale=_scale_of(found[2], scale), **options)
+
+    def _one_side(self, angles: Floats, values: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:
+        """Return angles from 0° on, and their values."""
+        if angles[0] >= -_SAME_ANGLE:
+            return angles, values
+        right, left = angles >= -_SAME_ANGLE, angles <= _SAME_ANGLE
+        if right.sum() != left.sum() or np.any(np.abs(angles[right] + angles[left][::-1]) > _SAME_ANGLE):
+            raise InputError(
+                "angles_degrees",
+                f"must be the same on both sides of 0°, but go from {angles[0]:g}° to {angles[-1]:g}° with "
+                f"{left.sum()} and {right.sum()} angles",
+            )
+        one, other = values[right], values[left][::-1]
+        if self.side is None:
+            scale = 20.0 / math.log(10.0) if self.scale == "db" else float(np.abs(values).max())
+            apart = np.abs(one - other).max(axis=1)
+            worst = int(np.argmax(apart))
+            if apart[worst] > _SAME_SIDES * scale:
+                unit = " dB" if self.scale == "db" else ""
+                raise InputError(
+                    "values",
+                    f"must be the same on both sides of 0°, but differ at ±{angles[right][worst]:g}° by up to "
+                    f'{apart[worst]:.3g}{unit}; give side="positive", "negative" or "mean"',
+                )
+        return angles[right], {"negative": other, "mean": 0.5 * (one + other)}.get(self.side or "", one)
+
+    def _check_rear(self, last: float) -> None:
+        if last < 180.0 - _SAME_ANGLE and self.rear is None:
+            raise InputError(
+                "angles_degrees",
+                f'must reach 180°, but end at {last:g}°; give rear="hold", "mirror" or "zero" for what lies beyond',
+            )
+        if self.rear == "mirror" and last < 180.0 - _SAME_ANGLE and abs(last - 90.0) > _SAME_ANGLE:
+            raise InputError("rear", f'must be "hold" or "zero" unless the table ends at 90°, but it ends at {last:g}°')
+
+
+def _scale_of(values: Any, scale: str | None) -> str:
+    if scale is None:
+        if not np.iscomplexobj(values):
+            raise InputError("scale", 'must be given for real values, "linear" or "db", but is missing')
+        return "linear"
+    return as_choice("scale", scale, ("linear", "db"))
+
+
+@lru_cache(maxsize=32)
+def _pieces(table: DirectivityTable, frequencies: bytes) -> NDArray[Any]:
+    """Return cubics between the table's angles (4, a - 1, u) at frequencies (u,) given as bytes."""
+    from scipy.interpolate import CubicSpline, PchipInterpolator
+
+    at = np.frombuffer(frequencies)
+    knots = np.radians(table.angles_degrees)
+    if table.scale == "db":
+        rows = joined_over_frequency(table.frequencies, table.values, at, monotone=True)
+        # A mirrored angle on either side makes both ends level.
+        angles = np.concatenate([[-knots[1]], knots, [2.0 * knots[-1] - knots[-2]]])
+        return np.asarray(PchipInterpolator(angles, np.concatenate([rows[1:2], rows, rows[-2:-1]])).c[:, 1:-1])
+    turn = 2j * np.pi * (table.delay[0] + table.delay[1] * np.cos(knots))[:, None]
+    rest = table.values * np.exp(turn * table.frequencies) if table.is_complex else table.values
+    rows = joined_over_frequency(table.frequencies, rest, at)
+    # What the delay adds to the slope at the last angle is taken from the rest, so that the whole is level there.
+    slope = -2j * np.pi * at * table.delay[1] * math.sin(knots[-1]) * rows[-1] if table.is_complex else 0.0 * rows[-1]
+    return np.asarray(CubicSpline(knots, rows, bc_type=((1, 0.0 * rows[0]), (1, slope))).c)

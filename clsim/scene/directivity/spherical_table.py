@@ -1,0 +1,190 @@
+"""A beam that was measured all round: values by direction and frequency."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+
+from clsim.acoustics.acoustic_centre import fit_delay
+from clsim.arrays import Floats, as_floats, read_only
+from clsim.errors import InputError
+from clsim.numerics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere
+from clsim.scene.directivity.gain_tables import (
+    as_frequencies,
+    as_gains,
+    check_known,
+    check_level,
+    check_options,
+    joined_over_frequency,
+    known_band,
+    over_axis,
+)
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+_LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
+_MOST_SCATTERED = 4000  # directions off a grid, whose equations take 0.2 GB and two seconds
+_AXIS = np.array([1.0, 0.0, 0.0])
+
+
+class _Joined(Protocol):
+    def __call__(self, directions: Floats) -> NDArray[np.complex128]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SphericalTable:
+    """A gain by direction and by frequency.
+
+    Parameters
+    ----------
+    directions : array_like (n, 3)
+        In the transducer's own frame, axis +x and up +z, of any length. They must surround it: no empty cap may be
+        wider than 60° from its centre. Directions that occur several times, as poles do, are averaged.
+    frequencies : array_like (f,)
+        Increasing, Hz. One is enough.
+    values : array_like (n, f)
+        Gain of sound pressure, complex (``exp(+j 2 pi f t)``: a delay has falling phase) or real with its sign.
+    outside : {None, "hold"}
+        What the gain is beyond the table's frequencies: refused (None), or as at the nearest one.
+    relative_to_axis : bool
+        Divide by the value on the axis (+x), frequency by frequency: the response on the axis, its delay included, is
+        then that of `transducer=` alone.
+    name : str
+        What to call it.
+
+    Raises
+    ------
+    InputError
+        If a value breaks one of these rules.
+
+    Notes
+    -----
+    The delay that all phases share, linear in the direction, is found (`fit_delay`) and taken out; real and imaginary
+    part of the rest are joined by cubic splines over frequency, and over the sphere by periodic bicubic splines across
+    the poles (`GridOnSphere`) if the directions are an equiangular grid, else by cubic radial functions
+    (`ScatterOnSphere`). Both go through the table's values.
+
+    Examples
+    --------
+    >>> octahedron = np.vstack([np.eye(3), -np.eye(3)])
+    >>> table = SphericalTable(octahedron, [1e3], 0.5 + 0.5 * octahedron[:, :1])
+    >>> table.gain_towards(octahedron, 1e3, 343.0).round(6).tolist()
+    [1.0, 0.5, 0.5, 0.0, 0.5, 0.5]
+    """
+
+    kind: ClassVar[str] = "spherical"
+    directions: Floats
+    frequencies: Floats
+    values: NDArray[Any]
+    _: KW_ONLY
+    outside: str | None = None
+    relative_to_axis: bool = False
+    name: str = ""
+    delay: Floats = field(init=False, repr=False)  # (4,) s, by 1 and by direction
+
+    def __post_init__(self) -> None:
+        check_options(self.outside, self.relative_to_axis, self.name)
+        frequencies = as_frequencies(self.frequencies)
+        given = as_floats("directions", self.directions, (None, 3))
+        length = np.linalg.norm(given, axis=1)
+        for i in np.flatnonzero(length <= 0.0)[:1]:
+            raise InputError(f"directions[{i}]", "must have a length above 0, but is 0")
+        values = as_gains(self.values, (len(given), len(frequencies)), "directions by frequencies")
+        check_level(values, "")
+        directions, values = merged(given / length[:, None], values)
+        hole = largest_hole(directions)
+        if hole > _LARGEST_HOLE:
+            raise InputError(
+                "directions",
+                f"must surround the transducer with no gap wider than {_LARGEST_HOLE:g}° from its middle, but "
+                f"{'all lie on one side' if hole >= 90.0 else f'there is one of {hole:.0f}°'}",
+            )
+        if len(directions) > _MOST_SCATTERED and GridOnSphere.of(directions) is None:
+            raise InputError(
+                "directions",
+                f"must be at most {_MOST_SCATTERED} unless they are an equiangular grid, but are {len(directions)}",
+            )
+        if self.relative_to_axis:
+            whole = SphericalTable(directions, frequencies, values)
+            axis = whole.gain_towards(_AXIS, frequencies, 1.0)  # a table does not ask for the speed of sound
+            values = over_axis(values, axis, frequencies)
+        delay = np.zeros(4)
+        if np.iscomplexobj(values):
+            delay = fit_delay(directions, frequencies, values, neighbours_on_sphere(directions))
+        kept = (directions, frequencies, values, delay)
+        for name, array in zip(("directions", "frequencies", "values", "delay"), kept, strict=True):
+            object.__setattr__(self, name, read_only(array))
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether gains have a phase."""
+        return np.iscomplexobj(self.values)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies (low, high) in Hz at which the gain is known."""
+        return known_band(self.frequencies, self.outside)
+
+    def gain_towards(self, direction: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
+        """Return the gain; see `SphericalDirectivity.gain_towards`.
+
+        Raises
+        ------
+        InputError
+            If a frequency lies outside `band`.
+        """
+        f = np.asarray(frequency, dtype=np.float64)
+        check_known(f, self.band)
+        towards = np.asarray(direction, dtype=np.float64)
+        shape = towards.shape[:-1]
+        unique, column = np.unique(f, return_inverse=True)
+        found = _joined(self, unique.tobytes())(towards.reshape(-1, 3))
+        row = np.arange(found.shape[0]).reshape(shape)
+        gain = found[row, column.reshape(f.shape)]
+        if not self.is_complex:
+            return np.ascontiguousarray(gain.real)
+        return np.asarray(gain * np.exp(-2j * np.pi * f * (self.delay[0] + towards @ self.delay[1:])))
+
+    @classmethod
+    def from_sofa(cls, path: str | PathLike[str], measurement: int = 0, **options: Any) -> SphericalTable:
+        """Return the directivity in a SOFA file (AES69), through the package ``sofar`` (``pip install 'clsim[sofa]'``).
+
+        Parameters
+        ----------
+        path : path-like
+            With the ending ``.sofa``, of the convention FreeFieldDirectivityTF, GeneralTF or GeneralFIR: one source,
+            and a receiver in each direction.
+        measurement : int
+            Which of the file's measurements (for example notes), from 0.
+        **options
+            `outside`, `relative_to_axis` and `name` of the constructor.
+
+        Raises
+        ------
+        InputError
+            If the package is missing, the file cannot be read or is of another kind, or a value breaks a rule.
+
+        Notes
+        -----
+        SourceView becomes our axis +x and SourceUp our +z. Impulse responses are padded to four times their length and
+        transformed.
+        """
+        from clsim.scene.directivity.sofa_files import read_sofa_table
+
+        return cls(*read_sofa_table(path, measurement), **options)
+
+
+@lru_cache(maxsize=32)
+def _joined(table: SphericalTable, frequencies: bytes) -> _Joined:
+    """Return the function of direction at frequencies (u,) given as bytes; its results are (n, u)."""
+    turn = 2j * np.pi * (table.delay[0] + table.directions @ table.delay[1:])[:, None]
+    rest = table.values * np.exp(turn * table.frequencies)
+    rows = joined_over_frequency(table.frequencies, rest, np.frombuffer(frequencies))
+    grid = GridOnSphere.of(table.directions)
+    return grid.through(rows) if grid is not None else ScatterOnSphere.through(table.directions, rows)

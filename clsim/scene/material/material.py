@@ -1,0 +1,402 @@
+"""What walls are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import LOUDEST, as_choice, as_count, as_floats, as_number
+from clsim.errors import InputError
+from clsim.files.sound import as_scale, read_sound_file
+from clsim.scene.material.checks import (
+    ROUNDING,
+    as_complexes,
+    as_factor,
+    check_clear_phase,
+    check_passive_echo,
+    checked_frequencies,
+    warn_of_noise,
+)
+from clsim.scene.material.library import LIBRARY
+from clsim.scene.material.physical import PorousLayer, SolidWall
+from clsim.scene.material.reflecting_surface import ReflectingSurface
+from clsim.scene.material.tabulated import AbsorptionTable, ConstantFactor, FactorTable, ImpedanceTable, MeasuredEcho
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike
+
+MATERIAL_NAMES = tuple(LIBRARY)
+
+_RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
+_DENSEST, _STIFFEST = 1e7, 1e7  # kg/m³ and m/s, beyond all solids
+_HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Material(ReflectingSurface):
+    """What a wall is made of: how much sound it sends back, by frequency and angle of incidence.
+
+    Made by one of the constructors below; `reflection_at` tells the factor.
+
+    Parameters
+    ----------
+    model : ConstantFactor, AbsorptionTable, FactorTable, ImpedanceTable, MeasuredEcho, SolidWall or PorousLayer
+        What gives the reflection factor.
+    name : str
+        What to call it.
+    roughness : float
+        Root mean square of the wall's heights, m: see `rough`.
+
+    Examples
+    --------
+    >>> Material.from_reflection(0.9).reflection_at([20e3, 40e3]).tolist()
+    [0.9, 0.9]
+    """
+
+    @classmethod
+    def from_reflection(cls, factor: complex, name: str = "") -> Material:
+        """Return a material of one reflection factor of sound pressure.
+
+        Parameters
+        ----------
+        factor : float or complex
+            From -1 (pressure release) to 1 (rigid), or complex with a magnitude of 1 at most.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If the factor is out of bounds.
+        """
+        return cls(ConstantFactor(as_factor("factor", factor)), name)
+
+    @classmethod
+    def from_absorption(cls, frequencies: ArrayLike, coefficients: ArrayLike, name: str = "") -> Material:
+        """Return a material of absorption coefficients by frequency; factors are ``sqrt(1 - α)``, at all angles.
+
+        Parameters
+        ----------
+        frequencies : array_like (n,)
+            Positive and increasing, Hz.
+        coefficients : array_like (n,)
+            Shares of energy absorbed, 0 to 1. Monotone cubics over the logarithm of frequency join them; outside, the
+            ends are held with a warning.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds or the lengths differ.
+
+        Examples
+        --------
+        >>> Material.from_absorption([1e3, 4e3], [0.0, 0.72]).reflection_at([1e3, 2e3]).round(6).tolist()
+        [1.0, 0.8]
+        """
+        f = checked_frequencies(frequencies)
+        alpha = as_floats("coefficients", coefficients, (len(f),))
+        for i in np.flatnonzero((alpha < 0.0) | (alpha > 1.0))[:1]:
+            raise InputError(f"coefficients[{i}]", f"must be from 0 to 1, but is {alpha[i]:g}")
+        return cls(AbsorptionTable(f, alpha), name)
+
+    @classmethod
+    def from_table(
+        cls, frequencies: ArrayLike, factors: ArrayLike, outside: str | None = None, name: str = ""
+    ) -> Material:
+        """Return a material of reflection factors by frequency, at all angles.
+
+        Parameters
+        ----------
+        frequencies : array_like (n,)
+            Positive and increasing, Hz.
+        factors : array_like (n,)
+            Real, -1 to 1, or complex with magnitudes of 1 at most.
+        outside : {None, "hold"}
+            What the factor is outside the table: refused, or that at the nearest end.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds or the lengths differ.
+
+        Warns
+        -----
+        ClsimWarning
+            If the phase turns by more than 3/4 π between two frequencies: the table then cannot tell which way.
+
+        Notes
+        -----
+        Monotone cubics join real factors over the logarithm of frequency. Complex ones first lose their mean delay,
+        which is put back afterwards; of the rest monotone cubics over frequency join real and imaginary parts. So a
+        delay stays one, and a factor may pass through zero.
+
+        Examples
+        --------
+        >>> delay = Material.from_table([30e3, 50e3], np.exp([0.0, -0.4j]))
+        >>> np.angle(delay.reflection_at(35e3)).round(6).item()
+        -0.1
+        """
+        f = checked_frequencies(frequencies)
+        given = as_complexes("factors", factors, len(f))
+        for i in np.flatnonzero(np.abs(given) > 1.0 + ROUNDING)[:1]:
+            raise InputError(f"factors[{i}]", f"must have a magnitude of at most 1, but is {given[i]:g}")
+        check_clear_phase(f, given)
+        return cls(FactorTable(f, given, _outside(outside, "hold")), name)
+
+    @classmethod
+    def from_impedance(
+        cls, frequencies: ArrayLike, impedances: ArrayLike, outside: str | None = None, name: str = ""
+    ) -> Material:
+        """Return a locally reacting wall: sound moves it here and there, but not along it.
+
+        Parameters
+        ----------
+        frequencies : array_like (n,)
+            Positive and increasing, Hz.
+        impedances : array_like (n,)
+            Specific impedances over that of air, ``Z / (ρ c)``, real or complex, with real parts of at least 0.
+            Monotone cubics over the logarithm of frequency join real and imaginary parts.
+        outside : {None, "hold"}
+            What the impedance is outside the table: refused, or that at the nearest end.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds or the lengths differ.
+
+        Notes
+        -----
+        ``R = (ζ cos θ - 1) / (ζ cos θ + 1)``.
+
+        Examples
+        --------
+        >>> panel = Material.from_impedance([40e3], [3.0 - 1.0j])
+        >>> panel.reflection_at(40e3, [1.0, 0.5]).round(3).tolist()
+        [(0.529-0.118j), (0.231-0.154j)]
+        """
+        f = checked_frequencies(frequencies)
+        given = as_complexes("impedances", impedances, len(f)).astype(np.complex128)
+        given.flags.writeable = False
+        for i in np.flatnonzero(given.real < 0.0)[:1]:
+            raise InputError(f"impedances[{i}]", f"must have a real part of at least 0 (passive), but is {given[i]:g}")
+        for i in np.flatnonzero(np.abs(given) > _RIGID)[:1]:
+            raise InputError(f"impedances[{i}]", f"must have a magnitude of at most {_RIGID:g}, but is {given[i]:g}")
+        return cls(ImpedanceTable(f, given, _outside(outside, "hold")), name)
+
+    @classmethod
+    def from_impulse_response(
+        cls,
+        samples: ArrayLike,
+        sampling_rate: float,
+        reference: float = 0.0,
+        band: tuple[float, float] | None = None,
+        outside: str | None = None,
+        tolerance: float = 0.05,
+        name: str = "",
+    ) -> Material:
+        """Return the material whose reflection was measured as an impulse response; it holds at all angles.
+
+        Parameters
+        ----------
+        samples : array_like (n,)
+            What comes back of a unit impulse: their spectrum is the factor. All of them count, so cut or window away
+            what is not the wall's. At most 131 072.
+        sampling_rate : float
+            Hz.
+        reference : float
+            Index, perhaps between samples, at which a reflection by the wall's plane itself would be: 0 s.
+        band : (low, high), optional
+            Where the measurement holds, Hz; from 0 Hz to half the sampling rate when left out.
+        outside : {None, "hold"}
+            What the factor is outside the band: refused, or that at the nearest end.
+        tolerance : float
+            By how much magnitudes within the band may exceed 1, 0 to 1; they are then taken as 1. More is refused.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or the response sends back more than it receives.
+
+        Warns
+        -----
+        ClsimWarning
+            If the last tenth of the samples still holds so much noise or echo that factors are off by more than 0.02.
+
+        Examples
+        --------
+        >>> wall = Material.from_impulse_response([0.0, 0.0, 0.8], 192e3, reference=2)
+        >>> abs(wall.reflection_at(40e3)).round(12).item()
+        0.8
+        """
+        rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+        taps = as_floats("samples", samples, (None,), within=LOUDEST)
+        reference = as_number("reference", reference, at_least=-1e6, at_most=1e6)
+        tolerance = as_number("tolerance", tolerance, at_least=0.0, at_most=1.0)
+        low, high = (0.0, 0.5 * rate) if band is None else as_floats("band", band, (2,)).tolist()
+        if not 0.0 <= low < high <= 0.5 * rate:
+            raise InputError(
+                "band", f"must rise from 0 Hz or more to {0.5 * rate:g} Hz or less, but is {low:g}, {high:g}"
+            )
+        check_passive_echo(taps, rate, (low, high), tolerance)
+        warn_of_noise(taps, name)
+        return cls(MeasuredEcho(taps, rate, reference, (low, high), _outside(outside, "hold")), name)
+
+    @classmethod
+    def from_wav(
+        cls,
+        path: str | PathLike[str],
+        channel: int = 0,
+        scale: float = 1.0,
+        reference: float = 0.0,
+        band: tuple[float, float] | None = None,
+        outside: str | None = None,
+        tolerance: float = 0.05,
+        name: str = "",
+    ) -> Material:
+        """Return the material whose impulse response is one channel of a sound file.
+
+        Parameters
+        ----------
+        path : path-like
+            Of the file.
+        channel : int
+            Which of its channels, from 0.
+        scale : float
+            What full scale means: 1 where the file holds the factor's own impulse response.
+        reference, band, outside, tolerance, name
+            See `from_impulse_response`.
+
+        Raises
+        ------
+        InputError
+            If the file is missing or no sound file, has no such channel, or holds no passive response.
+        """
+        channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
+        samples, rate = read_sound_file(path, channel)
+        taps = scale * samples.astype(np.float64)
+        return cls.from_impulse_response(taps, rate, reference, band, outside, tolerance, name)
+
+    @classmethod
+    def from_solid(cls, density: float, sound_speed: float, boundary_layer: bool = True, name: str = "") -> Material:
+        """Return a thick, hard, smooth, airtight solid.
+
+        Parameters
+        ----------
+        density : float
+            kg/m³.
+        sound_speed : float
+            Of longitudinal waves, m/s; density times sound speed is at least 1e5 Pa s/m.
+        boundary_layer : bool
+            Whether viscosity and heat conduction at the wall take their part: at 40 kHz 0.4 % of the pressure at
+            normal incidence, and the more the lower the sound comes in. Otherwise one real factor for all angles.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds.
+
+        Notes
+        -----
+        The mismatch of impedances is told by `clsim.acoustics.reflection.mismatch_reflection`, the boundary layer by
+        `clsim.acoustics.reflection.boundary_layer_admittance`. Bending and resonances of thin plates are left out.
+
+        Examples
+        --------
+        >>> concrete = Material.from_solid(2300.0, 3500.0)
+        >>> abs(concrete.reflection_at(40e3, [1.0, 0.1])).round(3).tolist()
+        [0.996, 0.889]
+        """
+        density = as_number("density", density, above=0.0, at_most=_DENSEST, unit="kg/m³")
+        sound_speed = as_number("sound_speed", sound_speed, above=0.0, at_most=_STIFFEST, unit="m/s")
+        if density * sound_speed < _HARD:
+            raise InputError(
+                "density",
+                f"must be that of a hard solid, density times sound_speed at least {_HARD:g} Pa s/m, but that is "
+                f"{density * sound_speed:g} Pa s/m; give its impedance",
+            )
+        if not isinstance(boundary_layer, bool):
+            raise InputError("boundary_layer", f"must be true or false, but is {boundary_layer!r:.80}")
+        return cls(SolidWall(density, sound_speed, boundary_layer), name)
+
+    @classmethod
+    def from_porous(
+        cls, flow_resistivity: float, thickness: float, outside: str | None = None, name: str = ""
+    ) -> Material:
+        """Return a fibrous absorber on a rigid wall, by Miki's formula.
+
+        Parameters
+        ----------
+        flow_resistivity : float
+            Of the absorber, 100 to 1e7 Pa s/m².
+        thickness : float
+            Above 0, at most 10 m.
+        outside : {None, "extend"}
+            What happens where frequency over flow resistivity is not from 0.01 to 1 m³/kg, for which the formula was
+            fitted: refused, or the formula is used all the same.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds.
+
+        Notes
+        -----
+        See `clsim.acoustics.reflection.porous_medium` and `backed_layer_reflection`: sound is refracted into the layer.
+
+        Examples
+        --------
+        >>> wool = Material.from_porous(50e3, 0.02)
+        >>> abs(wool.reflection_at(40e3, [1.0, 0.5])).round(2).tolist()
+        [0.07, 0.13]
+        """
+        resistivity = as_number("flow_resistivity", flow_resistivity, at_least=100.0, at_most=1e7, unit="Pa s/m²")
+        thickness = as_number("thickness", thickness, above=0.0, at_most=10.0, unit="m")
+        return cls(PorousLayer(resistivity, thickness, _outside(outside, "extend")), name)
+
+    @classmethod
+    def named(cls, name: str) -> Material:
+        """Return a built-in material.
+
+        Parameters
+        ----------
+        name : str
+            ``"rigid"`` (+1) and ``"pressure-release"`` (-1) are exact. ``"concrete"``, ``"brick"``, ``"carpet"`` and so
+            on are published coefficients from 125 Hz to 4 kHz, held above with a warning. Those that begin with
+            ``"estimated-"`` are calculated for ultrasound from assumed properties: no measurements. ``clsim
+            materials`` lists all with source and uncertainty.
+
+        Raises
+        ------
+        InputError
+            If there is no such name; the message lists them.
+
+        Examples
+        --------
+        >>> float(Material.named("pressure-release").reflection_at(40e3))
+        -1.0
+        """
+        entry = LIBRARY[as_choice("name", name, MATERIAL_NAMES)]
+        made: Material = getattr(cls, f"from_{entry.constructor}")(**entry.arguments, name=name)
+        if isinstance(made.model, AbsorptionTable) and entry.beyond:
+            made = replace(made, model=replace(made.model, beyond=entry.beyond))
+        return made.rough(entry.roughness) if entry.roughness else made
+
+
+def _outside(value: str | None, extended: str) -> str | None:
+    return None if value is None else as_choice("outside", value, (extended,))

@@ -1,0 +1,182 @@
+"""What a wall of some material does to sound: the factor by which it sends it back."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from clsim.acoustics.reflection import coherent_share
+from clsim.arrays import Floats, as_number
+from clsim.errors import ClsimWarning, InputError
+from clsim.scene.material.physical import PorousLayer, SolidWall
+from clsim.scene.material.tabulated import AbsorptionTable, ConstantFactor, FactorTable, ImpedanceTable, MeasuredEcho
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+Model = ConstantFactor | AbsorptionTable | FactorTable | ImpedanceTable | MeasuredEcho | SolidWall | PorousLayer
+
+_FREQUENCIES = 1e-6, 1e9  # Hz, between which no formula overflows
+_ROUNDING = 1e-9  # by which a cosine may exceed 1, and a frequency the ends of a table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReflectingSurface:
+    """How much sound a wall sends back, by frequency and angle of incidence; never more than it receives.
+
+    Parameters
+    ----------
+    model : ConstantFactor, AbsorptionTable, FactorTable, ImpedanceTable, MeasuredEcho, SolidWall or PorousLayer
+        What gives the reflection factor.
+    name : str
+        What to call it.
+    roughness : float
+        Root mean square of the wall's heights, m: see `rough`.
+    """
+
+    model: Model
+    name: str = ""
+    roughness: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.model, Model):
+            raise InputError("model", f"must be made by a constructor of Material, but is {self.model!r:.80}")
+        if not isinstance(self.name, str):
+            raise InputError("name", f"must be a text, but is {self.name!r:.80}")
+        rms = as_number("roughness", self.roughness, at_least=0.0, at_most=0.1, unit="m")
+        object.__setattr__(self, "roughness", rms)
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether `reflection_at` returns complex factors."""
+        return self.model.is_complex
+
+    @property
+    def depends_on_angle(self) -> bool:
+        """Whether factors depend on the angle of incidence."""
+        return self.model.depends_on_angle or self.roughness > 0.0
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies between which the material is known (or was extended by name), Hz."""
+        return self.model.band
+
+    def describe(self) -> str:
+        """Return what it is, in a few words."""
+        rough = f", {1e3 * self.roughness:g} mm rough" if self.roughness else ""
+        return self.model.describe() + rough
+
+    def rough(self, rms: float) -> Self:
+        """Return the material with a rough surface, which sends less sound back specularly.
+
+        Parameters
+        ----------
+        rms : float
+            Root mean square of the heights about the mean plane, 0 to 0.1 m. Twice rough adds up by squares.
+
+        Raises
+        ------
+        InputError
+            If it is out of bounds.
+
+        Notes
+        -----
+        Factors are multiplied by ``exp(-2 (k rms cos θ)²)``: see `clsim.acoustics.reflection.coherent_share`, also for
+        its range. The sound that is scattered is not rendered.
+
+        Examples
+        --------
+        >>> from clsim.scene.material.material import Material
+        >>> plaster = Material.from_reflection(1.0).rough(0.5e-3)
+        >>> plaster.reflection_at(40e3, [1.0, 0.5]).round(3).tolist()
+        [0.765, 0.935]
+        """
+        rms = as_number("rms", rms, at_least=0.0, at_most=0.1, unit="m")
+        return replace(self, roughness=math.hypot(self.roughness, rms))
+
+    def reflection_at(
+        self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2
+    ) -> NDArray[Any]:
+        """Return the reflection factor of sound pressure, with the time convention ``exp(+jωt)``.
+
+        Parameters
+        ----------
+        frequency : array_like (...)
+            Hz, 1e-6 to 1e9.
+        cosine : array_like (...)
+            Cosine of the angle of incidence, to the wall's normal: above 0, at most 1.
+        speed_of_sound : float
+            In the air, m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Factors of the shape to which frequency and cosine broadcast, of magnitude 1 at most: float64, or complex128
+            where `is_complex`.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or the material is not known at a frequency.
+
+        Warns
+        -----
+        ClsimWarning
+            If a frequency lies outside a table of absorption; its nearest end is taken. The words depend on the
+            material alone, so that a filter for equal warnings shows each once.
+        """
+        f, cos = _numbers("frequency", frequency), _numbers("cosine", cosine)
+        sane = (f >= _FREQUENCIES[0]) & (f <= _FREQUENCIES[1])
+        if not np.all(sane):
+            low, high = _FREQUENCIES
+            raise InputError("frequency", f"must be from {low:g} to {high:g} Hz, but is {_first_bad(f, sane):g} Hz")
+        usual = (cos > 0.0) & (cos <= 1.0 + _ROUNDING)
+        if not np.all(usual):
+            raise InputError("cosine", f"must be above 0 and at most 1, but is {_first_bad(cos, usual):g}")
+        c = as_number("speed_of_sound", speed_of_sound, at_least=1.0, at_most=1e5, unit="m/s")
+        try:
+            shape = np.broadcast_shapes(f.shape, cos.shape)
+        except ValueError as error:
+            raise InputError("cosine", f"must broadcast with frequency, {f.shape}, but has {cos.shape}") from error
+        self.check_known(f)
+        f, cos = np.clip(f, *self.model.band), np.minimum(cos, 1.0)
+        factor = self.model.factor(f, cos, c)
+        if self.roughness:
+            factor = factor * coherent_share(self.roughness, f, cos, c)
+        factor = factor / np.maximum(np.abs(factor), 1.0)
+        return np.array(np.broadcast_to(factor, shape))
+
+    def check_known(self, frequency: ArrayLike) -> None:
+        """Raise an InputError if the material is not known at frequencies in Hz, warn if it is held there."""
+        f = np.asarray(frequency, dtype=np.float64)
+        low, high = self.model.band
+        outside = (f < low * (1.0 - _ROUNDING)) | (f > high * (1.0 + _ROUNDING))
+        if not np.any(outside):
+            return
+        if not self.model.beyond:
+            raise InputError(
+                "frequency",
+                f"must be from {low:.6g} to {high:.6g} Hz, where the material {self._called} is known, but is "
+                f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it",
+            )
+        text = f"the material {self._called} is known from {low:.6g} to {high:.6g} Hz; {self.model.beyond}"
+        warnings.warn(text, ClsimWarning, stacklevel=3)
+
+    @property
+    def _called(self) -> str:
+        return repr(self.name) if self.name else f"({self.describe()})"
+
+
+def _numbers(field: str, value: ArrayLike) -> Floats:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(field, f"must be numbers, but is {value!r:.80}") from error
+
+
+def _first_bad(values: Floats, good: NDArray[np.bool_]) -> float:
+    return float(values[~good].flat[0])

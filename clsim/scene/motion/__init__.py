@@ -1,0 +1,1 @@
+"""Where ends are over time, and how they are turned."""

@@ -1,0 +1,349 @@
+"""Poses over time from text files: TUM, EuRoC and CSV, checked row by row."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from decimal import Decimal, DecimalException
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import FARTHEST
+from clsim.errors import ClsimWarning, InputError
+from clsim.files.input_files import LARGEST_TEXT, read_file
+from clsim.scene.motion.checks import LONGEST
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+
+FORMATS = ("tum", "euroc", "csv")
+REPAIRS = ("times", "gaps", "nan", "jumps")
+
+_POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+_LONGEST_STEP = 5.0  # median steps, beyond which a step is a gap
+_LONGEST_INVENTED = 1.0  # s of motion that gaps may make up without a warning
+_SHORTEST_STEP = 1e-3  # median steps, below which two times are the same
+_FEWEST_ROWS = 4
+_MOST_DIGITS = 30  # of a time before the point
+_UNIT_TOLERANCE = 1e-2  # largest error of a quaternion's norm that counts as rounding
+
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Rows of a file.
+
+    Parameters
+    ----------
+    file : str
+        Its name, for messages.
+    lines : ndarray (n,)
+        Number of each row's line, from 1.
+    stamps : ndarray (n,) of str
+        Times as written in the file.
+    times : ndarray (n,)
+        Time since the first row, s.
+    positions : ndarray (n, 3)
+        m, in the file's axes.
+    orientations : ndarray (n, 4) or None
+        Unit quaternions x y z w.
+    notes : tuple of str
+        What was found and repaired, a sentence each.
+    """
+
+    file: str
+    lines: NDArray[np.int64]
+    stamps: NDArray[np.str_]
+    times: Floats
+    positions: Floats
+    orientations: Floats | None
+    notes: tuple[str, ...] = ()
+
+    def where(self, row: int) -> str:
+        """Return the place of a row for a message."""
+        return f"{self.file}, line {self.lines[row]}"
+
+    def without(self, bad: Bools, what: str) -> Poses:
+        """Return the poses without the bad rows, with a note that says which.
+
+        Raises
+        ------
+        InputError
+            If that would take half of the rows or more.
+        """
+        count, first = int(np.sum(bad)), int(np.argmax(bad))
+        if 2 * count >= len(bad):
+            raise InputError("repair", f"would drop {count} of {len(bad)} rows of {self.file} ({what})")
+        note = f"Dropped {count} of {len(bad)} rows ({what}), the first in line {self.lines[first]}."
+        keep = ~bad
+        return replace(
+            self,
+            lines=self.lines[keep],
+            stamps=self.stamps[keep],
+            times=self.times[keep],
+            positions=self.positions[keep],
+            orientations=None if self.orientations is None else self.orientations[keep],
+            notes=(*self.notes, note),
+        )
+
+
+def read_poses(
+    path: Any, form: str, *, scale: float, repair: tuple[str, ...], max_speed: float, max_gap: float | None
+) -> Poses:
+    """Read a file and check its rows.
+
+    Parameters
+    ----------
+    path : path-like
+        A text file.
+    form : {"tum", "euroc", "csv"}
+        TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the
+        quaternion w, x, y, z; further columns are left. CSV: a header with ``t,x,y,z`` and perhaps
+        ``qx,qy,qz,qw`` in any order; further columns are left. Lines that begin with ``#`` and empty lines
+        are skipped.
+    scale : float
+        Metres in the file's unit of length.
+    repair : tuple of str
+        Which faults to repair, in this order: "nan" drops rows with something that is no finite number,
+        "times" drops rows whose time is not above all before, "jumps" drops rows out of reach from the last
+        good one at `max_speed`, "gaps" lets the spline bridge them.
+    max_speed : float
+        Speed between two rows above which it is a jump, m/s.
+    max_gap : float or None
+        Step of time above which it is a gap, s; five median steps where None.
+
+    Returns
+    -------
+    Poses
+        At least four, their times strictly increasing from 0.
+
+    Raises
+    ------
+    InputError
+        For what cannot be read and each fault that is not to be repaired, with line and value.
+    """
+    poses = _parse(Path(path), form, drop="nan" in repair)
+    poses = replace(poses, positions=_scaled(poses, scale))
+    poses = _with_unit_quaternions(poses)
+    for name, check in (
+        ("times", _check_times),
+        ("jumps", lambda p, r: _check_jumps(p, r, max_speed)),
+        ("gaps", lambda p, r: _check_gaps(p, r, max_gap)),
+    ):
+        _refuse_few(poses)
+        poses = check(poses, name in repair)
+    _refuse_few(poses)
+    if poses.times[-1] > LONGEST:
+        raise InputError("path", f"{poses.file} must not last longer than {LONGEST:g} s")
+    return poses
+
+
+def _parse(path: Path, form: str, drop: bool) -> Poses:
+    """Turn the file's text into numbers; `drop` leaves out rows that hold something else."""
+    rows, columns, notes = _rows(path, form)
+    lines, stamps, clock, numbers, bad = [], [], [], [], []
+    unit = Decimal("1e-9") if form == "euroc" else Decimal(1)
+    for line, cells in rows:
+        try:
+            clock.append(_clock(cells[columns[0]], whole=form == "euroc") * unit)
+            numbers.append([_number(name, cells[i]) for name, i in zip(_POSE[1:], columns[1:], strict=False)])
+        except ValueError as error:
+            if not drop:
+                raise InputError("path", f"{path.name}, line {line}: {error}") from None
+            del clock[len(numbers) :]
+            bad.append(line)
+            continue
+        lines.append(line)
+        stamps.append(cells[columns[0]].strip())
+    if bad:
+        of = len(bad) + len(lines)
+        notes += (f"Dropped {len(bad)} of {of} rows (no finite number), the first in line {bad[0]}.",)
+        if 2 * len(bad) >= of:
+            raise InputError("repair", f"would drop {len(bad)} of {of} rows of {path.name} (no finite number)")
+    values = np.array(numbers, dtype=np.float64).reshape(len(lines), len(columns) - 1)
+    times = np.array([float(t - clock[0]) for t in clock])
+    orientations = values[:, 3:] if len(columns) == len(_POSE) else None
+    order = np.array(lines, dtype=np.int64), np.array(stamps, dtype=np.str_)
+    return Poses(path.name, *order, times, values[:, :3], orientations, notes)
+
+
+def _rows(path: Path, form: str) -> tuple[list[tuple[int, list[str]]], list[int], tuple[str, ...]]:
+    """Return numbered rows of cells, the columns of `_POSE` (four without quaternions), and notes."""
+    separator = None if form == "tum" else ","
+    rows = [
+        (number, text.split(separator))
+        for number, text in enumerate(_text(path).splitlines(), start=1)
+        if text.strip() and not text.lstrip().startswith("#")
+    ]
+    columns, notes, widths = list(range(8)), tuple[str, ...](), (8, 8)
+    if form == "euroc":
+        columns, widths = [0, 1, 2, 3, 5, 6, 7, 4], (8, 1000)
+    elif form == "csv":
+        if not rows:
+            raise InputError("path", f"{path.name} must begin with a header such as t,x,y,z")
+        line, header = rows.pop(0)
+        columns, notes = _header(f"{path.name}, line {line}", header)
+        widths = (len(header), len(header))
+    for line, cells in rows:
+        if not widths[0] <= len(cells) <= widths[1]:
+            wanted = f"{widths[0]}" if widths[0] == widths[1] else f"at least {widths[0]}"
+            raise InputError("path", f"{path.name}, line {line}: must have {wanted} columns, but has {len(cells)}")
+    return rows, columns, notes
+
+
+def _text(path: Path) -> str:
+    try:
+        text = read_file(path, LARGEST_TEXT).decode("utf-8-sig")
+    except OSError as error:
+        raise InputError("path", f"{path} cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise InputError("path", f"{path} must be a text file (UTF-8): {error}") from error
+    if "\0" in text:
+        raise InputError("path", f"{path} must be a text file, but holds a zero byte")
+    return text
+
+
+def _header(where: str, header: list[str]) -> tuple[list[int], tuple[str, ...]]:
+    """Return the columns of a CSV header and a note of those that are not used."""
+    names = [name.strip().strip('"').strip() for name in header]
+    missing = [name for name in _POSE if name not in names]
+    if any(name in missing for name in _POSE[:4]) or len(missing) not in (0, 4):
+        raise InputError(
+            "path",
+            f"{where}: the header must name t,x,y,z and either all or none of qx,qy,qz,qw, "
+            f"but is {','.join(names)!r:.80}",
+        )
+    wanted = _POSE[: len(_POSE) - len(missing)]
+    twice = [name for name in wanted if names.count(name) > 1]
+    if twice:
+        raise InputError("path", f"{where}: the header must name {twice[0]} once, but names it twice")
+    others = [name for name in names if name not in wanted]
+    notes = (f"Columns not used: {', '.join(others)}.",) if others else ()
+    return [names.index(name) for name in wanted], notes
+
+
+def _number(name: str, cell: str) -> float:
+    try:
+        number = float(cell) if "_" not in cell else np.nan
+    except ValueError:
+        number = np.nan
+    if not np.isfinite(number):
+        raise ValueError(f"{name} must be a finite number, but is {cell.strip()!r:.40}")
+    return number
+
+
+def _clock(cell: str, whole: bool) -> Decimal:
+    """Return a time without loss: nanoseconds since 1970 have more digits than float64."""
+    try:
+        time = Decimal(cell.strip()) if "_" not in cell else Decimal("nan")
+    except DecimalException:
+        time = Decimal("nan")
+    if not time.is_finite() or time.adjusted() > _MOST_DIGITS:
+        raise ValueError(f"t must be a finite number, but is {cell.strip()!r:.40}")
+    if whole and time != time.to_integral_value():
+        raise ValueError(f"t must be whole nanoseconds, but is {cell.strip()!r:.40}")
+    return time
+
+
+def _scaled(poses: Poses, scale: float) -> Floats:
+    far = np.flatnonzero(np.any(np.abs(poses.positions) > FARTHEST / scale, axis=1))
+    if len(far):
+        value = np.abs(poses.positions[far[0]]).max()
+        raise InputError(
+            "path", f"{poses.where(far[0])}: positions must be within {FARTHEST:g} m, but one is {value:g}"
+        )
+    return poses.positions * scale
+
+
+def _with_unit_quaternions(poses: Poses) -> Poses:
+    if poses.orientations is None:
+        return poses
+    norm = np.linalg.norm(np.clip(poses.orientations, -1e100, 1e100), axis=1)
+    off = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
+    if len(off):
+        raise InputError(
+            "path", f"{poses.where(off[0])}: must have a unit quaternion, but its norm is {norm[off[0]]:.6g}"
+        )
+    return replace(poses, orientations=poses.orientations / norm[:, None])
+
+
+def _refuse_few(poses: Poses) -> None:
+    if len(poses.times) < _FEWEST_ROWS:
+        raise InputError("path", f"{poses.file} must hold at least {_FEWEST_ROWS} rows, but holds {len(poses.times)}")
+
+
+def _check_times(poses: Poses, repair: bool) -> Poses:
+    """Find times that are not above all times before."""
+    steps = np.diff(poses.times)
+    least = _SHORTEST_STEP * float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 1.0
+    last = np.maximum.accumulate(poses.times)[:-1]
+    bad = np.append(False, poses.times[1:] - last < max(least, 0.5e-9))
+    if not np.any(bad):
+        return poses
+    if repair:
+        poses = poses.without(bad, "time does not increase")
+        return replace(poses, times=poses.times - poses.times[0])
+    i = int(np.argmax(bad))
+    raise InputError(
+        "path",
+        f"{poses.where(i)}: time must increase strictly (by {max(least, 0.5e-9):.3g} s at least), "
+        f"but {poses.stamps[i]} follows {poses.stamps[i - 1]}",
+    )
+
+
+def _check_jumps(poses: Poses, repair: bool, max_speed: float) -> Poses:
+    """Find positions that cannot be reached from the last good one."""
+    x, t = poses.positions, poses.times
+    distance = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    speed = distance / np.diff(t)
+    if not np.any(speed > max_speed):
+        return poses
+    i = int(np.argmax(speed > max_speed)) + 1
+    if not repair:
+        raise InputError(
+            "path",
+            f"{poses.where(i)}: must not be faster than {max_speed:g} m/s (max_speed), but is "
+            f"{distance[i - 1]:.4g} m away from line {poses.lines[i - 1]} after {t[i] - t[i - 1]:.4g} s, "
+            f"{speed[i - 1]:.4g} m/s",
+        )
+    bad, good = np.zeros(len(t), dtype=np.bool_), i - 1
+    for row in range(i, len(t)):
+        bad[row] = np.linalg.norm(x[row] - x[good]) > max_speed * (t[row] - t[good])
+        good = good if bad[row] else row
+    return poses.without(bad, f"faster than {max_speed:g} m/s")
+
+
+def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
+    """Find steps of time that are too long."""
+    steps = np.diff(poses.times)
+    longest = _LONGEST_STEP * float(np.median(steps)) if max_gap is None else max_gap
+    wide = np.flatnonzero(steps > longest * (1.0 + 1e-9))
+    if not len(wide):
+        return poses
+    i = int(wide[0]) + 1
+    if not repair:
+        rule = f"{_LONGEST_STEP:g} median steps" if max_gap is None else "max_gap"
+        raise InputError(
+            "path",
+            f"{poses.where(i)}: must follow within {longest:.4g} s ({rule}), but {poses.stamps[i]} is "
+            f"{steps[i - 1]:.4g} s after {poses.stamps[i - 1]}; bridge it by max_gap= or repair=('gaps',)",
+        )
+    made_up = float(steps[wide].sum())
+    if made_up > _LONGEST_INVENTED:
+        warnings.warn(
+            f'{poses.file}: repair=("gaps",) makes up {made_up:.4g} s of motion, the most of it '
+            f"{steps.max():.4g} s before line {poses.lines[int(np.argmax(steps)) + 1]}; "
+            "leave that part out, or measure it again",
+            ClsimWarning,
+            stacklevel=2,
+        )
+    gaps = "1 gap" if len(wide) == 1 else f"{len(wide)} gaps"
+    note = (
+        f"Bridged {gaps} longer than {longest:.4g} s, the first before line {poses.lines[i]}, "
+        f"the longest {steps.max():.4g} s."
+    )
+    return replace(poses, notes=(*poses.notes, note))

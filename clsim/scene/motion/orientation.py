@@ -1,0 +1,90 @@
+"""Orientation over time: unit quaternions x y z w, joined by great arcs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clsim.arrays import Floats, as_floats, read_only
+from clsim.errors import InputError
+from clsim.numerics.quaternions import same_hemisphere
+
+_UNIT_TOLERANCE = 1e-2  # largest error of a quaternion's norm that counts as rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turning:
+    """Spherical linear interpolation between orientations, held before the first and after the last.
+
+    On each piece ``q(u) = q0 cos(u Ω) + e sin(u Ω)`` with u from 0 to 1, Ω the angle between the quaternions
+    and e the unit quaternion at a right angle to q0 on the arc to q1. The sign never jumps.
+
+    Parameters
+    ----------
+    times : ndarray (n,)
+        Strictly increasing, s; one time is a constant orientation.
+    base, side : ndarray (n, 4)
+        q0 and e of the piece that begins at each time; the last piece does not turn.
+    angle : ndarray (n,)
+        Ω, rad.
+
+    References
+    ----------
+    K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH Computer Graphics 19(3), 1985.
+    """
+
+    times: Floats
+    base: Floats
+    side: Floats
+    angle: Floats
+
+    def orientation(self, time: Floats) -> Floats:
+        """Return unit quaternions x y z w at `time` of any shape, with 4 more columns."""
+        if len(self.times) == 1:
+            return np.tile(self.base[0], (*time.shape, 1))
+        held = np.clip(time, self.times[0], self.times[-1])
+        piece = np.maximum(np.searchsorted(self.times, held, side="right") - 1, 0)
+        step = np.append(np.diff(self.times), 1.0)
+        angle = ((held - self.times[piece]) / step[piece] * self.angle[piece])[..., None]
+        turned: Floats = self.base[piece] * np.cos(angle) + self.side[piece] * np.sin(angle)
+        return turned
+
+
+def turning_between(times: Floats, quaternions: Floats) -> Turning:
+    """Return the turning through unit quaternions (n, 4) at strictly increasing `times` (n,) s."""
+    base = same_hemisphere(quaternions)
+    following = np.concatenate([base[1:], base[-1:]])
+    cosine = np.sum(base * following, axis=1, keepdims=True)
+    across = following - cosine * base
+    sine = np.linalg.norm(across, axis=1, keepdims=True)
+    side = np.divide(across, sine, out=np.zeros_like(across), where=sine > 0.0)
+    angle = np.arctan2(sine, cosine)[:, 0]
+    return Turning(read_only(times), read_only(base), read_only(side), read_only(angle))
+
+
+def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> Floats:
+    """Return unit quaternions x y z w, freed of rounding in their norm.
+
+    Raises
+    ------
+    InputError
+        If the value is not numeric, has another shape, or a norm is off 1 by more than 1e-2.
+    """
+    quaternions = as_floats(field, value, shape, within=10.0)
+    norm = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    bad = np.argwhere(np.abs(norm[..., 0] - 1.0) > _UNIT_TOLERANCE)
+    if len(bad):
+        index = tuple(bad[0])
+        name = field + "".join(f"[{i}]" for i in index)
+        raise InputError(name, f"must be a unit quaternion x y z w, but its norm is {norm[index][0]:.6g}")
+    unit: Floats = quaternions / norm
+    return unit
+
+
+def quaternion_product(left: Floats, right: Floats) -> Floats:
+    """Return the Hamilton product of quaternions x y z w: turning by `right` first, then by `left`."""
+    a, b = left[..., :3], right[..., :3]
+    w, v = left[..., 3:], right[..., 3:]
+    vector = w * b + v * a + np.cross(a, b)
+    return np.concatenate([vector, w * v - np.sum(a * b, axis=-1, keepdims=True)], axis=-1)

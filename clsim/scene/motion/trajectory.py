@@ -1,0 +1,335 @@
+"""Where a source or receiver is, and how it is turned, at every time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
+from clsim.errors import InputError
+from clsim.scene.motion.checks import (
+    LONGEST,
+    as_choices,
+    as_direction,
+    as_increasing,
+    as_path,
+    as_places,
+    as_span,
+)
+from clsim.scene.motion.curves import Circular, Still, Straight, frame_about, kinks, legs_through, spline_through
+from clsim.scene.motion.motion import Motion
+from clsim.scene.motion.orientation import as_quaternions, quaternion_product, turning_between
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from os import PathLike
+
+    from numpy.typing import ArrayLike
+
+_MOST_SAMPLES = 2e7  # of a function
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory(Motion):
+    """A motion, made by `fixed`, `line`, `circle`, `waypoints`, `sampled` or `from_file`.
+
+    Its functions of time are those of `Motion`.
+
+    Examples
+    --------
+    >>> lap = Trajectory.circle(center=(4, 3, 1.5), radius=1.0, period=1.0, duration=2.0)
+    >>> lap.start, lap.end, lap.has_orientation
+    (0.0, 2.0, False)
+    """
+
+    @staticmethod
+    def fixed(position: ArrayLike, orientation: ArrayLike | None = None) -> Trajectory:
+        """Return a point that never moves.
+
+        Parameters
+        ----------
+        position : array_like (3,)
+            m.
+        orientation : array_like (4,), optional
+            Unit quaternion x y z w.
+
+        Returns
+        -------
+        Trajectory
+            From -inf to inf.
+
+        Raises
+        ------
+        InputError
+            If a value is not finite or the quaternion's norm is not 1.
+
+        Examples
+        --------
+        >>> Trajectory.fixed((1.0, 1.0, 2.9)).position(7.0)
+        array([1. , 1. , 2.9])
+        """
+        turning = None
+        if orientation is not None:
+            turning = turning_between(np.zeros(1), as_quaternions("orientation", orientation, (4,))[None])
+        return Trajectory(Still(as_places("position", position, (3,))), -math.inf, math.inf, turning)
+
+    @staticmethod
+    def line(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:
+        """Return a straight motion at constant speed, from time 0.
+
+        Parameters
+        ----------
+        start, end : array_like (3,)
+            First and last position, m.
+        duration : float
+            s, above 0.
+
+        Returns
+        -------
+        Trajectory
+            From 0 to `duration`.
+
+        Raises
+        ------
+        InputError
+            If a value is not finite or the duration not above 0.
+
+        Examples
+        --------
+        >>> Trajectory.line((0, 0, 0), (1, 2, 3), duration=2.0).position(1.0)
+        array([0.5, 1. , 1.5])
+        """
+        first, last = as_places("start", start, (3,)), as_places("end", end, (3,))
+        duration = as_span("duration", duration)
+        return Trajectory(Straight(first, read_only((last - first) / duration)), 0.0, duration)
+
+    @staticmethod
+    def circle(
+        center: ArrayLike,
+        radius: float,
+        period: float,
+        duration: float,
+        axis: ArrayLike = (0.0, 0.0, 1.0),
+        phase: float = 0.0,
+    ) -> Trajectory:
+        """Return a circle at constant speed, counterclockwise about its axis, from time 0.
+
+        Parameters
+        ----------
+        center : array_like (3,)
+            m.
+        radius : float
+            m, above 0.
+        period : float
+            Time of one turn, s, above 0.
+        duration : float
+            s, above 0.
+        axis : array_like (3,)
+            Direction about which it turns by the right-hand rule, of any length.
+        phase : float
+            Angle at time 0, rad, from e1: the +x direction turned into the circle's plane (its projection),
+            or +y where the axis lies along x. With the axis +z, phase 0 begins
+            at ``center + (radius, 0, 0)``.
+
+        Returns
+        -------
+        Trajectory
+            From 0 to `duration`.
+
+        Raises
+        ------
+        InputError
+            If a value is not finite or out of range, or the axis is zero.
+
+        Examples
+        --------
+        >>> circle = Trajectory.circle((4, 3, 1.5), radius=1.0, period=1.0, duration=2.0)
+        >>> circle.position([0.0, 0.25]).round(12)
+        array([[5. , 3. , 1.5],
+               [4. , 4. , 1.5]])
+        """
+        e1, e2 = frame_about(as_direction("axis", axis))
+        curve = Circular(
+            as_places("center", center, (3,)),
+            read_only(e1),
+            read_only(e2),
+            as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m"),
+            2.0 * math.pi / as_span("period", period),
+            as_number("phase", phase, at_least=-LONGEST, at_most=LONGEST, unit="rad"),
+        )
+        return Trajectory(curve, 0.0, as_span("duration", duration))
+
+    @staticmethod
+    def waypoints(
+        times: ArrayLike, positions: ArrayLike, orientations: ArrayLike | None = None, smooth: bool = True
+    ) -> Trajectory:
+        """Return a motion through given points.
+
+        Parameters
+        ----------
+        times : array_like (n,)
+            Strictly increasing, s, at least two.
+        positions : array_like (n, 3)
+            m; they are met exactly.
+        orientations : array_like (n, 4), optional
+            Unit quaternions x y z w, joined by great arcs (slerp).
+        smooth : bool
+            Whether to join the points by a C2 cubic spline (not-a-knot at its ends, so two points give a
+            line and three a parabola) or by straight legs with a sudden change of velocity at each point.
+
+        Returns
+        -------
+        Trajectory
+            From the first to the last time.
+
+        Raises
+        ------
+        InputError
+            If shapes differ, a value is not finite, times do not increase or a quaternion's norm is not 1.
+
+        Examples
+        --------
+        >>> legs = Trajectory.waypoints([0, 1, 2], [(0, 0, 0), (1, 0, 0), (1, 2, 0)], smooth=False)
+        >>> legs.position([0.5, 1.5]), legs.breaks
+        (array([[0.5, 0. , 0. ],
+               [1. , 1. , 0. ]]), array([1.]))
+        """
+        t = as_increasing(times)
+        x = as_places("positions", positions, (len(t), 3))
+        if not isinstance(smooth, bool | np.bool_):
+            raise InputError("smooth", f"must be true or false, but is {smooth!r:.80}")
+        turning = None
+        if orientations is not None:
+            turning = turning_between(t, as_quaternions("orientations", orientations, (len(t), 4)))
+        if smooth:
+            return Trajectory(spline_through(t, x, "not-a-knot"), float(t[0]), float(t[-1]), turning)
+        return Trajectory(legs_through(t, x), float(t[0]), float(t[-1]), turning, breaks=read_only(kinks(t, x)))
+
+    @staticmethod
+    def sampled(function: Callable[[Floats], ArrayLike], duration: float, rate: float) -> Trajectory:
+        """Return the motion that a function describes, as a C2 cubic spline through samples of it.
+
+        The spline is wrong by at most about ``x⁗ / (384 rate⁴)``: 2.6e-9 m for a circle of 1 m at one turn
+        per second and 200 Hz.
+
+        Parameters
+        ----------
+        function : callable
+            Takes times (n,) s, gives positions (n, 3) m.
+        duration : float
+            s, above 0.
+        rate : float
+            Samples per second, at least (raised so that the last sample falls on `duration`).
+
+        Returns
+        -------
+        Trajectory
+            From 0 to `duration`.
+
+        Raises
+        ------
+        InputError
+            If the function's result has another shape or is not finite.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> sway = Trajectory.sampled(lambda t: np.stack([np.sin(t), 0 * t, 0 * t], axis=1), 2.0, rate=100.0)
+        >>> bool(abs(sway.velocity(1.0)[0] - np.cos(1.0)) < 1e-8)
+        True
+        """
+        if not callable(function):
+            raise InputError("function", f"must be callable, but is {function!r:.80}")
+        duration = as_span("duration", duration)
+        rate = as_number("rate", rate, above=0.0, at_most=_MOST_SAMPLES / duration, unit="Hz")
+        times = np.linspace(0.0, duration, max(3, math.ceil(duration * rate * (1 - 1e-12))) + 1)
+        positions = as_places("function", function(times.copy()), (len(times), 3))
+        return Trajectory(spline_through(times, positions, "not-a-knot"), 0.0, duration)
+
+    @staticmethod
+    def from_file(
+        path: str | PathLike[str],
+        format: str = "tum",
+        *,
+        smooth: bool | float = True,
+        time_offset: float = 0.0,
+        rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        scale: float = 1.0,
+        translate: ArrayLike = (0.0, 0.0, 0.0),
+        repair: Sequence[str] = (),
+        max_speed: float = 20.0,
+        max_gap: float | None = None,
+    ) -> Trajectory:
+        r"""Return a measured motion, placed into the room by ``x' = rotate(scale x) + translate``.
+
+        Parameters
+        ----------
+        path : path-like
+            A text file.
+        format : {"tum", "euroc", "csv"}
+            TUM: ``t x y z qx qy qz qw``. EuRoC: nanoseconds, x, y, z, qw, qx, qy, qz. CSV: a header names
+            ``t,x,y,z`` and perhaps ``qx,qy,qz,qw``, in any order.
+        smooth : bool or float
+            True removes the noise and no more (cubic smoothing spline per axis by generalised
+            cross-validation, see `residual`); a number is the rms residual to leave per axis, m; False is the
+            C2 spline through the points.
+        time_offset : float
+            Time that the file's first row gets, s.
+        rotate, scale, translate : array_like (4,), float, array_like (3,)
+            Unit quaternion x y z w, metres in the file's unit of length, m.
+        repair : sequence of {"times", "gaps", "nan", "jumps"}
+            Faults to repair rather than refuse; `notes` says what was done. "nan" drops rows with something
+            that is no finite number, "times" those whose time is not above all before, "jumps" those out of
+            reach from the last good one, and "gaps" lets the spline bridge them.
+        max_speed : float
+            Speed from row to row above which it is a jump, m/s.
+        max_gap : float, optional
+            Step of time above which it is a gap, s; five median steps where left out.
+
+        Returns
+        -------
+        Trajectory
+            From `time_offset` on; orientations, where the file has them, are joined by great arcs (slerp).
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or a row breaks a rule; the message gives line and value.
+
+        Warns
+        -----
+        ClsimWarning
+            Without smoothing, of the Doppler noise to expect; with it, of accelerations above 50 m/s².
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder) / "push.csv"
+        ...     _ = path.write_text("t,x,y,z\n10,0,0,0\n11,1,0,0\n12,2,0,0\n13,3,0,0\n")
+        ...     push = Trajectory.from_file(path, "csv", translate=(1, 1, 1))
+        >>> push.end, push.position(1.5).round(9)
+        (3.0, array([2.5, 1. , 1. ]))
+        """
+        from clsim.scene.motion import files, measured
+
+        strength = measured.as_smooth(smooth)
+        poses = files.read_poses(
+            as_path(path),
+            as_choice("format", format, files.FORMATS),
+            scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
+            repair=as_choices("repair", repair, files.REPAIRS),
+            max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
+            max_gap=None if max_gap is None else as_span("max_gap", max_gap),
+        )
+        place = measured.Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
+        times = poses.times + as_number("time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s")
+        fit = measured.fit_measured(times, poses.positions, strength, place)
+        turning = None
+        if poses.orientations is not None:
+            turning = turning_between(times, quaternion_product(place.rotation, poses.orientations))
+        notes = (*poses.notes, *fit.notes)
+        return Trajectory(fit.curve, float(times[0]), float(times[-1]), turning, notes, residual=fit.residual)

@@ -1,0 +1,1 @@
+"""Rooms: what encloses the sound."""

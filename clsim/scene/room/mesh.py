@@ -1,0 +1,339 @@
+"""Rooms of any shape: walls made of triangles."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only
+from clsim.errors import InputError
+from clsim.scene.material.material import Material
+from clsim.scene.room.floor_plan import extruded_plan
+from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, mesh_shape
+from clsim.scene.room.shoebox import WALLS, Shoebox
+from clsim.scene.room.walls import FLATNESS, Walls, build_walls
+
+if TYPE_CHECKING:
+    import os
+
+    from numpy.typing import ArrayLike, NDArray
+
+
+Materials = Material | Mapping[str, Material] | Sequence[Material]
+# Directions that no wall is likely to lie along; where one of them meets an edge, the two others outvote it.
+_RAYS = np.array([[0.3607, 0.4783, 0.8007], [-0.7321, 0.5519, -0.3991], [0.5297, -0.8081, 0.2577]])
+_BENT = 10.0  # m, beyond which nothing is flat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshRoom:
+    """A room, or things in it, made of triangles; it may be open, and its walls are two-sided.
+
+    Parameters
+    ----------
+    vertices : array_like (V, 3)
+        m, z up.
+    triangles : array_like (T, 3) of int
+        Indices of corners; the winding does not matter.
+    materials : Material or sequence of Material
+        One for all, or one per triangle; kept as one per triangle.
+    flatness : float
+        Neighbours of one material whose corners lie this near to each other's planes are one wall, m.
+    labels : sequence of str, optional
+        What each triangle belongs to; walls are called after it.
+    notes : sequence of str
+        What was repaired before.
+    scale : float, optional
+        Metres per unit of the files that it is from; None without files, or where they differ.
+
+    Attributes
+    ----------
+    walls : Walls
+        The triangles merged into flat walls.
+    wall_names : tuple of str
+        A name for each wall.
+    notes : tuple of str
+        What was repaired.
+
+    Raises
+    ------
+    InputError
+        If there is no triangle with an area, an index is out of range, or a material is missing.
+
+    Examples
+    --------
+    >>> corners = [(0, 0, 0), (2, 0, 0), (2, 0, 1), (0, 0, 1)]
+    >>> screen = MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], Material.from_reflection(0.95))
+    >>> len(screen.walls), screen.shape.watertight
+    (1, False)
+    """
+
+    vertices: Floats
+    triangles: NDArray[np.int64]
+    materials: Materials
+    flatness: float = FLATNESS
+    labels: Sequence[str] | None = None
+    notes: tuple[str, ...] = ()
+    scale: float | None = None
+    walls: Walls = field(init=False)
+    wall_names: tuple[str, ...] = field(init=False)
+    shape: MeshShape = field(init=False)
+    wall_materials: tuple[Material, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        vertices = as_floats("vertices", self.vertices, (None, 3), within=FARTHEST, unit="m")
+        triangles = _checked_triangles(self.triangles, len(vertices))
+        materials = _per_triangle("materials", self.materials, len(triangles))
+        labels = ("",) * len(triangles) if self.labels is None else tuple(self.labels)
+        if len(labels) != len(triangles):
+            raise InputError("labels", f"must be one per triangle, {len(triangles)}, but are {len(labels)}")
+        flatness = as_number("flatness", self.flatness, at_least=0.0, at_most=_BENT, unit="m")
+        clean = clean_mesh(vertices, triangles)
+        kept = [materials[i] for i in clean.kept]
+        kinds = {id(m): i for i, m in enumerate({id(m): m for m in kept}.values())}
+        walls = build_walls(clean.vertices, clean.triangles, np.array([kinds[id(m)] for m in kept]), flatness)
+        first = np.unique(walls.of_triangle, return_index=True)[1]
+        values: dict[str, Any] = {
+            "vertices": read_only(clean.vertices),
+            "triangles": read_only(clean.triangles),
+            "materials": tuple(kept),
+            "flatness": flatness,
+            "labels": tuple(labels[i] for i in clean.kept),
+            "notes": (*self.notes, *clean.notes),
+            "walls": walls,
+            "wall_names": _wall_names([labels[clean.kept[i]] for i in first]),
+            "shape": mesh_shape(clean.vertices, clean.triangles),
+            "wall_materials": tuple(kept[i] for i in first),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @staticmethod
+    def from_file(
+        path: str | os.PathLike[str],
+        scale: float = 1.0,
+        up: str = "z",
+        materials: Material | Mapping[str, Material] | None = None,
+        *,
+        flatness: float = FLATNESS,
+    ) -> MeshRoom:
+        """Return a room from a file that trimesh reads: OBJ, STL, PLY, GLB, OFF and more.
+
+        Parameters
+        ----------
+        path : path-like
+            The file.
+        scale : float
+            Metres per unit of the file: 0.001 for millimetres.
+        up : {"x", "y", "z"}
+            Which axis of the file points up.
+        materials : Material or mapping
+            One for all walls, or materials by the file's own names (``usemtl`` groups of OBJ files), where
+            ``"default"`` stands for those not named.
+        flatness : float
+            As in `MeshRoom`; raise it for files with rounded coordinates.
+
+        Raises
+        ------
+        InputError
+            If the file is no mesh, has no faces or NaN, or a group has no material; the message lists the groups.
+        """
+        from clsim.scene.room.mesh_files import read_mesh
+
+        mesh = read_mesh(path, scale=scale, up=up)  # type: ignore[arg-type]
+        by_group = _by_group(mesh.groups, Path(path).name, materials)
+        stem = Path(path).stem
+        names = [mesh.groups[g] for g in mesh.group]
+        labels = [f"{stem} {name}".strip() for name in names]
+        return MeshRoom(
+            mesh.vertices, mesh.triangles, [by_group[n] for n in names], flatness, labels, mesh.notes, float(scale)
+        )
+
+    @staticmethod
+    def from_plan(
+        outline: ArrayLike,
+        height: float,
+        materials: Material | Mapping[str, Material],
+        pillars: Sequence[ArrayLike] = (),
+    ) -> MeshRoom:
+        """Return a room of constant height over a floor plan, with pillars in it.
+
+        Parameters
+        ----------
+        outline : array_like (n, 2)
+            Corners of the floor in order, m; it may be concave.
+        height : float
+            Of the ceiling above the floor at z = 0, m.
+        materials : Material or mapping
+            One for all walls, or materials by ``floor``, ``ceiling``, ``wall i`` (from corner i of the outline to the
+            next) and ``pillar p wall i``, where ``default`` stands for those not named.
+        pillars : sequence of array_like (n, 2)
+            Outlines of pillars from floor to ceiling, m.
+
+        Raises
+        ------
+        InputError
+            If an outline crosses itself or another one, a pillar stands outside, or a wall has no material.
+
+        Examples
+        --------
+        >>> corners = [(0, 0), (8, 0), (8, 5), (4, 5), (4, 9), (0, 9)]
+        >>> room = MeshRoom.from_plan(corners, 3.0, Material.from_reflection(0.9))
+        >>> len(room.walls), room.shape.watertight
+        (8, True)
+        """
+        vertices, triangles, labels = extruded_plan(outline, height, pillars)
+        of_label = _by_group(tuple(dict.fromkeys(labels)), "the plan", materials)
+        return MeshRoom(vertices, triangles, [of_label[label] for label in labels], labels=labels)
+
+    @staticmethod
+    def joined(parts: Sequence[MeshRoom | Shoebox]) -> MeshRoom:
+        """Return one room made of several: a room and what stands in it.
+
+        Parameters
+        ----------
+        parts : sequence of MeshRoom or Shoebox
+            Room, furniture, screens.
+
+        Raises
+        ------
+        InputError
+            If there is none, or one is no room.
+
+        Examples
+        --------
+        >>> wall = Material.from_reflection(0.9)
+        >>> corners = [(2, 2, 0), (4, 2, 0), (4, 2, 1), (2, 2, 1)]
+        >>> screen = MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], wall)
+        >>> len(MeshRoom.joined([Shoebox((8.0, 6.0, 3.0), wall), screen]).walls)
+        7
+        """
+        if not parts:
+            raise InputError("parts", "must hold at least one room, but is empty")
+        vertices, triangles, labels, notes = [], [], [], []
+        materials: list[Material] = []
+        flatness, count = 0.0, 0
+        scales = {part.scale for part in parts if isinstance(part, MeshRoom) and part.scale is not None}
+        for i, part in enumerate(parts):
+            if isinstance(part, Shoebox):
+                part = _as_mesh(part)
+            if not isinstance(part, MeshRoom):
+                raise InputError(f"parts[{i}]", f"must be a MeshRoom or Shoebox, but is {part!r:.80}")
+            vertices.append(part.vertices)
+            triangles.append(part.triangles + count)
+            materials += part.materials  # type: ignore[arg-type]
+            labels += list(part.labels or ())
+            notes += list(part.notes)
+            flatness, count = max(flatness, part.flatness), count + len(part.vertices)
+        scale = scales.pop() if len(scales) == 1 else None
+        return MeshRoom(
+            np.concatenate(vertices), np.concatenate(triangles), materials, flatness, labels, tuple(notes), scale
+        )
+
+    @property
+    def extent(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corner, (3,) m each."""
+        return self.vertices.min(axis=0), self.vertices.max(axis=0)
+
+    @property
+    def planes(self) -> tuple[Floats, Floats]:
+        """Unit normals (W, 3) and offsets (W,) of the walls: ``normal @ x = offset``, m."""
+        return self.walls.normal, self.walls.offset
+
+    def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
+        """Return every wall's reflection factor at normal incidence, (walls, ...), for frequencies (...) in Hz."""
+        factors = {id(m): m.reflection_at(frequency) for m in {id(m): m for m in self.wall_materials}.values()}
+        return np.array([factors[id(m)] for m in self.wall_materials])
+
+    def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) lie inside: most rays from them meet the walls an odd number of times.
+
+        Of use for watertight rooms only.
+        """
+        x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        inside, other = (self._met(x, ray) % 2 == 1 for ray in _RAYS[:2])
+        unsure = np.flatnonzero(inside != other)
+        inside[unsure] = self._met(x[unsure], _RAYS[2]) % 2 == 1
+        return np.asarray(inside)
+
+    def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
+        """Return which positions (n, 3) have walls to all sides, as in a room whose walls are solids: six rays look."""
+        x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        return np.asarray(np.all([self._met(x, sign * ray) > 0 for ray in _RAYS for sign in (1.0, -1.0)], axis=0))
+
+    def _met(self, x: Floats, ray: Floats) -> NDArray[np.int64]:
+        """Return how often rays from positions (n, 3) meet the walls."""
+        count, walls = np.zeros(len(x), dtype=int), self.walls
+        for w in range(len(walls)):
+            away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
+            ahead = np.flatnonzero(away > 0.0)
+            if len(ahead):
+                count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * ray)
+        return count
+
+
+def _as_mesh(box: Shoebox) -> MeshRoom:
+    """Return a shoebox as twelve triangles."""
+    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * box.size
+    # In the order of WALLS, turning outwards.
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
+    materials = [m for m in box.wall_materials for _ in range(2)]
+    return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
+
+
+def _checked_triangles(value: object, count: int) -> NDArray[np.int64]:
+    triangles = np.asarray(value)
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or not len(triangles) or triangles.dtype.kind not in "iu":
+        raise InputError("triangles", f"must be n x 3 whole numbers, but have {triangles.shape} {triangles.dtype}")
+    bad = np.flatnonzero(np.any((triangles < 0) | (triangles >= count), axis=1))
+    if len(bad):
+        at = triangles[bad[0]].tolist()
+        raise InputError(f"triangles[{bad[0]}]", f"must be indices of {count} vertices, but is {at}")
+    return triangles.astype(np.int64)
+
+
+def _per_triangle(name: str, materials: object, count: int) -> list[Material]:
+    if isinstance(materials, Material):
+        return [materials] * count
+    if not isinstance(materials, Sequence) or isinstance(materials, str):
+        raise InputError(name, f"must be a Material or one per triangle, but is {materials!r:.80}")
+    if len(materials) != count:
+        raise InputError(name, f"must be one per triangle, {count}, but are {len(materials)}")
+    for i, material in enumerate(materials):
+        if not isinstance(material, Material):
+            raise InputError(f"{name}[{i}]", f"must be a Material, but is {material!r:.80}")
+    return list(materials)
+
+
+def _by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str, Material]:
+    """Return the material of each group of what is called `name`."""
+    if isinstance(materials, Material):
+        return dict.fromkeys(groups, materials)
+    if not isinstance(materials, Mapping) or not materials:
+        raise InputError("materials", f"must be a Material or materials by group, but is {materials!r:.80}")
+    listed = ", ".join(repr(g) for g in groups)
+    for key, material in materials.items():
+        if key != "default" and key not in groups:
+            raise InputError(f"materials.{key}", f"is no group of {name}, whose groups are {listed}")
+        if not isinstance(material, Material):
+            raise InputError(f"materials.{key}", f"must be a Material, but is {material!r:.80}")
+    missing = [g for g in groups if g not in materials]
+    if missing and "default" not in materials:
+        raise InputError("materials", f"must name the group {missing[0]!r} of {name} or a default")
+    return {g: materials[g] if g in materials else materials["default"] for g in groups}
+
+
+def _wall_names(labels: list[str]) -> tuple[str, ...]:
+    """Return a name for each wall: its label, numbered where several have the same."""
+    names, seen, count = [], dict.fromkeys(labels, 0), Counter(labels)
+    for label in labels:
+        seen[label] += 1
+        alone = bool(label) and count[label] == 1
+        names.append(label if alone else f"{label or 'wall'} {seen[label]}")
+    return tuple(names)

@@ -1,0 +1,386 @@
+"""Triangles from mesh files: OBJ by our own reader, every other format by trimesh, checked face by face."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import FARTHEST, as_choice, as_number, read_only
+from clsim.errors import InputError
+from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, open_file, read_file
+from clsim.scene.room.mesh_loading import load_by_trimesh
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from clsim.arrays import Floats
+
+Ints = NDArray[np.int64]
+
+_AREA_TOLERANCE = 1e-6  # relative, between a polygon's own area and that of its triangles
+_PLANE_TOLERANCE = 1e-3  # of a polygon's size, beyond which it is called not planar
+_FLAT = 1e-12  # of the size squared, below which an area is rounding
+_LARGEST_SCALE = 1e9
+_MOST_TRIANGLES = 10_000_000
+_FARTHEST = _LARGEST_SCALE * FARTHEST  # in the unit of a file
+_NAMELESS = (".stl", ".ply", ".off")  # formats whose single geometry has no name of its own
+
+# Rows are the new x, y and z as read from the file's axes; each is a rotation (determinant 1).
+_TO_Z_UP = {
+    "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "z": np.eye(3),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshFile:
+    """What a mesh file holds, neither welded nor cleaned.
+
+    Parameters
+    ----------
+    vertices : ndarray (V, 3)
+        m, z up.
+    triangles : ndarray (T, 3)
+        Indices of vertices, turning as in the file.
+    group : ndarray (T,)
+        Index of each triangle's name in `groups`.
+    groups : tuple of str
+        Materials (OBJ: ``usemtl``), or objects where a file names no material; ``("",)`` where it names nothing.
+    notes : tuple of str
+        What was repaired, a sentence each.
+    """
+
+    vertices: Floats
+    triangles: Ints
+    group: Ints
+    groups: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Face:
+    """A polygon of an OBJ file: the number of its line, its own number from 1, its corners and its names."""
+
+    line: int
+    number: int
+    corners: tuple[int, ...]
+    material: str
+    part: str
+
+
+def read_mesh(path: Any, *, scale: float = 1.0, up: Literal["x", "y", "z"] = "z") -> MeshFile:
+    r"""Read a mesh file.
+
+    Parameters
+    ----------
+    path : path-like
+        OBJ, STL, PLY, GLB, GLTF, OFF, or another format that trimesh reads (3MF needs its extra packages).
+    scale : float
+        Metres in the file's unit of length.
+    up : {"x", "y", "z"}
+        The file's axis that points up. "y" turns (x, y, z) to (x, -z, y), "x" turns it to (y, z, x): rotations
+        both, so that nothing is mirrored.
+
+    Returns
+    -------
+    MeshFile
+        At least one triangle; every vertex finite.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read or is no mesh, and a face that is no polygon, with its line and number.
+
+    Notes
+    -----
+    Polygons of an OBJ file may be concave: they are cut into triangles by ear clipping in their own plane, after
+    Newell's normal. trimesh cuts those of other formats (PLY, OFF) into fans, which is right for convex ones.
+    Several geometries in one file are joined, each moved by its transform.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> text = "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 1 1 0\nv 0 2 0\nusemtl carpet\nf 1 2 3 4 5\n"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "floor.obj"
+    ...     _ = file.write_text(text)
+    ...     mesh = read_mesh(file)
+    >>> len(mesh.triangles), mesh.groups, mesh.notes
+    (3, ('carpet',), ('1 concave polygon was ear-clipped.',))
+    """
+    scale = as_number("scale", scale, at_least=1.0 / _LARGEST_SCALE, at_most=_LARGEST_SCALE)
+    turn = _TO_Z_UP[as_choice("up", up, ("x", "y", "z"))]
+    try:
+        file = Path(path)
+    except TypeError as error:
+        raise InputError("path", f"must be a path, but is {path!r:.80}") from error
+    try:
+        open_file(file, LARGEST_BINARY).close()
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
+    mesh = _read_obj(file) if file.suffix.lower() == ".obj" else _read_by_trimesh(file)
+    # Adding zero turns -0 into 0.
+    vertices = (mesh.vertices @ turn.T) * scale + 0.0
+    triangles, group = read_only(mesh.triangles), read_only(mesh.group)
+    return MeshFile(read_only(vertices), triangles, group, mesh.groups, mesh.notes)
+
+
+# OBJ
+
+
+def _read_obj(file: Path) -> MeshFile:
+    """Read an OBJ file in its own axes and unit."""
+    vertices, faces = _parse_obj(file)
+    if not faces:
+        raise InputError(str(file), "must hold faces, but has no line that begins with f")
+    corners = np.concatenate([face.corners for face in faces])
+    owner = np.repeat(np.arange(len(faces)), [len(face.corners) for face in faces])
+    _check_corners(file, vertices, corners, lambda i: _where(faces[owner[i]]), first=1)
+    triangles, owners = [], []
+    counts = {"concave": 0, "bent": 0, "flat": 0}
+    for i, face in enumerate(faces):
+        if len(face.corners) == 3:
+            cut = np.array([face.corners], dtype=np.int64)
+        else:
+            try:
+                cut = np.array(face.corners, dtype=np.int64)[_cut_polygon(vertices[list(face.corners)], counts)]
+            except ValueError as error:
+                raise InputError(str(file), f"{_where(face)} {error}") from None
+        triangles.append(cut)
+        owners.append(np.full(len(cut), i))
+    if not sum(map(len, triangles)):
+        raise InputError(str(file), f"must hold faces with an area, but all {len(faces)} have none")
+    owner = np.concatenate(owners)
+    by_material = any(face.material for face in faces)
+    names = [faces[i].material if by_material else faces[i].part for i in owner]
+    number = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    group = np.array([number[name] for name in names], dtype=np.int64)
+    return MeshFile(vertices, np.concatenate(triangles), group, tuple(number), _notes(counts))
+
+
+def _where(face: _Face) -> str:
+    return f"line {face.line}: face {face.number}"
+
+
+def _notes(counts: dict[str, int]) -> tuple[str, ...]:
+    said = {
+        "concave": "concave {} ear-clipped.",
+        "bent": f"{{}} not planar (by more than {_PLANE_TOLERANCE:g} of the size) and cut into triangles.",
+        "flat": "{} without an area and left out.",
+    }
+    notes = []
+    for key, count in counts.items():
+        if count:
+            notes.append(f"{count} " + said[key].format("polygon was" if count == 1 else "polygons were"))
+    return tuple(notes)
+
+
+def _parse_obj(file: Path) -> tuple[Floats, list[_Face]]:
+    """Return the vertices (V, 3) and the faces, their corners counted from 0 but not yet checked."""
+    vertices: list[list[float]] = []
+    faces: list[_Face] = []
+    material = part = ""
+    for line, key, rest in _statements(file):
+        if key == "v":
+            vertices.append(_vertex(file, line, rest))
+        elif key == "f":
+            number = len(faces) + 1
+            where = f"line {line}: face {number}"
+            corners = tuple(_corner(file, where, cell, len(vertices)) for cell in rest.split())
+            if len(corners) < 3:
+                raise InputError(str(file), f"{where} must have at least 3 corners, but has {len(corners)}")
+            faces.append(_Face(line, number, corners, material, part))
+        elif key == "usemtl":
+            material = " ".join(rest.split())
+        elif key in ("g", "o"):
+            part = " ".join(rest.split())
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), faces
+
+
+def _statements(file: Path) -> Iterator[tuple[int, str, str]]:
+    """Yield number of line, keyword and the rest, without comments and with continued lines joined."""
+    try:
+        data = read_file(file, LARGEST_TEXT)
+    except OSError as error:
+        raise InputError(str(file), f"cannot be read: {error.strerror or error}") from error
+    if b"\0" in data:
+        raise InputError(str(file), "must be an OBJ file, which is text, but holds a zero byte")
+    try:
+        text = data.decode("utf-8-sig")
+    except ValueError:
+        text = data.decode("latin-1")  # names in an old code page; the numbers are the same
+    first, held = 1, ""
+    # Not str.splitlines: it also ends a line at characters that may stand in a name.
+    for number, line in enumerate((*re.split("\r\n|\n|\r", text), ""), start=1):
+        first = first if held else number
+        if line.rstrip().endswith("\\"):
+            held += line.rstrip()[:-1] + " "
+            continue
+        key, _, rest = re.sub(r"(^|\s)#.*", "", held + line).strip().replace("\t", " ").partition(" ")
+        held = ""
+        if key:
+            yield first, key, rest
+
+
+def _vertex(file: Path, line: int, rest: str) -> list[float]:
+    try:
+        numbers = [float(cell) for cell in rest.split()[:3]]
+    except ValueError:
+        numbers = []
+    if len(numbers) < 3:
+        raise InputError(str(file), f"line {line}: a vertex must be three numbers, but is {rest!r:.60}")
+    return numbers
+
+
+def _corner(file: Path, where: str, cell: str, count: int) -> int:
+    """Return the vertex of ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``, from 0; negative ones count back."""
+    try:
+        index = int(cell.split("/")[0])
+    except ValueError:
+        raise InputError(str(file), f"{where} must have whole numbers as corners, but has {cell!r:.40}") from None
+    if index == 0 or index < -count:
+        raise InputError(str(file), f"{where} must use vertices from 1 (or -{count}) on, but uses {index}")
+    return index - 1 if index > 0 else count + index
+
+
+# Polygons
+
+
+def _cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
+    """Cut a polygon into triangles.
+
+    Parameters
+    ----------
+    corners : ndarray (n, 3)
+        In order; concave, and touching itself along a seam, as polygons with holes are written.
+    counts : dict
+        Polygons that were concave, bent or flat; counted up.
+
+    Returns
+    -------
+    ndarray (T, 3)
+        Indices of corners, turning as the polygon does; none for a polygon without area.
+
+    Raises
+    ------
+    ValueError
+        If the triangles' area is not the polygon's, as where its sides cross.
+    """
+    from mapbox_earcut import triangulate_float64
+
+    flat, depth, size = _project(corners)
+    area = 0.5 * float(np.sum(_cross(flat, np.roll(flat, -1, axis=0))))
+    if abs(area) <= _FLAT * size**2:
+        spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+        if spread[1] > np.sqrt(_FLAT) * size:
+            raise ValueError("must not cross itself, but the parts of its area cancel")
+        counts["flat"] += 1
+        return np.zeros((0, 3), dtype=np.int64)
+    cut = triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
+    signed = _areas(flat, cut)
+    if np.sum(signed) < 0.0:
+        cut = cut[:, ::-1]
+    covered = float(np.sum(np.abs(signed)))
+    if abs(covered - area) > _AREA_TOLERANCE * area:
+        raise ValueError(
+            f"must not cross itself: its area is {area:.7g}, but its triangles cover {covered:.7g} (units of the file)"
+        )
+    before, after = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
+    counts["concave"] += bool(np.any(_cross(before, after) < -_FLAT * size**2))
+    counts["bent"] += bool(depth > _PLANE_TOLERANCE * size)
+    return cut
+
+
+def _project(corners: Floats) -> tuple[Floats, float, float]:
+    """Return corners (n, 2) in the plane of Newell's normal, turning left, the largest distance from it, the size."""
+    local = corners - corners.mean(axis=0)
+    size = float(np.linalg.norm(np.ptp(local, axis=0)))
+    normal = np.sum(np.cross(local, np.roll(local, -1, axis=0)), axis=0)
+    length = float(np.linalg.norm(normal))
+    if length <= 2.0 * _FLAT * size**2:
+        return np.zeros((len(corners), 2)), 0.0, size
+    normal = normal / length
+    u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    u /= np.linalg.norm(u)
+    flat = np.ascontiguousarray(local @ np.stack([u, np.cross(normal, u)], axis=1))
+    return flat, float(np.max(np.abs(local @ normal))), size
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _areas(flat: Floats, cut: Ints) -> Floats:
+    a, b, c = (flat[cut[:, k]] for k in range(3))
+    return np.asarray(0.5 * _cross(b - a, c - a))
+
+
+# Other formats
+
+
+def _read_by_trimesh(file: Path) -> MeshFile:
+    """Read a file in its own axes and unit, its geometries joined."""
+    scene = load_by_trimesh(file)
+    vertices: list[Floats] = []
+    triangles: list[Ints] = []
+    names, others, count = [], 0, 0
+    rank = {key: i for i, key in enumerate(scene.geometry)}
+    # trimesh lists nodes in no order of the file's.
+    nodes = sorted(scene.graph.nodes_geometry, key=lambda node: (rank[scene.graph[node][1]], str(node)))
+    for node in nodes:
+        transform, key = scene.graph[node]
+        if not np.all(np.abs(transform) <= _FARTHEST):
+            raise InputError(str(file), f"must place its parts by finite numbers, but has {transform.tolist()!s:.80}")
+        geometry = scene.geometry[key]
+        if not len(getattr(geometry, "faces", ())):
+            others += 1
+            continue
+        faces = np.array(geometry.faces, dtype=np.int64)
+        points = np.array(geometry.vertices, dtype=np.float64)
+        _check_corners(file, points, faces.ravel(), lambda i: f"face {i // 3 + 1}", first=0)
+        if np.linalg.det(transform[:3, :3]) < 0.0:  # a mirror: outside stays outside
+            faces = faces[:, ::-1]
+        count += len(faces)
+        if count > _MOST_TRIANGLES:  # a few copied by many nodes may be more than memory holds
+            raise InputError(str(file), f"must hold at most {_MOST_TRIANGLES} triangles")
+        triangles.append(faces + sum(len(v) for v in vertices))
+        vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
+        names.append(_name(file, geometry, key, alone=len(nodes) == 1))
+    if not triangles:
+        held = "only points or lines" if others else "nothing"
+        raise InputError(str(file), f"must hold faces, but holds {held}")
+    groups = tuple(dict.fromkeys(names))
+    group = np.concatenate([np.full(len(t), groups.index(n)) for t, n in zip(triangles, names, strict=True)])
+    parts = "1 part" if others == 1 else f"{others} parts"
+    notes = (f"{parts} without faces (points or lines) left out.",) if others else ()
+    return MeshFile(np.concatenate(vertices), np.concatenate(triangles), group, groups, notes)
+
+
+def _check_corners(file: Path, vertices: Floats, corners: Ints, where: Callable[[int], str], first: int) -> None:
+    """Refuse corners beyond the vertices, and vertices that are not finite; `first` is the file's first index."""
+    for i in np.flatnonzero((corners < 0) | (corners >= len(vertices)))[:1]:
+        last = len(vertices) - 1 + first
+        raise InputError(
+            str(file), f"{where(i)} must use vertices from {first} to {last}, but uses {corners[i] + first}"
+        )
+    near = np.all(np.abs(vertices) <= _FARTHEST, axis=1)
+    for i in np.flatnonzero(~near[corners])[:1]:
+        k = corners[i]
+        raise InputError(str(file), f"{where(i)} must have finite corners, but vertex {k + first} is {vertices[k]}")
+    for k in np.flatnonzero(~near)[:1]:
+        raise InputError(str(file), f"vertices must be finite, but vertex {k + first} (of no face) is {vertices[k]}")
+
+
+def _name(file: Path, geometry: Any, key: str, *, alone: bool) -> str:
+    """Return the name of a geometry's material, else its own, else nothing."""
+    material = getattr(getattr(geometry, "visual", None), "material", None)
+    name = getattr(material, "name", None)
+    if file.suffix.lower() in _NAMELESS and alone:
+        return ""
+    return str(name or key)

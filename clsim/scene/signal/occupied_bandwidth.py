@@ -1,0 +1,99 @@
+"""Where and when a signal has energy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.signal.signal import Signal
+
+CELLS = 64  # of a band, in which a signal's importance is told
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShortTimeSpectra:
+    """A signal's energy by window of some 40 ms and frequency, relative to that of what sounds about the window.
+
+    Attributes
+    ----------
+    frequencies : ndarray (F,)
+        Evenly spaced from 0 to half the sampling rate, Hz.
+    energy : ndarray (W, F)
+        See `Signal.short_time_spectra`.
+    """
+
+    frequencies: Floats
+    energy: Floats
+
+    @classmethod
+    def of(cls, signal: Signal) -> ShortTimeSpectra:
+        """Return those of a signal; of silence there is no window."""
+        return cls(*signal.short_time_spectra())
+
+    def near(self, points: Floats, low: float, high: float) -> Floats:
+        """Return the energy (W, n) near rising frequencies (n,), Hz, those of bins within `low` and `high`."""
+        bins = np.flatnonzero((self.frequencies >= low) & (self.frequencies <= high))
+        last = len(points) - 1
+        at = np.interp(self.frequencies[bins], points, np.arange(last + 1, dtype=np.float64))
+        before = np.minimum(at.astype(np.int64), max(last - 1, 0))
+        shares = np.concatenate([1.0 - (at - before), at - before])
+        return self._gathered(
+            np.tile(bins, 2), np.concatenate([before, np.minimum(before + 1, last)]), shares, last + 1
+        )
+
+    def _gathered(self, bins: NDArray[np.int64], places: NDArray[np.int64], shares: Floats, count: int) -> Floats:
+        """Return sums (W, count) of shares of the energy of bins (n,), each added at its place."""
+        from scipy.sparse import csr_array
+
+        onto = csr_array((shares, (bins, places)), shape=(len(self.frequencies), count))
+        return np.asarray(self.energy @ onto)
+
+    def bounds(self, share: float) -> tuple[float, float]:
+        """Return the frequencies below and above which no window has more than a share of its energy, Hz."""
+        below = np.cumsum(self.energy, axis=1).max(axis=0, initial=0.0)
+        above = np.cumsum(self.energy[:, ::-1], axis=1).max(axis=0, initial=0.0)[::-1]
+        low = int(np.searchsorted(below, share))
+        high = len(above) - 1 - int(np.searchsorted(above[::-1], share))
+        last = len(self.frequencies) - 1
+        return float(self.frequencies[min(low, last)]), float(self.frequencies[max(high, 0)])
+
+    def importance(self, high: float, loudness: Floats) -> Floats:
+        """Return the weights (CELLS,) of errors in equal cells from 0 Hz to `high` Hz.
+
+        Where errors times weights stay below a bound, their root mean square over the spectrum of any window, relative
+        to what is heard of it, is at most 3 dB above it: whole for what sounds loudest, little for skirts of onsets.
+        `loudness` (W,) is the inverse of the energy that is heard of each window.
+        """
+        cell = (self.frequencies * (CELLS / high)).astype(np.int64)
+        bins = np.flatnonzero(cell < CELLS)
+        energy = self._gathered(bins, cell[bins], np.ones(len(bins)), CELLS)
+        weight = np.sqrt((np.minimum(CELLS * energy, 1.0) * loudness[:, None]).max(axis=0, initial=0.0))
+        # Filters bend between cells.
+        return np.asarray(np.max([np.roll(np.pad(weight, 1), k)[1:-1] for k in (-1, 0, 1)], axis=0))
+
+    def swiftness(self) -> float:
+        """Return the largest root mean square frequency of any window, Hz: that by which an error of delay is heard."""
+        return math.sqrt(float((self.energy @ self.frequencies**2).max(initial=0.0)))
+
+
+def shares(spectrum: tuple[Floats, Floats], share: float) -> tuple[float, float]:
+    """Return the frequencies below and above which a share of the energy of a spectrum lies, Hz."""
+    frequencies, energy = spectrum
+    below = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+    low, high = np.minimum(np.searchsorted(below, [share, 1.0 - share]), len(below) - 1)
+    return float(frequencies[low]), float(frequencies[high])
+
+
+def share_above(spectrum: tuple[Floats, Floats], frequency: float) -> float:
+    """Return the share of a spectrum's energy above a frequency in Hz, dB; -inf for none."""
+    frequencies, energy = spectrum
+    total = float(energy.sum())
+    share = float(energy[frequencies > frequency].sum()) / total if total > 0.0 else 0.0
+    return 10.0 * math.log10(share) if share > 0.0 else -math.inf

@@ -1,0 +1,432 @@
+"""What sources emit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.errors import InputError
+from clsim.files.sound import as_scale, read_sound_file
+from clsim.scene.signal.sequences import SEQUENCES, binary_sequence, most_repeats
+from clsim.scene.signal.waveforms import Chirp, Noise, Pulses, Samples, Sequence, Tone, Waveform
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+_SPECTRUM_LENGTH = 8192  # samples of a segment
+_ALL_SEGMENTS = 400  # above which segments are picked
+_WINDOW = 0.04  # s, of a short-time spectrum
+_QUIET_WINDOW = 1e-6  # energy of a window relative to the loudest, below which it is taken relative to this level
+_LONGEST = 1e7  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """Sound pressure at 1 m on a source's axis in free field, Pa, by sample. Made by one of the constructors below.
+
+    Parameters
+    ----------
+    waveform : Waveform
+        What gives the samples.
+    sampling_rate : float
+        Hz.
+    """
+
+    waveform: Waveform
+    sampling_rate: float
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return self.waveform.count(self.sampling_rate)
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+        return self.count / self.sampling_rate
+
+    @property
+    def centre_frequency(self) -> float:
+        """Frequency at which air, walls and beams are taken, Hz: the carrier, the mean, or the centroid of energy."""
+        known = self.waveform.centre_frequency
+        return 0.25 * self.sampling_rate if known is None else known
+
+    def read(self, start: int, stop: int) -> Floats:
+        """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut."""
+        out = np.zeros(max(stop - start, 0))
+        first, last = max(start, 0), min(stop, self.count)
+        if first < last:
+            out[first - start : last - start] = self.waveform.read(first, last, self.sampling_rate)
+        return out
+
+    def at_rate(self, sampling_rate: float) -> Signal:
+        """Return the signal at another sampling rate: formulae are evaluated anew, samples are resampled.
+
+        Raises
+        ------
+        InputError
+            If a formula's frequencies do not fit below half the new rate, a train's period is no whole number of its
+            samples, or the rates of recorded samples are in no simple ratio.
+        """
+        sampling_rate = _rate(sampling_rate)
+        if sampling_rate == self.sampling_rate:
+            return self
+        return Signal(self.waveform.at_rate(self.sampling_rate, sampling_rate), sampling_rate)
+
+    def energy_spectrum(self) -> tuple[Floats, Floats]:
+        """Return frequencies (n,) in Hz and the signal's energy at each (n,), in Pa² times samples.
+
+        Hann-windowed segments with half overlap, from before the onset to after the end. Of long signals the
+        first and last segments and, from equal stretches between them, one each are taken, which stand for the rest.
+        """
+        length, hop = _SPECTRUM_LENGTH, _SPECTRUM_LENGTH // 2
+        picked, weight = _picked_segments(self.count, hop)
+        window = _hann(length)
+        energy = np.zeros(hop + 1)
+        for k, share in zip(picked, weight, strict=True):
+            spectrum = np.fft.rfft(self.read(int(k) * hop, int(k) * hop + length) * window)
+            energy += share * np.abs(spectrum) ** 2
+        frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
+        return frequencies, energy / length
+
+    def short_time_spectra(self) -> tuple[Floats, Floats]:
+        """Return frequencies (F,) in Hz and the energy (W, F) at each in windows of some 40 ms.
+
+        Hann windows with half overlap, picked as by `energy_spectrum`; silent ones are left out. Energies are relative
+        to that of the window or its neighbour on either side, whichever is most, so that the end of a sound is seen
+        beside the sound; what is 60 dB below the loudest window is taken relative to that level.
+        """
+        length = 2 ** int(np.clip(round(math.log2(_WINDOW * self.sampling_rate)), 6, 14))
+        hop, window = length // 2, _hann(length)
+        found, levels = [], []
+        for k in _picked_segments(self.count, hop)[0]:
+            around = self.read((int(k) - 1) * hop, (int(k) + 1) * hop + length)
+            if not np.any(around[hop:-hop]):
+                continue
+            spectrum = np.abs(np.fft.rfft(around[hop:-hop] * window)) ** 2
+            spectrum[1:-1] *= 2.0
+            found.append(spectrum)
+            levels.append(
+                max(float(np.sum((around[i : i + length] * window) ** 2)) for i in (0, hop, 2 * hop)) * length
+            )
+        frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
+        if not found:
+            return frequencies, np.zeros((0, hop + 1))
+        level = np.maximum(levels, _QUIET_WINDOW * max(levels))
+        return frequencies, np.array(found) / level[:, None]
+
+    def band(self) -> tuple[float, float]:
+        """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz."""
+        frequencies, energy = self.energy_spectrum()
+        share = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+        low, high = np.minimum(np.searchsorted(share, [0.005, 0.995]), len(share) - 1)
+        return float(frequencies[low]), float(frequencies[high])
+
+    @classmethod
+    def tone(
+        cls,
+        frequency: float,
+        duration: float,
+        sampling_rate: float,
+        amplitude: float = 1.0,
+        phase: float = 0.0,
+        fade: float = 0.0,
+    ) -> Signal:
+        """Return ``amplitude sin(2 pi frequency t + phase)``.
+
+        Parameters
+        ----------
+        frequency : float
+            Above 0 and below half the sampling rate, Hz.
+        duration, sampling_rate : float
+            s, Hz.
+        amplitude, phase : float
+            Pa, rad.
+        fade : float
+            Length of a raised-cosine rise and fall, s; at most half the duration.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds.
+
+        Examples
+        --------
+        >>> Signal.tone(1e3, duration=0.01, sampling_rate=8e3).read(0, 3)
+        array([0.        , 0.70710678, 1.        ])
+        """
+        rate = _rate(sampling_rate)
+        duration = _duration(duration, rate)
+        fade = as_number("fade", fade, at_least=0.0, at_most=duration / 2, unit="s")
+        return cls(
+            Tone(
+                _frequency("frequency", frequency, rate), duration, _amplitude(amplitude),
+                as_number("phase", phase, at_least=-1e9, at_most=1e9, unit="rad"), fade,
+            ),
+            rate,
+        )  # fmt: skip
+
+    @classmethod
+    def chirp(
+        cls,
+        start: float,
+        stop: float,
+        duration: float,
+        sampling_rate: float,
+        method: str = "linear",
+        window: str = "none",
+        amplitude: float = 1.0,
+    ) -> Signal:
+        """Return a sweep from one frequency to another.
+
+        Parameters
+        ----------
+        start, stop : float
+            Above 0 and below half the sampling rate, Hz.
+        duration, sampling_rate : float
+            s, Hz.
+        method : {"linear", "exponential"}
+            How the frequency goes from start to stop.
+        window : {"none", "tukey", "hann"}
+            Envelope; ``"tukey"`` rises and falls within a tenth of the duration each.
+        amplitude : float
+            Pa.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds.
+
+        Notes
+        -----
+        With T the duration and k = stop / start, the phase is ``2 pi (start t + (stop - start) t² / 2T)`` or
+        ``2 pi start T (k^(t/T) - 1) / ln k``.
+
+        Examples
+        --------
+        >>> Signal.chirp(20e3, 60e3, duration=0.01, sampling_rate=192e3).centre_frequency
+        40000.0
+        """
+        rate = _rate(sampling_rate)
+        as_choice("method", method, ("linear", "exponential"))
+        as_choice("window", window, ("none", "tukey", "hann"))
+        return cls(
+            Chirp(
+                _frequency("start", start, rate), _frequency("stop", stop, rate), _duration(duration, rate), method,
+                {"none": 0.0, "tukey": 0.1, "hann": 0.5}[window], _amplitude(amplitude),
+            ),
+            rate,
+        )  # fmt: skip
+
+    @classmethod
+    def pulses(cls, pulse: Signal, period: float, count: int) -> Signal:
+        """Return a pulse, repeated.
+
+        Parameters
+        ----------
+        pulse : Signal
+            What is repeated.
+        period : float
+            From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
+        count : int
+            At least 1; the train lasts 1e7 s at most.
+
+        Raises
+        ------
+        InputError
+            If the pulse is a train itself or the period does not fit; the message names the nearest that do.
+
+        Examples
+        --------
+        >>> Signal.pulses(Signal.tone(40e3, 0.001, 192e3), period=0.1, count=3).duration
+        0.201
+        """
+        if not isinstance(pulse, Signal):
+            raise InputError("pulse", f"must be a Signal, but is {pulse!r:.80}")
+        if isinstance(pulse.waveform, Pulses):
+            raise InputError("pulse", "must be a single pulse, but is a train")
+        period = as_number("period", period, at_least=pulse.duration, at_most=_LONGEST, unit="s")
+        count = as_count("count", count, at_least=1, at_most=max(1, math.floor(_LONGEST / period)))
+        rate = pulse.sampling_rate
+        return cls(Pulses(pulse.waveform, rate, period, count).checked(rate), rate)
+
+    @classmethod
+    def noise(
+        cls,
+        duration: float,
+        sampling_rate: float,
+        seed: int,
+        band: tuple[float, float] | None = None,
+        rms: float = 1.0,
+    ) -> Signal:
+        """Return Gaussian noise, the same for the same seed.
+
+        Parameters
+        ----------
+        duration, sampling_rate : float
+            s, Hz.
+        seed : int
+            From 0 to 2^64 - 1.
+        band : (low, high), optional
+            Pass band, Hz; white up to half the sampling rate when left out.
+        rms : float
+            Root mean square, Pa.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds.
+
+        Notes
+        -----
+        The band's edges are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
+        sampling rate; a narrower band than a hundredth becomes as wide as the filter can be. At another sampling
+        rate the same seed gives other samples.
+
+        Examples
+        --------
+        >>> Signal.noise(1.0, 192e3, seed=1, band=(30e3, 50e3)).centre_frequency
+        40000.0
+        """
+        rate = _rate(sampling_rate)
+        edges = None
+        if band is not None:
+            low, high = as_floats("band", band, (2,))
+            as_number("band[0]", float(low), at_least=0.0, unit="Hz")
+            as_number("band[1]", float(high), above=float(low), below=0.5 * rate, unit="Hz")
+            edges = (float(low), float(high))
+        return cls(
+            Noise(
+                _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), edges,
+                as_number("rms", rms, at_least=0.0, at_most=LOUDEST, unit="Pa"),
+            ),
+            rate,
+        )  # fmt: skip
+
+    @classmethod
+    def sequence(
+        cls,
+        *,
+        carrier: float,
+        chip_rate: float,
+        sampling_rate: float,
+        kind: str = "mls",
+        bits: int = 10,
+        code: int = 0,
+        repeats: int = 1,
+        rolloff: float = 0.5,
+        amplitude: float = 1.0,
+    ) -> Signal:
+        """Return a binary sequence on a carrier (BPSK), its chips shaped by a raised cosine.
+
+        Parameters
+        ----------
+        carrier, chip_rate, sampling_rate : float
+            Hz; the band is ``carrier`` plus and minus ``chip_rate (1 + rolloff) / 2``.
+        kind : {"mls", "gold"}
+            Maximum-length or Gold sequence of ``2**bits - 1`` chips.
+        bits : int
+            Register length: 2 to 16 for "mls"; 5, 6, 7, 9, 10 or 11 for "gold".
+        code : int
+            Which Gold sequence, from 0 to ``2**bits``; for "mls" the number of chips by which it is rotated.
+        repeats : int
+            Periods; the whole signal has at most 67 million samples.
+        rolloff : float
+            From 0.05 to 1.
+        amplitude : float
+            Level of a chip at its centre, Pa; between chips it overshoots, to 1.5 times at a rolloff of 0.5.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds, or the band leaves 0 to half the sampling rate.
+
+        Examples
+        --------
+        >>> Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=192e3, bits=5).count
+        1489
+        """
+        rate = _rate(sampling_rate)
+        as_choice("kind", kind, SEQUENCES)
+        chip_rate = as_number("chip_rate", chip_rate, at_least=SLOWEST, below=0.5 * rate, unit="Hz")
+        rolloff = as_number("rolloff", rolloff, at_least=0.05, at_most=1.0)
+        half = 0.5 * chip_rate * (1.0 + rolloff)
+        carrier = as_number("carrier", carrier, at_least=half, at_most=0.5 * rate - half, unit="Hz")
+        chips = len(binary_sequence(kind, bits, code))  # refuses what there is not
+        repeats = as_count("repeats", repeats, at_least=1, at_most=most_repeats(chips, chip_rate, rate))
+        return cls(Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, _amplitude(amplitude)), rate)
+
+    @classmethod
+    def from_array(cls, samples: Any, sampling_rate: float) -> Signal:
+        """Return a signal from samples (n,) in Pa.
+
+        Examples
+        --------
+        >>> Signal.from_array([0.0, 1.0, 0.0], 48e3).read(-1, 2)
+        array([0., 0., 1.])
+        """
+        rate = _rate(sampling_rate)
+        return cls(_with_centroid(as_floats("samples", samples, (None,), within=LOUDEST, unit="Pa"), rate), rate)
+
+    @classmethod
+    def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0) -> Signal:
+        """Return one channel of a sound file; full scale (1.0) becomes `scale` Pa.
+
+        Raises
+        ------
+        InputError
+            If the file is missing or no sound file, has no such channel, is too long, or holds what is no finite sound.
+        """
+        channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
+        samples, rate = read_sound_file(path, channel)
+        samples *= scale
+        return cls(_with_centroid(read_only(samples), _rate(rate)), rate)
+
+
+def _picked_segments(count: int, hop: int) -> tuple[NDArray[np.int64], Floats]:
+    """Return segments of `hop` samples, those before the onset included, and how many each stands for.
+
+    Of many the first and the last are taken, and one each from equal stretches between them.
+    """
+    last = -(-count // hop)
+    if last + 1 <= _ALL_SEGMENTS:
+        return np.arange(-1, last), np.ones(last + 1)
+    stretch = np.arange(_ALL_SEGMENTS // 2)
+    # Anywhere in its stretch: an even step could always meet a train's pauses.
+    place = (stretch + np.random.default_rng(0).random(len(stretch))) / len(stretch)
+    inner = np.unique(8 + (place * (last - 16)).astype(np.int64))
+    picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
+    return picked, np.gradient(picked.astype(np.float64))
+
+
+def _hann(length: int) -> Floats:
+    return np.asarray(np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2)
+
+
+def _with_centroid(samples: NDArray[Any], rate: float) -> Samples:
+    """Return samples with the centroid of their energy as centre frequency; silence has none."""
+    frequencies, energy = Signal(Samples(samples, rate, None), rate).energy_spectrum()
+    total = float(energy.sum())
+    return Samples(samples, rate, float(frequencies @ energy) / total if total > 0.0 else None)
+
+
+def _rate(sampling_rate: float) -> float:
+    return as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+
+
+def _amplitude(amplitude: float) -> float:
+    return as_number("amplitude", amplitude, at_least=-LOUDEST, at_most=LOUDEST, unit="Pa")
+
+
+def _duration(duration: float, rate: float) -> float:
+    return as_number("duration", duration, at_least=1.0 / rate, at_most=_LONGEST, unit="s")
+
+
+def _frequency(field: str, frequency: float, rate: float) -> float:
+    return as_number(field, frequency, at_least=SLOWEST, below=0.5 * rate, unit="Hz")

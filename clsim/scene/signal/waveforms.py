@@ -1,0 +1,347 @@
+"""Waveforms: what gives the samples of a signal at any sampling rate, in any order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.numerics.resampling import Resampler
+from clsim.scene.signal.sequences import shaped_sequence
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+
+_TONE_BLOCK = 4096  # samples of a tone that share one exact phase
+_NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
+_NOISE_HALF = 256  # taps on either side of the noise's band filter
+
+
+class Waveform(Protocol):
+    """A function of time, or samples."""
+
+    @property
+    def centre_frequency(self) -> float | None:
+        """Frequency that stands for all, Hz; None for all frequencies alike."""
+        ...
+
+    def count(self, sampling_rate: float) -> int:
+        """Return the number of samples."""
+        ...
+
+    def read(self, first: int, last: int, sampling_rate: float) -> NDArray[Any]:
+        """Return samples `first` to `last`, which lie inside."""
+        ...
+
+    def at_rate(self, old: float, new: float) -> Waveform:
+        """Return the same sound for another sampling rate."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Tone:
+    """A sine."""
+
+    frequency: float
+    duration: float
+    amplitude: float
+    phase: float
+    fade: float
+
+    @property
+    def centre_frequency(self) -> float:
+        """Its frequency, Hz."""
+        return self.frequency
+
+    def count(self, sampling_rate: float) -> int:
+        """Return the number of samples."""
+        return _count(self.duration, sampling_rate)
+
+    def read(self, first: int, last: int, sampling_rate: float) -> Floats:
+        """Return samples.
+
+        Every block's phase is a fraction of whole numbers, so that late samples are as exact as the first; inside
+        a block ``sin(a + b) = sin a cos b + cos a sin b`` with a table of the angles `b`.
+        """
+        cosine, sine = _block_angles(self.frequency, sampling_rate)
+        per_sample = Fraction(self.frequency) / Fraction(sampling_rate)
+        p, q = per_sample.numerator * _TONE_BLOCK, per_sample.denominator
+        start = first // _TONE_BLOCK
+        blocks = range(start, -(-last // _TONE_BLOCK))
+        begin = 2.0 * math.pi * np.array([k * p % q / q for k in blocks]) + self.phase
+        whole = np.multiply.outer(self.amplitude * np.sin(begin), cosine)
+        whole += np.multiply.outer(self.amplitude * np.cos(begin), sine)
+        out = whole.ravel()[first - start * _TONE_BLOCK : last - start * _TONE_BLOCK]
+        if self.fade > 0.0:
+            _taper(out, first, sampling_rate, self.duration, self.fade)
+        return np.asarray(out)
+
+    def at_rate(self, old: float, new: float) -> Tone:
+        """Return itself, if the frequency fits."""
+        _fits("frequency", self.frequency, new)
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Chirp:
+    """A sweep; `taper` is the share of the duration in which it rises, and falls."""
+
+    start: float
+    stop: float
+    duration: float
+    method: str
+    taper: float
+    amplitude: float
+
+    @property
+    def centre_frequency(self) -> float:
+        """Mean of start and stop, Hz."""
+        return 0.5 * (self.start + self.stop)
+
+    def count(self, sampling_rate: float) -> int:
+        """Return the number of samples."""
+        return _count(self.duration, sampling_rate)
+
+    def read(self, first: int, last: int, sampling_rate: float) -> Floats:
+        """Return samples."""
+        t = np.arange(first, last, dtype=np.float64) / sampling_rate
+        if self.method == "linear" or self.start == self.stop:
+            cycles = t * (self.start + 0.5 * (self.stop - self.start) / self.duration * t)
+        else:
+            growth = math.log(self.stop / self.start) / self.duration
+            cycles = self.start * np.expm1(growth * t) / growth
+        out = self.amplitude * np.sin(2.0 * math.pi * (cycles - np.floor(cycles)))
+        if self.taper > 0.0:
+            _taper(out, first, sampling_rate, self.duration, self.taper * self.duration)
+        return np.asarray(out)
+
+    def at_rate(self, old: float, new: float) -> Chirp:
+        """Return itself, if its frequencies fit."""
+        _fits("start", self.start, new)
+        _fits("stop", self.stop, new)
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Pulses:
+    """A train of equal pulses; `pulse_rate` is the sampling rate for which the pulse was made."""
+
+    pulse: Waveform
+    pulse_rate: float
+    period: float
+    repetitions: int
+
+    @property
+    def centre_frequency(self) -> float | None:
+        """That of the pulse, Hz."""
+        return self.pulse.centre_frequency
+
+    def count(self, sampling_rate: float) -> int:
+        """Return the number of samples: the last pulse ends the train."""
+        return (self.repetitions - 1) * self._step(sampling_rate) + self.pulse.count(sampling_rate)
+
+    def read(self, first: int, last: int, sampling_rate: float) -> Floats:
+        """Return samples."""
+        out = np.zeros(last - first)
+        step, length = self._step(sampling_rate), self.pulse.count(sampling_rate)
+        heard = range(max(0, (first - length) // step + 1), min(self.repetitions - 1, (last - 1) // step) + 1)
+        # Several pulses: made once, since they are no longer than the block.
+        pulse = self.pulse.read(0, length, sampling_rate) if len(heard) > 2 else None
+        for k in heard:
+            a, b = max(first, k * step), min(last, k * step + length)
+            part = slice(a - k * step, b - k * step)
+            out[a - first : b - first] += (
+                self.pulse.read(part.start, part.stop, sampling_rate) if pulse is None else pulse[part]
+            )
+        return out
+
+    def at_rate(self, old: float, new: float) -> Pulses:
+        """Return the train of the pulse at the new rate."""
+        return Pulses(self.pulse.at_rate(old, new), new, self.period, self.repetitions).checked(new)
+
+    def checked(self, sampling_rate: float) -> Pulses:
+        """Return itself if the period is a whole number of samples.
+
+        Raises
+        ------
+        InputError
+            If it is not; the message names the nearest periods that are.
+        """
+        samples = self.period * sampling_rate
+        if abs(samples - round(samples)) > 1e-6 * max(1.0, samples * 1e-6):
+            low, high = math.floor(samples) / sampling_rate, math.ceil(samples) / sampling_rate
+            raise InputError(
+                "period",
+                f"must be a whole number of samples at {sampling_rate:g} Hz, such as {low!r} or {high!r} s, "
+                f"but is {self.period!r} s",
+            )
+        return self
+
+    def _step(self, sampling_rate: float) -> int:
+        return round(self.period * sampling_rate)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Gaussian noise from a counter-based generator, so that any part of it can be drawn by itself."""
+
+    duration: float
+    seed: int
+    band: tuple[float, float] | None
+    rms: float
+
+    @property
+    def centre_frequency(self) -> float | None:
+        """Middle of the band, Hz."""
+        return None if self.band is None else 0.5 * (self.band[0] + self.band[1])
+
+    def count(self, sampling_rate: float) -> int:
+        """Return the number of samples."""
+        return _count(self.duration, sampling_rate)
+
+    def read(self, first: int, last: int, sampling_rate: float) -> Floats:
+        """Return samples."""
+        if self.band is None:
+            return self.rms * white_noise(self.seed, first, last)
+        from scipy.fft import irfft, rfft
+
+        # Overlap-save with the generator's own blocks, one by one: the rounding is the same however one reads.
+        response = _band_response(*self.band, sampling_rate)
+        start, stop = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
+        white = white_noise(self.seed, start * _NOISE_BLOCK - _NOISE_HALF, stop * _NOISE_BLOCK + _NOISE_HALF)
+        length = _NOISE_BLOCK + 2 * _NOISE_HALF
+        out = np.empty((stop - start, _NOISE_BLOCK))
+        for k, row in enumerate(out):
+            part = rfft(white[k * _NOISE_BLOCK : k * _NOISE_BLOCK + length])
+            row[:] = irfft(part * response, length)[2 * _NOISE_HALF :]
+        return np.asarray(self.rms * out.ravel()[first - start * _NOISE_BLOCK : last - start * _NOISE_BLOCK])
+
+    def at_rate(self, old: float, new: float) -> Noise:
+        """Return noise of the same seed and band; its samples are others, since each is drawn by itself."""
+        if self.band is not None:
+            _fits("band[1]", self.band[1], new)
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """A binary sequence on a carrier."""
+
+    kind: str
+    bits: int
+    code: int
+    repeats: int
+    chip_rate: float
+    carrier: float
+    rolloff: float
+    amplitude: float
+
+    @property
+    def centre_frequency(self) -> float:
+        """The carrier, Hz."""
+        return self.carrier
+
+    def count(self, sampling_rate: float) -> int:
+        """Return the number of samples."""
+        return len(self._samples(sampling_rate))
+
+    def read(self, first: int, last: int, sampling_rate: float) -> Floats:
+        """Return samples."""
+        return self.amplitude * self._samples(sampling_rate)[first:last]
+
+    def at_rate(self, old: float, new: float) -> Sequence:
+        """Return itself, if its band fits."""
+        _fits("carrier", self.carrier + 0.5 * self.chip_rate * (1.0 + self.rolloff), new)
+        return self
+
+    def _samples(self, sampling_rate: float) -> Floats:
+        return shaped_sequence(
+            self.kind, self.bits, self.code, self.repeats, self.chip_rate, self.carrier, self.rolloff, sampling_rate
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Samples in memory, at the rate `recorded` (Hz); read at another rate, they pass through a polyphase filter."""
+
+    values: NDArray[Any]
+    recorded: float
+    centre_frequency: float | None
+
+    def count(self, sampling_rate: float) -> int:
+        """Return the number of samples."""
+        return self._resampler(sampling_rate).count(len(self.values))
+
+    def read(self, first: int, last: int, sampling_rate: float) -> NDArray[Any]:
+        """Return samples."""
+        if sampling_rate == self.recorded:
+            return self.values[first:last]
+        return self._resampler(sampling_rate).read(self.values, first, last)
+
+    def at_rate(self, old: float, new: float) -> Samples:
+        """Return itself, if the rates are in a simple ratio."""
+        self._resampler(new)
+        return self
+
+    def _resampler(self, sampling_rate: float) -> Resampler:
+        return Resampler.between(self.recorded, sampling_rate)
+
+
+def white_noise(seed: int, first: int, last: int) -> Floats:
+    """Return samples `first` to `last` of endless Gaussian noise of unit variance, the same however they are cut."""
+    a, b = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
+    parts = []
+    for k in range(a, b):
+        stream = np.random.Philox(key=np.array([seed % 2**64, k % 2**64], dtype=np.uint64))
+        parts.append(np.random.Generator(stream).standard_normal(_NOISE_BLOCK))
+    return np.concatenate(parts)[first - a * _NOISE_BLOCK : last - a * _NOISE_BLOCK]
+
+
+@lru_cache(maxsize=16)
+def _block_angles(frequency: float, sampling_rate: float) -> tuple[Floats, Floats]:
+    """Return the cosine and sine of a tone's phase over one block."""
+    cycles = np.arange(_TONE_BLOCK) * (frequency / sampling_rate)
+    angle = 2.0 * math.pi * (cycles - np.floor(cycles))
+    return np.cos(angle), np.sin(angle)
+
+
+@lru_cache(maxsize=16)
+def _band_response(low: float, high: float, sampling_rate: float) -> NDArray[np.complex128]:
+    """Return the spectrum, over one block, of a linear-phase band filter of unit noise gain."""
+    from scipy.fft import rfft
+    from scipy.signal import firwin
+
+    count = 2 * _NOISE_HALF + 1
+    edges, pass_zero = ([low, high], False) if low > 0.0 else ([high], True)
+    taps = firwin(count, edges, window=("kaiser", 8.0), pass_zero=pass_zero, fs=sampling_rate)
+    return np.asarray(rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
+
+
+def _taper(out: Floats, first: int, sampling_rate: float, duration: float, fade: float) -> None:
+    """Apply a raised-cosine rise and fall, each `fade` long (s), to samples from `first` on, in place."""
+    reach = math.ceil(fade * sampling_rate) + 1
+    rise = slice(0, max(0, reach - first))
+    fall = slice(max(rise.stop, math.floor((duration - fade) * sampling_rate) - first), None)
+    for part in (rise, fall):
+        t = (np.arange(len(out))[part] + first) / sampling_rate
+        edge = np.clip(np.minimum(t, duration - t), 0.0, fade) / fade
+        out[part] *= np.sin(0.5 * math.pi * edge) ** 2
+
+
+def _count(duration: float, sampling_rate: float) -> int:
+    return max(1, round(duration * sampling_rate))
+
+
+def _fits(field: str, frequency: float, sampling_rate: float) -> None:
+    if frequency >= 0.5 * sampling_rate:
+        raise InputError(
+            f"signal.{field}",
+            f"must be below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is {frequency:g} Hz",
+        )

@@ -1,0 +1,267 @@
+"""What a source makes of a voltage, and a receiver of sound pressure, on its axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.air import absorption_iso9613
+from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.errors import InputError
+from clsim.files.sound import as_scale, read_sound_file
+from clsim.scene.signal.filtering import Filtered
+from clsim.scene.signal.signal import Signal
+from clsim.scene.transducer.models import ImpulseResponse, Resonance, ResponseTable
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+# Murata, "Ultrasonic Sensor Application Manual", Cat. No. S15E: MA40S4S gives 120 dB re 20 µPa at 0.3 m for 10 V rms,
+# MA40S4R -63 dB re 10 V/Pa, both at 40 kHz and within 3 dB. The width is a round value for both: it is no stated
+# figure, and samples differ from each other by more. The 0.7 m from 0.3 m to 1 m are air of 20 °C and 50 %.
+_RESONANCE, _WIDTH = 40e3, 2.4e3  # Hz
+_AT_ONE_METRE = 0.3 * 10 ** (-0.7 * float(absorption_iso9613(40e3, 20.0, 0.5, 101_325.0)) / 20)
+_NAMED_SENSITIVITY = {
+    "MA40S4S": 20e-6 * 10 ** (120 / 20) / 10.0 * _AT_ONE_METRE,  # Pa/V at 1 m
+    "MA40S4R": 10.0 * 10 ** (-63 / 20),  # V/Pa
+}
+
+TRANSDUCER_NAMES = tuple(_NAMED_SENSITIVITY)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transducer:
+    """Frequency response on the axis: of a source in Pa at 1 m per V, of a receiver in V per Pa.
+
+    Made by one of the constructors below, or by `named_transducer`.
+
+    Parameters
+    ----------
+    model : Resonance, ResponseTable or ImpulseResponse
+        What gives the response.
+    name : str
+        What to call it.
+    """
+
+    model: Resonance | ResponseTable | ImpulseResponse
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.model, Resonance | ResponseTable | ImpulseResponse):
+            raise InputError(
+                "model", f"must be a Resonance, ResponseTable or ImpulseResponse, but is {self.model!r:.80}"
+            )
+        if not isinstance(self.name, str):
+            raise InputError("name", f"must be a text, but is {self.name!r:.80}")
+
+    @property
+    def sensitivity(self) -> float:
+        """Largest magnitude of the response, in its own unit."""
+        return self.model.peak
+
+    def impulse_response(self, sampling_rate: float) -> Floats:
+        """Return the causal impulse response (n,) at a sampling rate: what the transducer is rendered with.
+
+        Raises
+        ------
+        InputError
+            If the response cannot be made causal at this rate; the message says why.
+        """
+        return _taps(self, as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz"))
+
+    def response(self, frequencies: ArrayLike, sampling_rate: float) -> NDArray[np.complex128]:
+        """Return the complex response at frequencies (n,) in Hz, as rendered at a sampling rate."""
+        taps = self.impulse_response(sampling_rate)
+        angle = -2j * np.pi * np.asarray(frequencies, dtype=np.float64) / sampling_rate
+        return np.array([np.exp(a * np.arange(len(taps))) @ taps for a in np.atleast_1d(angle)])
+
+    def drive(self, voltage: Signal) -> Signal:
+        """Return the sound pressure at 1 m that a voltage makes; the ring-down makes it longer.
+
+        Raises
+        ------
+        InputError
+            If the voltage has a wider band than the transducer's table.
+        """
+        if not isinstance(voltage, Signal):
+            raise InputError("signal", f"must be a Signal, but is {voltage!r:.80}")
+        self.check_covers(voltage.band(), "the signal")
+        made = Signal(Filtered(voltage.waveform, self, None), voltage.sampling_rate)
+        frequencies, energy = made.energy_spectrum()
+        total = float(energy.sum())
+        centre = float(frequencies @ energy) / total if total > 0.0 else voltage.centre_frequency
+        return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
+
+    def check_covers(self, band: tuple[float, float], what: str) -> None:
+        """Raise an InputError if the band (low, high) in Hz of `what` goes beyond what is known of the response."""
+        low, high = self.model.band
+        if band[0] < low or band[1] > high:
+            extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
+            raise InputError(
+                "transducer",
+                f"must be known over the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
+                f"but is known from {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}",
+            )
+
+    @classmethod
+    def resonance(cls, frequency: float, width: float, sensitivity: float, name: str = "") -> Transducer:
+        """Return a second-order band-pass, which rings with the time constant ``sqrt(3) / (pi width)``.
+
+        Parameters
+        ----------
+        frequency : float
+            Of resonance, Hz.
+        width : float
+            Between the -6 dB points (half the magnitude), Hz; less than `frequency`.
+        sensitivity : float
+            Magnitude at resonance: Pa at 1 m per V, or V per Pa.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of these bounds.
+
+        Examples
+        --------
+        >>> made = Transducer.resonance(40e3, width=2.4e3, sensitivity=0.5)
+        >>> abs(made.response([40e3], 192e3)).round(3).tolist()
+        [0.5]
+        """
+        frequency = as_number("frequency", frequency, at_least=1.0, at_most=50e6, unit="Hz")
+        width = as_number("width", width, at_least=1e-3 * frequency, below=frequency, unit="Hz")
+        return cls(
+            Resonance(frequency, width, as_number("sensitivity", sensitivity, at_least=QUIETEST, at_most=LOUDEST)), name
+        )
+
+    @classmethod
+    def from_table(cls, frequencies: ArrayLike, values: Any, outside: str | None = None, name: str = "") -> Transducer:
+        """Return a measured response.
+
+        Parameters
+        ----------
+        frequencies : array_like (n,)
+            At least two, from 0 up and increasing, Hz.
+        values : array_like (n,)
+            Real: magnitudes above 0, to which the minimum phase is found. Complex: magnitude and phase
+            (``exp(+j 2 pi f t)``), which must belong to a response that does not begin before 0 s.
+        outside : {None, "zero", "hold"}
+            What the response is beyond the table: refused if a signal needs it (None), nothing, or the value at its
+            nearer end.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds or the lengths differ.
+
+        Notes
+        -----
+        Between frequencies the logarithm of the magnitude and the phase are interpolated linearly. Nothing means
+        that the magnitude falls to -80 dB of its peak, as a raised cosine of its logarithm over a tenth of the edge's
+        frequency.
+
+        Examples
+        --------
+        >>> made = Transducer.from_table([35e3, 40e3, 45e3], [0.2, 0.6, 0.2], outside="zero")
+        >>> abs(made.response([40e3], 192e3)).round(3).tolist()
+        [0.6]
+        """
+        f = as_floats("frequencies", frequencies, (None,))
+        if len(f) < 2 or f[0] < 0.0 or np.any(np.diff(f) <= 0.0):
+            raise InputError(
+                "frequencies", f"must be two or more from 0 Hz that increase strictly, but are {f.tolist()!s:.80}"
+            )
+        if outside is not None:
+            as_choice("outside", outside, ("zero", "hold"))
+        given = np.asarray(values)
+        if given.dtype.kind == "c":
+            parts = [as_floats("values", part, (len(f),), within=LOUDEST) for part in (given.real, given.imag)]
+            magnitudes, phases = np.hypot(*parts), read_only(np.unwrap(np.arctan2(parts[1], parts[0])))
+        else:
+            magnitudes, phases = as_floats("values", values, (len(f),), within=LOUDEST), None
+        for i in np.flatnonzero(magnitudes < QUIETEST)[:1]:
+            raise InputError(f"values[{i}]", f"must have a magnitude above 0, but is {given[i]}")
+        return cls(ResponseTable(f, read_only(magnitudes), phases, outside), name)
+
+    @classmethod
+    def from_impulse_response(cls, samples: ArrayLike, sampling_rate: float, name: str = "") -> Transducer:
+        """Return the transducer with a measured impulse response.
+
+        Parameters
+        ----------
+        samples : array_like (n,)
+            Taps at `sampling_rate`: their spectrum ``sum h[n] exp(-2j pi f n / sampling_rate)`` is the response.
+        sampling_rate : float
+            Hz. At another rate the taps are resampled, flat to 0.9 of the lower Nyquist frequency.
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        InputError
+            If the samples are all zero or not finite.
+        """
+        rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+        taps = as_floats("samples", samples, (None,), within=LOUDEST)
+        if not np.abs(taps).max() >= QUIETEST:
+            raise InputError("samples", "must not all be 0")
+        return cls(ImpulseResponse(taps, rate), name)
+
+    @classmethod
+    def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0, name: str = "") -> Transducer:
+        """Return the transducer whose impulse response is one channel of a sound file; full scale becomes `scale`.
+
+        Raises
+        ------
+        InputError
+            If the file is missing or no sound file, has no such channel, or holds NaN or silence.
+        """
+        channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
+        samples, rate = read_sound_file(path, channel)
+        return cls.from_impulse_response(scale * samples.astype(np.float64), rate, name)
+
+
+def named_transducer(name: str) -> Transducer:
+    """Return the frequency response of a transducer by its name.
+
+    Parameters
+    ----------
+    name : {"MA40S4S", "MA40S4R"}
+        Murata's open 40 kHz transmitter (Pa at 1 m per V) and receiver (V per Pa). Nominal models, no measurements:
+        a resonance at 40 kHz, 2.4 kHz wide at -6 dB. MA40S4S makes 120 dB re 20 µPa at 0.3 m from 10 V rms, MA40S4R
+        has -63 dB re 10 V/Pa. Frequency, level and sensitivity are the catalogue's (Murata, "Ultrasonic Sensor
+        Application Manual", Cat. No. S15E), each within 3 dB; the width is a round typical value.
+
+    Returns
+    -------
+    Transducer
+        A resonance. Its beam is another matter: see `named_directivity`.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown.
+
+    Examples
+    --------
+    >>> round(1e3 * named_transducer("MA40S4R").sensitivity, 2)  # mV/Pa
+    7.08
+    """
+    name = as_choice("name", name, TRANSDUCER_NAMES)
+    return Transducer.resonance(_RESONANCE, _WIDTH, _NAMED_SENSITIVITY[name], name)
+
+
+@lru_cache(maxsize=32)
+def _taps(transducer: Transducer, sampling_rate: float) -> Floats:
+    try:
+        return read_only(transducer.model.taps(sampling_rate))
+    except InputError as error:
+        raise error.within("transducer") from error

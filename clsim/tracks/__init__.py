@@ -1,0 +1,1 @@
+"""Delay and gain over time of every path, whoever computed them."""

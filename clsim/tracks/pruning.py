@@ -1,0 +1,115 @@
+"""Paths that are never loud enough to matter, and a bound on what is lost without them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.paths.arrivals import MACH_EXPONENT, arrivals
+from clsim.paths.response import NEPERS, beam_gain, known
+from clsim.scene.directivity.patterns import Omni
+from clsim.scene.signal.occupied_bandwidth import shares
+from clsim.tracks.tracks import SceneTracks, TrackGroup
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+    from clsim.scene.directivity.patterns import AnyDirectivity
+
+_STEP = 0.25  # s, over which distances are bounded
+_LEAST_MOVE = 0.05  # m, or for as long as motions take for it
+_DIRECTIONS = 2000  # in which a beam's largest gain is looked for
+_BETWEEN = 1.05  # by which it may be larger between them
+_FREQUENCIES = 9
+_SHARE = 1e-4  # of the signal's energy at either end, which is not looked at
+
+
+def without_quiet(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTracks, str]:
+    """Return the tracks of the paths that may matter, and what is said of the others.
+
+    Parameters
+    ----------
+    tracks : SceneTracks
+        Of all paths.
+    below_db : float
+        Level relative to the strongest arrival at the same receiver; a path is left out if a bound of its gain stays
+        below it from 0 s to `until`.
+    until : float
+        End of the run, s.
+
+    Notes
+    -----
+    The bound of a gain is the product of spreading and air over the shortest distance that peak speeds allow within
+    each quarter of a second (or 5 cm of motion, where that takes longer and no path comes or goes), of the reflection
+    factors (1 where they depend on the angle), and of the beams' largest gains, at nine frequencies of the signal's
+    band. What all paths that are left out add is at most the sum of their bounds.
+    """
+    kept, lost, count = [], 0.0, 0
+    for i in range(len(tracks.groups)):
+        bound, strongest = _bounds(tracks, i, until)
+        quiet = bound < 10 ** (below_db / 20) * strongest
+        if strongest > 0.0 and np.any(quiet):
+            lost = max(lost, float(bound[quiet].sum()) / strongest)
+            count += int(np.count_nonzero(quiet))
+        kept.append(np.flatnonzero(~quiet))
+    if not count:
+        return tracks, f"no path stays below {below_db:g} dB"
+    groups = [
+        TrackGroup(group.source, group.receiver, group.start[rows], group.end[rows])
+        for group, rows in zip(tracks.groups, kept, strict=True)
+    ]
+    reduced = replace(
+        tracks,
+        groups=tuple(groups),
+        path_groups=tuple(group.part(rows) for group, rows in zip(tracks.path_groups, kept, strict=True)),
+        path_rows=tuple(all_rows[rows] for all_rows, rows in zip(tracks.path_rows, kept, strict=True)),
+    )
+    together = f"reach at most {20.0 * math.log10(lost):.1f} dB" if lost > 0.0 else "are silent"
+    return reduced, (
+        f"{count} paths that stay below {below_db:g} dB of the strongest are left out; all of them together {together}"
+    )
+
+
+def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, float]:
+    """Return bounds (P,) of the gains of a group's paths, and the strongest gain that was met."""
+    scene, paths = tracks.scene, tracks.path_groups[group]
+    source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.sound_speed
+    frequencies = np.linspace(*shares(source.emitted.energy_spectrum(), _SHARE), _FREQUENCIES)
+    factors = np.ones((len(scene.room.wall_materials) + 1, len(frequencies)))
+    for w, material in enumerate(scene.room.wall_materials):
+        if not material.depends_on_angle:
+            factors[w] = np.abs(material.reflection_at(known(frequencies, material), 1.0, c))
+    beams = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
+    reflected = np.prod(factors[paths.walls], axis=1) * beams
+    nepers = scene.air.absorption_at(frequencies) * NEPERS
+    stretch = (1.0 - tracks.source_speed[paths.source] / c) ** -MACH_EXPONENT[tracks.amplitude]
+    bound, strongest = np.zeros(len(paths.walls)), 0.0
+    speed = tracks.source_speed[paths.source] + tracks.receiver_speed[paths.receiver]
+    member, step = tracks.groups[group], _STEP
+    if member.always_heard:
+        step = max(_STEP, _LEAST_MOVE / speed) if speed > 0.0 else math.inf
+    edges = np.linspace(0.0, until, max(1, math.ceil(until / step)) + 1)
+    for begin, end in pairwise(edges):
+        heard = (member.start < end) & (member.end > begin)
+        nearest = np.maximum(tracks.delay_range(group, begin, end)[0] * c, scene.min_distance)[:, None]
+        gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * stretch
+        bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
+        middle = np.array([0.5 * (begin + end)])
+        now = np.abs(arrivals(scene, paths, middle, tracks.motion, tracks.amplitude).gain[:, 0])
+        strongest = max(strongest, float(np.where((member.start <= middle) & (member.end > middle), now, 0.0).max()))
+    return bound, strongest
+
+
+def _peak(directivity: AnyDirectivity, frequencies: Floats, speed_of_sound: float) -> Floats:
+    """Return a bound of a beam's gain in any direction, (F,)."""
+    if isinstance(directivity, Omni):
+        return np.ones(len(frequencies))
+    i = np.arange(_DIRECTIONS)
+    z, turn = 1.0 - 2.0 * (i + 0.5) / _DIRECTIONS, i * math.pi * (3.0 - math.sqrt(5.0))  # Fibonacci's spiral
+    flat = np.sqrt(1.0 - z**2)
+    towards = np.stack([z, flat * np.cos(turn), flat * np.sin(turn)], axis=1)  # dense along the axis, +x
+    gain = np.abs(beam_gain(directivity, np.concatenate([np.eye(3)[:1], towards]), frequencies, speed_of_sound))
+    return np.asarray(_BETWEEN * np.broadcast_to(gain, (len(towards) + 1, len(frequencies))).max(axis=0))

@@ -1,0 +1,210 @@
+"""Responses of a source's paths, sampled over a run, and what errors of them amount to in what is heard."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.paths.arrivals import arrivals
+from clsim.paths.response import Responses, is_complex
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
+    from clsim.tracks.tracks import SceneTracks
+
+GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
+SEED = 20_160_914
+_TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
+_FRAMES = 48  # of all pairs, about
+_MOST_GROUPS = 16  # pairs of source and receiver looked at
+_MOST_PATHS = 4096  # of each
+_QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
+_FAINTEST = 1e-4  # energy of what is heard of a window, relative to its centre frequency, that is asked for
+_LATEST = 0.012  # s between the earliest and the latest of responses that can be told
+_MOST_DELAYS = 512  # samples of them
+_LATE_ROWS = 64  # responses that tell it
+_LATE_SHARE = 1e-4  # of their energy may lie earlier than the time of which the middle is taken, and later
+_LEAST_LATE = 32  # samples; less is not worth being taken out
+_FAINT = 0.01  # weight of frequencies with next to nothing where a delay is looked for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """Where a signal has energy.
+
+    Attributes
+    ----------
+    low, high : float
+        Ends, Hz.
+    frequencies : ndarray (F,)
+        Chebyshev points from high to low, Hz.
+    energy : ndarray (W, F)
+        Of short windows of the signal near them, relative to what sounds about the window.
+    late : float
+        Delay that is taken out of responses, s.
+    """
+
+    low: float
+    high: float
+    frequencies: Floats
+    energy: Floats
+    late: float = 0.0
+
+    @property
+    def turn(self) -> Complexes:
+        """What the delay does at the frequencies, (F,)."""
+        return np.asarray(np.exp(-2j * math.pi * self.late * self.frequencies))
+
+    @property
+    def rest(self) -> Floats:
+        """Energy (W,) of what sounds about each window, but not in it."""
+        return np.asarray(np.maximum(1.0 - self.energy.sum(axis=1), 0.0))
+
+
+def band_of(low: float, high: float, sound: ShortTimeSpectra, count: int = GRIDS[0]) -> Band:
+    """Return a signal's band from its short-time spectra; `low` and `high` in Hz."""
+    high = max(high, low * (1.0 + 1e-6))
+    grid = chebyshev_points(low, high, count)
+    return Band(low, high, grid, sound.near(grid[::-1], low, high)[:, ::-1])
+
+
+def chebyshev_points(low: float, high: float, count: int) -> Floats:
+    """Return the Chebyshev points of the first kind of an interval, from high to low."""
+    angle = math.pi * (np.arange(count) + 0.5) / count
+    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """Responses (n, F) of paths at instants, relative to what is heard then, weighted by how many each stands for.
+
+    A frame is an instant at one receiver; `first` is where the responses of each begin. The sum of squares over the
+    rows of a frame is that over all of its paths.
+    """
+
+    band: Band
+    responses: Floats | Complexes
+    first: NDArray[np.int64]
+
+    def by_frame(self, values: Floats | Complexes) -> Floats:
+        """Return the sums of the squares of values (n, m) over each frame's rows."""
+        return np.asarray(np.add.reduceat(values.real**2 + values.imag**2, self.first, axis=0))
+
+    def heard(self) -> Floats:
+        """Return the energy (frames, W) of what is heard of each window, and of what sounds about it."""
+        return np.asarray(self.by_frame(self.responses) @ self.band.energy.T + self.band.rest)
+
+    def loudness(self) -> Floats:
+        """Return the inverse (W,) of the energy that is heard of each window, as a mean over the frames."""
+        return np.asarray(np.mean(1.0 / np.maximum(self.heard(), _FAINTEST), axis=0))
+
+    def relative(self, left: Floats | Complexes) -> Floats:
+        """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
+        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.heard()).max(axis=1)))
+
+    def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
+        """Return the most of what is heard that is carried by each function (K, F), of squared gains (frames, K)."""
+        shares = np.abs(shapes) ** 2 @ self.band.energy.T  # (K, W)
+        heard = self.heard()
+        return np.sqrt([(np.outer(g, share) / heard).max() for g, share in zip(together.T, shares, strict=True)])
+
+    def left(self, shapes: Floats | Complexes) -> float:
+        """Return the error of functions that are wrong by so much (K, F), each with a gain of 1 at every instant."""
+        return float(np.linalg.norm(self.sizes(shapes, np.ones((len(self.first), len(shapes))))))
+
+    @property
+    def importance(self) -> Floats:
+        """Weight (F,) of errors at each frequency: what sounds there in any window, relative to what is heard of it."""
+        energy, count = self.band.energy, len(self.band.frequencies)
+        weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
+        return np.asarray(np.maximum(weight, _QUIETEST))
+
+    def with_frames(self, other: Sample, which: NDArray[np.int64]) -> Sample:
+        """Return the sample with some frames of another one."""
+        rows, first, ends = [self.responses], [self.first], [*other.first[1:].tolist(), len(other.responses)]
+        count = len(self.responses)
+        for frame in which.tolist():
+            part = other.responses[other.first[frame] : ends[frame]]
+            rows.append(part)
+            first.append(np.array([count]))
+            count += len(part)
+        together: Any = np.concatenate(rows)
+        return Sample(self.band, together, np.concatenate(first))
+
+
+def sampled_responses(
+    tracks: SceneTracks, source: int, band: Band, until: float, count: int, rng: np.random.Generator
+) -> Sample:
+    """Return about `count` responses of a source's paths, at instants of the run."""
+    responses = Responses(tracks.scene, band.frequencies)
+    groups = [i for i, g in enumerate(tracks.groups) if g.source == source]
+    if len(groups) > _MOST_GROUPS:
+        groups = sorted(rng.choice(groups, _MOST_GROUPS, replace=False).tolist())
+    instants = max(3, min(_TIMES, _FRAMES // max(len(groups), 1)))
+    picked: list[Any] = []
+    for i in groups:
+        group, start, end = tracks.path_groups[i], tracks.groups[i].start, tracks.groups[i].end
+        if len(start) > _MOST_PATHS:
+            some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
+            group, start, end = group.part(some), start[some], end[some]
+        times = np.sort(rng.uniform(0.0, until, instants))
+        times[[0, -1]] = 0.0, until
+        found = arrivals(tracks.scene, group, times, tracks.motion, tracks.amplitude)
+        heard = (times >= start[:, None]) & (times < end[:, None])
+        level = np.where(heard, np.abs(found.gain), 0.0)
+        for t in np.flatnonzero(level.any(axis=0)).tolist():
+            rows, standing_for = _picked(level[:, t], -(-count // (len(groups) * instants)), rng)
+            one = slice(t, t + 1)
+            along = responses.along(group.part(rows), found.part(rows, one), times[one])[:, 0]
+            if band.late != 0.0:
+                along = along * np.conj(band.turn)
+            picked.append(along * (np.sqrt(standing_for) / np.linalg.norm(level[:, t]))[:, None])
+    if not picked:
+        picked = [np.ones((1, len(band.frequencies)))]
+    return Sample(band, np.concatenate(picked), np.cumsum([0, *(len(rows) for rows in picked[:-1])]))
+
+
+def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Floats]:
+    """Return about `count` paths, likelier the louder (P,) they are, and how many paths each stands for."""
+    sounding = np.flatnonzero(level)
+    if len(sounding) <= count:
+        return sounding, np.ones(len(sounding))
+    loud = level[sounding]
+    chance = np.minimum(count * loud / loud.sum(), 1.0)
+    for _ in range(8):
+        sure = chance >= 1.0
+        left = max(count - int(sure.sum()), 1)
+        chance = np.where(sure, 1.0, np.minimum(left * loud / max(float(loud[~sure].sum()), 1e-300), 1.0))
+    at = np.searchsorted(np.cumsum(chance), rng.random() + np.arange(math.floor(chance.sum())))
+    at = np.unique(at[at < len(sounding)])
+    return sounding[at], 1.0 / chance[at]
+
+
+def common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sampling_rate: float) -> float:
+    """Return the middle of the time in which complex responses have nearly all their energy, s, in whole samples.
+
+    It is 0 where that is little, and for real responses, which have no delay.
+    """
+    if not is_complex(tracks.scene):
+        return 0.0
+    width = band.high - band.low
+    count = int(np.clip(math.ceil(_LATEST * width), 64, _MOST_DELAYS))
+    even = np.linspace(band.low, band.high, count)
+    level = np.sqrt(band.energy.max(axis=0))
+    weight = np.interp(even, band.frequencies[::-1], np.maximum(level / level.max(), _FAINT)[::-1]) * np.hanning(count)
+    spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
+    rows = sampled_responses(tracks, source, spread, until, _LATE_ROWS, np.random.default_rng(SEED)).responses
+    energy = np.sum(np.abs(np.fft.ifft(rows * weight, axis=1)) ** 2, axis=0)
+    # The transform goes round: time begins opposite to where most of the energy is, which is late rather than early.
+    turns = np.angle(energy @ np.exp(2j * math.pi * np.arange(count) / count)) / (2.0 * math.pi)
+    begin = round((turns + (turns < -0.25) - 0.5) * count)
+    below = np.cumsum(np.roll(energy, -begin)) / max(float(energy.sum()), 1e-300)
+    middle = begin + 0.5 * float(np.searchsorted(below, [_LATE_SHARE, 1.0 - _LATE_SHARE]).sum())
+    samples = round(middle * sampling_rate * (count - 1) / count / width)
+    return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0

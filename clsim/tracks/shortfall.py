@@ -1,0 +1,111 @@
+"""What functions of frequency hold worse than was asked: told with its cause, or refused."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from clsim.errors import ClsimWarning, InputError
+from clsim.numerics.band_filters import LONGEST
+
+if TYPE_CHECKING:
+    from clsim.numerics.band_filters import BandFilters
+
+WORST_DB = -40.0  # error up to which a shortfall is a warning; beyond it must be asked for
+_NEAR_ZERO = 8.0  # in sampling rates over taps: up to there it is 0 Hz that asks for long filters
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """How well the steps from responses to filters hold them over a source's band, dB.
+
+    Attributes
+    ----------
+    source : int
+        Index.
+    low, high : float
+        The band, Hz.
+    sampling_rate : float
+        Hz.
+    looked_at : int
+        Frequencies of the band at which responses were looked at.
+    resolved_db : float
+        Error between these frequencies.
+    functions : int
+        Functions of frequency.
+    functions_db : float
+        Error of responses as sums of them.
+    at_centre : bool
+        Responses are those at one frequency: no error was asked for, so that none is refused.
+    """
+
+    source: int
+    low: float
+    high: float
+    sampling_rate: float
+    looked_at: int = 0
+    resolved_db: float = -math.inf
+    functions: int = 0
+    functions_db: float = -math.inf
+    at_centre: bool = False
+
+    def within(self, asked_db: float, filters: BandFilters | None = None) -> float:
+        """Return the error that is reached, dB, with filters if they are there already.
+
+        Raises
+        ------
+        InputError
+            If it is neither the asked one nor -40 dB at least.
+
+        Warns
+        -----
+        ClsimWarning
+            If it is not the asked one.
+        """
+        reached = max(self.resolved_db, self.functions_db, -math.inf if filters is None else filters.error_db)
+        if reached <= asked_db:
+            return reached
+        cause, remedy = self._cause(reached, filters)
+        where = f"from {self.low:.0f} to {self.high:.0f} Hz"
+        if reached > WORST_DB and not self.at_centre:
+            raise InputError(
+                "response_error_db",
+                f"must be reached {where}, but for source {self.source} {asked_db:g} dB is not: {cause}; "
+                f"{reached:.0f} dB is the best; {remedy}, or ask for less",
+            )
+        asked = f", not the {asked_db:g} dB asked for" if not self.at_centre else ""
+        less = f", or ask for response_error_db={math.ceil(reached)}" if not self.at_centre else ""
+        warnings.warn(
+            f"source {self.source}: air, walls and beams are held within {reached:.0f} dB {where}{asked}: {cause}; "
+            f"{remedy}{less}",
+            ClsimWarning,
+            stacklevel=2,
+        )
+        return reached
+
+    def _cause(self, reached: float, filters: BandFilters | None) -> tuple[str, str]:
+        """Return what keeps the error from being smaller, and what to do about it."""
+        smooth = (
+            "smooth what walls and beams do over frequency (thin the rows of a table, shorten impulse responses), or "
+            "narrow the signal's band (fade it)"
+        )
+        if reached == self.resolved_db:
+            longest = 1e3 * 2.0 * self.looked_at / (math.pi * (self.high - self.low))
+            return (
+                f"{self.looked_at} frequencies do not resolve what walls and beams do (impulse responses longer than "
+                f"{longest:.3g} ms)"
+            ), smooth
+        if filters is None or reached == self.functions_db:
+            return f"walls and beams ask for more than {self.functions} functions of frequency", smooth
+        if filters.worst <= _NEAR_ZERO * self.sampling_rate / LONGEST:
+            return (
+                f"walls or beams have a phase at {filters.worst:.0f} Hz, so near to 0 Hz that no filter of up to "
+                f"{LONGEST} taps has it, and the signal sounds there, as one does that begins or ends abruptly"
+            ), "fade the signal or narrow its band"
+        longest = 1e3 * LONGEST / self.sampling_rate
+        return (
+            f"no filter of up to {LONGEST} taps ({longest:.0f} ms) does what walls and beams do at "
+            f"{filters.worst:.0f} Hz"
+        ), smooth

@@ -1,0 +1,440 @@
+"""Tracks: delay and gain of every path over time, whoever computed them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.errors import InputError
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
+from clsim.paths.path_set import PathSet
+from clsim.paths.response import Responses
+from clsim.scene.motion.curves import CONTINUATION
+from clsim.tracks.basis import Basis, flat_basis
+from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.scene.motion.trajectory import Trajectory
+    from clsim.scene.scene import Receiver, Scene, Source
+
+_TOGETHER = 65536  # paths looked at at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackGroup:
+    """Paths from one source to one receiver.
+
+    Attributes
+    ----------
+    source, receiver : int
+        Indices.
+    start, end : ndarray (paths,)
+        Interval of reception in which each path is heard, s.
+    """
+
+    source: int
+    receiver: int
+    start: Floats
+    end: Floats
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def always_heard(self) -> bool:
+        """Whether no path begins or ends."""
+        return bool(np.all(np.isneginf(self.start)) and np.all(np.isposinf(self.end)))
+
+
+class Tracks(ABC):
+    """Delay and gain of paths as functions of the time of reception."""
+
+    groups: tuple[TrackGroup, ...]
+    source_count: int
+    receiver_names: tuple[str, ...]
+    transition: float  # s, over which paths begin and end; 0 for a gate
+
+    @abstractmethod
+    def evaluate(
+        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return delay (s) and its derivative (paths, times) and gains (K, paths, times) of a group or some rows."""
+
+    @abstractmethod
+    def max_rate(self, source: int) -> float:
+        """Return a bound on how fast a delay of this source changes, s/s."""
+
+    @abstractmethod
+    def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
+        """Return the largest speed of a source or its receivers, and what it would be at another `max_rate`, m/s."""
+
+    @abstractmethod
+    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
+        """Return bounds (paths,) on the delays of a group between two times of reception, s."""
+
+    def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
+        """Return a bound on the delays, of one source or of all, between two times of reception, s; 0 without paths."""
+        groups = (i for i, group in enumerate(self.groups) if source in (None, group.source))
+        return max((float(self.delay_range(i, start, end)[1].max()) for i in groups), default=0.0)
+
+    @abstractmethod
+    def last_time(self) -> float:
+        """Return the time of reception up to which the tracks are known, s."""
+
+    @staticmethod
+    def from_samples(
+        times: Any,
+        delays: Any,
+        gains: Any,
+        *,
+        sources: Any = None,
+        receivers: Any = None,
+        transition: float | str = DEFAULT_TRANSITION,
+    ) -> SampledTracks:
+        """Return tracks from anybody's delays and gains.
+
+        Parameters
+        ----------
+        times : array_like (T,)
+            Times of reception, from 0 or before, strictly increasing, s.
+        delays : array_like (P, T)
+            From emission to reception, at least 0, s; NaN where a path is not heard.
+        gains : array_like (P, T)
+            Received over emitted pressure; NaN where, and only where, delays are.
+        sources, receivers : array_like (P,) of int, optional
+            Between which each path runs; all 0 when left out.
+        transition : float or "gate"
+            As in `render`.
+
+        Returns
+        -------
+        SampledTracks
+            C2 splines through the samples. A path that is silent in between is heard from its first to its last
+            sample of every stretch.
+
+        Raises
+        ------
+        InputError
+            If shapes differ, a time does not increase, a delay is negative or grows as fast as time, or a stretch has
+            one sample only.
+
+        Examples
+        --------
+        >>> import clsim
+        >>> tracks = clsim.Tracks.from_samples([0.0, 1.0], [[0.010, 0.011]], [[0.3, 0.3]])
+        >>> tone = clsim.Signal.tone(1e3, duration=1.0, sampling_rate=48e3)
+        >>> clsim.render_tracks([tone], tracks, sampling_rate=48e3).pressure.shape
+        (1, 48000)
+        """
+        return _from_samples(times, delays, gains, sources, receivers, as_transition(transition))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneTracks(Tracks):
+    """Tracks of a scene's paths: computed when asked for, exactly.
+
+    Times are those of the receivers' clocks, and delays what a receiver must take from its own time to find the time of
+    emission: for a clock of its own, less than the sound's by as much as samples are taken later than told.
+    """
+
+    paths: PathSet
+    motion: str
+    amplitude: str
+    groups: tuple[TrackGroup, ...]
+    path_groups: tuple[PathGroup, ...]
+    path_rows: tuple[NDArray[np.int64], ...]  # of each group's paths in `paths`
+    source_speed: tuple[float, ...]
+    receiver_speed: tuple[float, ...]
+    transition: float
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self.paths.scene
+
+    @property
+    def source_count(self) -> int:  # type: ignore[override]
+        """Number of sources."""
+        return len(self.scene.sources)
+
+    @property
+    def receiver_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the receivers."""
+        return tuple(r.name for r in self.scene.receivers)
+
+    def evaluate(
+        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return delay, its derivative and gains, in float64 without approximation."""
+        paths = self.path_groups[group] if rows is None else self.path_groups[group].part(rows)
+        receiver = self.scene.receivers[paths.receiver]
+        ahead, pace = receiver.clock_ahead(times), receiver.pace
+        found = arrivals(self.scene, paths, times + ahead, self.motion, self.amplitude)
+        response = Responses(self.scene, basis.nodes).along(paths, found, times + ahead)
+        gain = np.moveaxis(basis.gains(response), -1, 0)
+        return found.delay - ahead, found.delay_rate * pace - (pace - 1.0), gain
+
+    def max_rate(self, source: int) -> float:
+        """Return ``(v_s + v_r) / (c - v_s)`` with peak speeds, by the clock of the receiver where it is most."""
+        paces = [r.pace for r in self.scene.receivers]
+        speeds = zip(self.receiver_speed, paces, strict=True)
+        return max(self._rate(source, speed) * pace + abs(pace - 1.0) for speed, pace in speeds)
+
+    def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
+        """Return the largest peak speed, and by how much all speeds must be scaled for another rate of delays."""
+        v_s, v_r, c = self.source_speed[source], max(self.receiver_speed), self.scene.air.sound_speed
+        scale = max_rate * c / (v_s + v_r + max_rate * v_s)
+        return max(v_s, v_r), scale * max(v_s, v_r)
+
+    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
+        """Return bounds from the distance at mid-time and the peak speeds."""
+        paths = self.path_groups[group]
+        told = np.array([start, end])
+        ahead = self.scene.receivers[paths.receiver].clock_ahead(told)
+        start, end = (told + ahead).tolist()
+        c, middle = self.scene.air.sound_speed, np.array([0.5 * (start + end)])
+        x_s = self.scene.sources[paths.source].trajectory.position(middle)[0]
+        x_r = self.scene.receivers[paths.receiver].trajectory.position(middle)[0]
+        distance = np.linalg.norm(paths.matrix @ x_s + paths.offset - x_r, axis=1)
+        v_s, v_r = self.source_speed[paths.source], self.receiver_speed[paths.receiver]
+        slack = 0.5 * (end - start) * (v_s + v_r)
+        low, high = np.maximum(distance - slack, 0.0) / (c + v_s), (distance + slack) / (c - v_s)
+        return low - ahead.max(), high - ahead.min()
+
+    def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
+        """Return the largest of the bounds of `delay_range`, of very many groups at once."""
+        scene, c, longest = self.scene, self.scene.air.sound_speed, 0.0
+        told = np.array([start, end])
+        ahead = np.stack([r.clock_ahead(told) for r in scene.receivers])
+        middle, reach = np.mean(told + ahead, axis=1), 0.5 * np.diff(told + ahead)[:, 0]
+        x_r = np.stack([r.trajectory.position(t) for r, t in zip(scene.receivers, middle, strict=True)])
+        for s in range(len(scene.sources)) if source is None else [source]:
+            v_s = self.source_speed[s]
+            slack, x_s = reach * (v_s + np.array(self.receiver_speed)), scene.sources[s].trajectory.position(middle)
+            mine = [rows for group, rows in zip(self.groups, self.path_rows, strict=True) if group.source == s]
+            for rows in _batches(mine):
+                r = self.paths.receiver[rows]
+                image = np.einsum("pij,pj->pi", self.paths.image_matrix[rows], x_s[r]) + self.paths.image_offset[rows]
+                distance = np.linalg.norm(image - x_r[r], axis=1)
+                bound = (distance + slack[r]) / (c - v_s) - ahead.min(axis=1)[r]
+                longest = max(longest, float(bound.max()))
+        return longest
+
+    def last_time(self) -> float:
+        """Return the end of the first moving receiver's trajectory, or infinity."""
+        return float(min(_told(r, np.array([r.trajectory.end]))[0] for r in self.scene.receivers))
+
+    def _rate(self, source: int, receiver_speed: float) -> float:
+        speed = self.source_speed[source]
+        return (speed + receiver_speed) / (self.scene.air.sound_speed - speed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledTracks(Tracks):
+    """Tracks given as samples over time; see `Tracks.from_samples`."""
+
+    groups: tuple[TrackGroup, ...]
+    splines: tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...]
+    source_count: int
+    receiver_names: tuple[str, ...]
+    largest_rate: float
+    end: float
+    transition: float
+
+    def evaluate(
+        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the splines' values, one gain for all frequencies; outside its stretch a path goes on straight."""
+        shape = (len(self.groups[group]), len(times))
+        delay, rate, gain = np.empty(shape), np.empty(shape), np.empty(shape)
+        # The gain's slope goes on through the transition, and to the next node.
+        reach = max(0.5 * self.transition, times[1] - times[0] if len(times) > 1 else 0.0)
+        for which, spline in self.splines[group]:
+            inside = np.clip(times, spline.x[0], spline.x[-1])
+            values, slopes = spline(inside), spline(inside, 1)
+            delay[which] = values[:, :, 0].T + slopes[:, :, 0].T * (times - inside)
+            rate[which] = slopes[:, :, 0].T
+            gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -reach, reach)
+        if rows is None:
+            return delay, rate, gain[None]
+        return delay[rows], rate[rows], gain[None, rows]
+
+    def max_rate(self, source: int) -> float:
+        """Return the largest derivative of any delay."""
+        return self.largest_rate
+
+    def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
+        """Return the speeds that change delays by as much in air of 343 m/s."""
+        return 343.0 * self.largest_rate, 343.0 * max_rate
+
+    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
+        """Return bounds from the delay at mid-time and the largest derivative."""
+        delay = self.evaluate(group, np.array([0.5 * (start + end)]), flat_basis(1.0))[0][:, 0]
+        slack = 0.5 * (end - start) * self.largest_rate
+        return delay - slack, delay + slack
+
+    def last_time(self) -> float:
+        """Return the last sample's time."""
+        return self.end
+
+
+def track(
+    paths: PathSet,
+    *,
+    motion: str = "retarded",
+    amplitude: str = "wave-equation",
+    transition: float | str = DEFAULT_TRANSITION,
+) -> SceneTracks:
+    """Return the tracks of a scene's paths.
+
+    Parameters
+    ----------
+    paths : PathSet
+        From `find_paths`, or made by hand.
+    motion : {"retarded", "quasi-static"}
+        Whether the image is where it was when the sound was emitted, or where it is when it is received.
+    amplitude : {"wave-equation", "static", "convective"}
+        Exponent 1, 0 or 2 of ``1 / (1 - M)``.
+    transition : float or "gate"
+        As in `render`.
+
+    Raises
+    ------
+    InputError
+        If motion or amplitude are no known words, or the transition is out of bounds.
+    """
+    if not isinstance(paths, PathSet):
+        raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
+    as_choice("motion", motion, MOTIONS)
+    as_choice("amplitude", amplitude, AMPLITUDES)
+    scene = paths.scene
+    groups, path_groups, path_rows = [], [], []
+    for rows, group in paths.groups():
+        receiver = scene.receivers[group.receiver]
+        own = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] + 1 == len(rows) else rows  # a slice is no copy
+        interval = (_told(receiver, times[own]) for times in (paths.start, paths.end))
+        groups.append(TrackGroup(group.source, group.receiver, *interval))
+        path_groups.append(group)
+        path_rows.append(rows)
+    # Speeds are sampled; 2 % covers what lies between the samples.
+    ends: list[Source | Receiver] = [*scene.sources, *scene.receivers]
+    speeds = [1.02 * _peak_speed(end.trajectory, *scene.span(end)) for end in ends]
+    count = len(scene.sources)
+    return SceneTracks(
+        paths,
+        motion,
+        amplitude,
+        tuple(groups),
+        tuple(path_groups),
+        tuple(path_rows),
+        tuple(speeds[:count]),
+        tuple(speeds[count:]),
+        as_transition(transition),
+    )
+
+
+def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:
+    """Return the largest speed from a start to an end, m/s, and shortly beyond, where a trajectory goes on."""
+    return 0.0 if trajectory.at_rest else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
+
+
+def _batches(groups: list[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
+    """Yield the rows of neighbouring groups together, a bounded number or those of one group."""
+    batch: list[NDArray[np.int64]] = []
+    count = 0
+    for rows in groups:
+        if batch and count + len(rows) > _TOGETHER:
+            yield np.concatenate(batch)
+            batch, count = [], 0
+        batch.append(rows)
+        count += len(rows)
+    if count:
+        yield np.concatenate(batch)
+
+
+def _told(receiver: Receiver, times: Floats) -> Floats:
+    """Return what the receiver's clock tells at true times (n,), s."""
+    if receiver.electronics is None:
+        return times
+    return (times - receiver.clock_ahead(np.zeros(1))) / receiver.pace
+
+
+def _from_samples(
+    times: Any, delays: Any, gains: Any, sources: Any, receivers: Any, transition: float
+) -> SampledTracks:
+    times = as_floats("times", times, (None,))
+    if len(times) < 2 or times[0] > 0.0 or np.any(np.diff(times) <= 0.0):
+        raise InputError("times", f"must increase strictly from 0 s or before, but begin {times[:3].tolist()}")
+    delays, gains = np.array(delays, dtype=np.float64), np.array(gains, dtype=np.float64)
+    for name, values in (("delays", delays), ("gains", gains)):
+        if values.ndim != 2 or values.shape[1] != len(times) or not len(values):
+            raise InputError(name, f"must have the shape paths x {len(times)}, but has {values.shape}")
+    heard = np.isfinite(delays)
+    if delays.shape != gains.shape or np.any(heard != np.isfinite(gains)):
+        raise InputError("gains", "must be finite where delays are, and NaN where they are")
+    if np.any(delays[heard] < 0.0):
+        raise InputError("delays", f"must be at least 0 s, but one is {np.min(delays[heard]):g} s")
+    s, r = (_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
+    stretches = _stretches(heard)
+    if not stretches:
+        raise InputError("delays", "must hold at least one path that is heard, but all are NaN")
+    groups, splines, largest = [], [], 0.0
+    for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in stretches}):
+        mine = [stretch for stretch in stretches if (s[stretch[0]], r[stretch[0]]) == pair]
+        fitted = _fit(mine, times, delays, gains)
+        splines.append(fitted)
+        largest = max([largest, *(float(np.abs(f(f.x, 1)[..., 0]).max()) for _, f in fitted)])
+        start = np.array([times[a] if a else -np.inf for _, a, _ in mine])
+        end = np.array([times[b - 1] if b < len(times) else np.inf for _, _, b in mine])
+        groups.append(TrackGroup(*pair, read_only(start), read_only(end)))
+    if largest >= 1.0:
+        raise InputError("delays", f"must change by less than 1 s per second, but change by {largest:.3g}")
+    names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
+    # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
+    return SampledTracks(
+        tuple(groups), tuple(splines), int(s.max()) + 1, names, min(1.05 * largest, 0.99), float(times[-1]), transition
+    )
+
+
+def _indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
+    if values is None:
+        return np.zeros(count, dtype=np.int64)
+    out = np.asarray(values)
+    if out.shape != (count,) or out.dtype.kind not in "iu" or np.any(out < 0):
+        raise InputError(name, f"must be {count} whole numbers of at least 0, but is {values!r:.80}")
+    return out.astype(np.int64)
+
+
+def _stretches(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
+    """Return path, first and one past last sample of every stretch in which a path is heard."""
+    found = []
+    for p, row in enumerate(heard):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
+        for a, b in edges.reshape(-1, 2):
+            if b - a < 2:
+                raise InputError(f"delays[{p}][{a}]", "must be heard for two samples or more, but stands alone")
+            found.append((p, int(a), int(b)))
+    return found
+
+
+def _fit(
+    stretches: list[tuple[int, int, int]], times: Floats, delays: Floats, gains: Floats
+) -> tuple[tuple[NDArray[np.int64], Any], ...]:
+    """Fit one spline through all stretches with the same samples: (T, paths, 2) for delay and gain."""
+    from scipy.interpolate import CubicSpline
+
+    fitted = []
+    for a, b in sorted({(a, b) for _, a, b in stretches}):
+        rows = np.array([i for i, stretch in enumerate(stretches) if stretch[1:] == (a, b)])
+        which = [stretches[i][0] for i in rows]
+        values = np.stack([delays[which, a:b], gains[which, a:b]], axis=-1).swapaxes(0, 1)
+        fitted.append((rows, CubicSpline(times[a:b], values, bc_type="not-a-knot" if b - a > 3 else "natural")))
+    return tuple(fitted)

@@ -1,0 +1,269 @@
+"""A folder of results, in which nothing of others is touched and nothing that is made is lost.
+
+Results are made in ``.partial`` within it and moved when they are whole; the record, ``clsim.json``, says beforehand
+what will be moved. So whatever moment a process dies at, each file is clsim's by the record, or not touched.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import warnings
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from clsim.errors import ClsimWarning, InputError
+from clsim.files.atomic import is_temporary, locked, remove_leftovers, safe_path, temporary_path, to_disk
+from clsim.files.ownership import check_folder, refuse_inputs
+from clsim.output.record import RECORD, Fingerprint, Record, fingerprint, load_record, save_record
+from clsim.workflow.journal import Journal, first_difference
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+_LOCK, _JOURNAL, _CONTENTS = "lock", "journal.npz", "contents.json"
+_STORE_FILE = re.compile(r"(\w+/)?zarr\.json|\w+/c(/\d+)*|.*\.[0-9a-f]{32}\.partial")  # of a Zarr store
+_STORE_FOLDER = re.compile(r"\w+(/c(/\d+)*)?")
+
+
+class ResultFolder:
+    """The folder of one run; what it may write is known beforehand.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the results go.
+    names : sequence of str
+        Of all that may be written.
+    inputs : sequence of Path
+        What is read; never written over.
+    resume, force : bool
+        Whether to go on with what is there, or to put something else in its place; not both.
+
+    Attributes
+    ----------
+    folder, work : Path
+        The folder, and that of what is not whole yet.
+    journal : Journal
+        Of the sound that is being rendered.
+    """
+
+    def __init__(
+        self, folder: Path, names: Sequence[str], inputs: Sequence[Path], *, resume: bool, force: bool
+    ) -> None:
+        if resume and force:
+            raise InputError("--resume", "must be given without --force, which begins anew")
+        self.folder, self.work = folder, folder / ".partial"
+        self.journal = Journal(self.work)
+        self._names, self._inputs, self._resume, self._force = list(names), inputs, resume, force
+        self._record = Record()
+        self._identity: dict[str, Any] = {}
+        self._seen = False  # whether what `work` holds is known to be ours
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the folder for this process alone; refuse what is not ours, and clear up when the block ends.
+
+        Raises
+        ------
+        InputError
+            If something is in the way: of others, an input, a link, results or an unfinished run of which nobody said
+            what becomes of them.
+        """
+        check_folder(self.folder)
+        self._look_before()
+        made = [path for path in [self.folder, *self.folder.parents] if not path.exists()]
+        self.work.mkdir(parents=True, exist_ok=True)
+        try:
+            with locked(self.work / _LOCK, "--output"):
+                try:
+                    self._look()
+                    yield
+                except BaseException as error:
+                    self._keep_or_clear(error)
+                    raise
+                self._clear()
+        finally:
+            for path in [self.work, *made]:
+                with suppress(OSError):  # what is not empty stays
+                    path.rmdir()
+
+    def begin(self, identity: dict[str, Any]) -> None:
+        """Say which run this is; what is in the folder of another one is gone on with by none.
+
+        Raises
+        ------
+        InputError
+            If another run is to be gone on with; the message says in what it differs.
+        """
+        self._identity = json.loads(json.dumps(identity))
+        if self._resume:
+            old = self._record.identity if self._record.files else self._identity
+            old = self.journal.load()[0] if self.journal.exists() else old
+            difference = first_difference(old, self._identity)
+            if difference is not None:
+                raise InputError("--resume", f"must go on with the same run, but {difference} (--force begins anew)")
+        if not (self._resume and self.journal.exists()):
+            self._clear(lock=False)
+        if not self._resume or self._record.identity != self._identity:
+            self._record = self._record.outdated()
+        told = sorted({*self._names, *self._contents()})
+        with safe_path(self.work / _CONTENTS) as temporary:
+            temporary.write_text(json.dumps(told), "utf-8")
+
+    def is_whole(self, name: str) -> bool:
+        """Return whether a result of this run is there, as it was written."""
+        mine = self._record.identity == self._identity and name in self._record.files
+        return mine and fingerprint(self.folder / name) == self._record.files[name]
+
+    def take(self, names: Sequence[str], *, finished: bool = False) -> list[Path]:
+        """Move whole results from `work` to where they belong; return their paths.
+
+        Raises
+        ------
+        InputError
+            If something of others has come in the way.
+        """
+        names = [name for name in names if (self.work / name).exists()]
+        if not names and self._record.finished:
+            return []
+        old = self._record
+        for name in names:
+            if name not in old.names():
+                self._refuse(self.folder / name)
+        before = tuple((n, old.files[n]) for n in names if n in old.files)
+        fresh = {n: mark for n in names if (mark := self._fixed(n)) is not None}
+        files = dict(sorted((old.files | fresh).items()))
+        self._save(Record(self._identity, False, files, (*old.replaced, *before)))
+        for name in names:
+            self._make_room(name)
+            (self.work / name).replace(self.folder / name)
+        to_disk(self.folder)
+        self._save(Record(self._identity, finished, files, self._still_replaced(finished)))
+        return [self.folder / name for name in names]
+
+    def _fixed(self, name: str) -> Fingerprint | None:
+        """Return the fingerprint of what is made, once it is on the disk itself; sound is there already."""
+        path = self.work / name
+        if path.is_file():
+            to_disk(path)
+        return fingerprint(path)
+
+    def _save(self, record: Record) -> None:
+        self._record = record
+        save_record(self.folder, record, self.work)
+
+    def _make_room(self, name: str) -> None:
+        """Set aside an earlier result; one that somebody changed is kept under another name."""
+        target = self.folder / name
+        refuse_inputs([target], self._inputs)
+        if not os.path.lexists(target):
+            return
+        if fingerprint(target) in self._record.fingerprints(name):
+            if target.is_dir():
+                self._set_aside(name)
+            return
+        kept, number = target.with_name(f"{name}.changed"), 2
+        while os.path.lexists(kept):
+            kept, number = target.with_name(f"{name}.changed-{number}"), number + 1
+        target.rename(kept)
+        warnings.warn(
+            f"{target} was changed since it was written: it is kept as {kept.name}", ClsimWarning, stacklevel=2
+        )
+
+    def _still_replaced(self, finished: bool) -> tuple[tuple[str, Fingerprint], ...]:
+        """Take earlier results out of the folder that this run does not make; return those that it will yet make."""
+        left = [(name, mark) for name, mark in self._record.replaced if name not in self._record.files]
+        for name, mark in left:
+            if (finished or name not in self._names) and fingerprint(self.folder / name) == mark:
+                self._set_aside(name)
+        return () if finished else tuple((name, mark) for name, mark in left if name in self._names)
+
+    def _set_aside(self, name: str) -> None:
+        """Take one of our results out of the folder at once, however many files it has, to be deleted."""
+        (self.folder / name).replace(temporary_path(self.work / name))
+
+    def _look_before(self) -> None:
+        """Refuse a working folder that is not ours; ours has a lock as long as it has anything."""
+        inside = [path.name for path in self.work.iterdir()] if self.work.is_dir() else []
+        lock = self.work / _LOCK
+        foreign = os.path.lexists(self.work) and (self.work.is_symlink() or not self.work.is_dir())
+        if foreign or (inside and _LOCK not in inside):
+            self._refuse(self.work)
+        if inside and lock.exists() and (not lock.is_file() or lock.stat().st_size):
+            self._refuse(lock)
+
+    def _look(self) -> None:
+        """Refuse what is not ours."""
+        self._look_into_work()
+        self._seen = True
+        self._record = load_record(self.folder)
+        mine = self._record.names()
+        refuse_inputs([self.folder / name for name in {*self._names, *mine, RECORD}], self._inputs)
+        if not (self._resume or self._force):
+            self._refuse_results()
+        for name in self._names:
+            if name not in mine:
+                self._refuse(self.folder / name)
+        remove_leftovers(self.folder)
+
+    def _refuse_results(self) -> None:
+        """Refuse a folder that holds results, because nobody said what becomes of them."""
+        unfinished = self._record.names() and not self._record.finished
+        if self.journal.exists() or unfinished:
+            where = self.work if self.journal.exists() else self.folder
+            choice = "(--resume goes on, --force begins anew)"
+            raise InputError("--output", f"must hold no unfinished run, but {where} is one {choice}")
+        if self._record.names():
+            listed = self.folder / RECORD
+            raise InputError("--output", f"must hold no results yet, but {listed} lists some (--force writes over)")
+
+    def _look_into_work(self) -> None:
+        known = {_LOCK, *self._contents()}
+        for path in self.work.iterdir():
+            shared = path.is_file() and path.stat().st_nlink > 1  # writing into it would change another file
+            if path.is_symlink() or shared or not (path.name in known or is_temporary(path.name)):
+                self._refuse(path)
+            for part in path.rglob("*") if path.is_dir() else ():
+                pattern = _STORE_FILE if part.is_file() else _STORE_FOLDER
+                if part.is_symlink() or not pattern.fullmatch(part.relative_to(path).as_posix()):
+                    self._refuse(part)
+        refuse_inputs(self.work.rglob("*"), self._inputs)
+
+    def _contents(self) -> list[str]:
+        """Return the names of what clsim makes in `work`, beside the lock."""
+        path = self.work / _CONTENTS
+        if not path.exists():
+            return [_CONTENTS]
+        try:
+            names = [name for name in json.loads(path.read_text("utf-8")) if isinstance(name, str)]
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError("--output", f"must hold nothing of others, but {path} cannot be read: {error}") from error
+        return [*names, _JOURNAL, _CONTENTS]
+
+    def _refuse(self, path: Path) -> None:
+        if os.path.lexists(path):
+            raise InputError("--output", f"must hold nothing of others in the way, but clsim did not write {path}")
+
+    def _keep_or_clear(self, error: BaseException) -> None:
+        """Delete what is of no use; a note says what is kept of the sound."""
+        if not self._seen:  # nor is it known to be ours
+            return
+        if not self.journal.exists() and (self._record.finished or not self._record.names()):
+            self._clear()
+        elif not isinstance(error, InputError):  # which says itself what can be done
+            kept = self.work if self.journal.exists() else self.folder
+            error.add_note(f"what was rendered is kept in {kept}: --resume goes on with it")
+
+    def _clear(self, *, lock: bool = True) -> None:
+        """Delete what we made in `work`, last what says that it is ours."""
+        ours = {*self._contents(), _LOCK} if lock else {*self._contents()}
+        for path in sorted(self.work.iterdir(), key=lambda path: (path.name == _LOCK, path.name == _CONTENTS)):
+            if path.name in ours or is_temporary(path.name):
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink(missing_ok=True)
