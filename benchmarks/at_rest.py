@@ -14,7 +14,7 @@ SIZE = (8.0, 6.0, 3.0)
 def seconds(scene: clsim.Scene, paths: clsim.PathSet, convolved: bool) -> float:
     """Return the time of a whole call."""
     begun = time.perf_counter()
-    clsim.render(scene, paths, RATE, convolve_at_rest=convolved)
+    clsim.render(paths, RATE, convolve_static=convolved)
     return time.perf_counter() - begun
 
 
@@ -22,7 +22,7 @@ def response_seconds(scene: clsim.Scene, paths: clsim.PathSet) -> float:
     """Return the time of making the impulse response."""
     import numpy as np
 
-    plan = plan_render(scene, paths, RATE)
+    plan = plan_render(paths, RATE)
     begun = time.perf_counter()
     Convolution(plan).add(np.zeros((1, 1), dtype=np.float32), 0)
     return time.perf_counter() - begun

@@ -19,7 +19,7 @@ import numpy as np
 import clsim
 from clsim.opencl import device as device_module
 from clsim.paths.specular import beam_tree, device_intervals
-from clsim.paths.trajectory_tables import movers
+from clsim.paths.trajectory_tables import trajectory_tables
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[1] / "shared" / "data"
@@ -62,7 +62,7 @@ def make_scene(name: str, motion: str, share: float) -> clsim.Scene:
         file, kind = MOTIONS[motion]
         file = DATA / "trajectories" / file
         whole = clsim.Trajectory.from_file(file, kind, max_gap=0.2)
-        shift = middle - movers(whole, []).ball(0)[0]
+        shift = middle - trajectory_tables(whole, []).ball(0)[0]
         times = np.linspace(0.0, share * whole.end, round(share * whole.end * 100.0))
         part = clsim.Trajectory.waypoints(times, whole.position(times) + shift)
         sources = [clsim.Source("s", tone, part)]
@@ -80,12 +80,12 @@ def measure(name: str, order: int, motion: str, share: float) -> dict[str, float
     find, candidates = device_intervals.DeviceSearch.find, beam_tree.BeamTree.candidates
 
     def counted_find(self, sequence, receiver):
-        asked.append((self._question, sequence, receiver))
+        asked.append((self._query, sequence, receiver))
         begun = time.perf_counter()
         found = find(self, sequence, receiver)
         counts["search"] += time.perf_counter() - begun
         counts["rows"] += len(sequence)
-        counts["looks"] += found.looks
+        counts["looks"] += found.evaluations
         return found
 
     def counted_candidates(self, max_order):
@@ -139,14 +139,14 @@ def plain_seconds(asked: list[tuple]) -> float:
     timed, so the plain way has its transfers for nothing. In 1 µs the ends hardly move: clearance is looked for nearby only.
     """
     total = 0.0
-    for question, sequence, receiver in asked:
-        last = float(question.last.max())
+    for query, sequence, receiver in asked:
+        last = float(query.last.max())
         with KernelTime() as kernel:
             for at in (np.arange(5) + 0.5) / 5 * last:
-                first, until = np.full_like(question.first, at), np.full_like(question.last, at + 1e-6)
-                instant = replace(question, first=first, last=until, resolution=1e-6)
-                looks = device_intervals.DeviceSearch(instant).find(sequence, receiver).looks
-                assert looks == len(sequence)
+                first, until = np.full_like(query.first, at), np.full_like(query.last, at + 1e-6)
+                instant = replace(query, first=first, last=until, resolution=1e-6)
+                evaluations = device_intervals.DeviceSearch(instant).find(sequence, receiver).evaluations
+                assert evaluations == len(sequence)
         total += max(1.0, last * NODES_A_SECOND) * kernel.seconds / 5
     return total
 

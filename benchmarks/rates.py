@@ -86,15 +86,15 @@ def render_rates(order: int, duration: float, error_db: float = -90.0, **more: o
     scene = make_scene(duration, **more)
     paths = clsim.find_paths(scene, order)
     options = {"interpolator": clsim.Bandlimited(error_db), "duration": duration, "response_error_db": "centre"}
-    clsim.render(scene, paths, RATE, **options)  # builds the kernels
+    clsim.render(paths, RATE, **options)  # builds the kernels
     spent = []
     for _ in range(3):
         begun = time.perf_counter()
-        clsim.render(scene, paths, RATE, **options)
+        clsim.render(paths, RATE, **options)
         spent.append(time.perf_counter() - begun)
     whole = statistics.median(spent)
     with Stages() as stages:
-        clsim.render(scene, paths, RATE, **options)
+        clsim.render(paths, RATE, **options)
     work = len(paths) * duration * RATE
     return work / stages.seconds["render"], work / whole, stages
 
@@ -268,16 +268,16 @@ def broadband_rates() -> list[tuple[int, float, float, float]]:
     paths = clsim.find_paths(scene, 10)
     found = []
     for error_db in ("centre", -40.0, -48.0, -55.0, -62.0, -70.0, -80.0, -100.0):
-        plan = plan_render(scene, paths, RATE, duration=2.0, response_error_db=error_db)
+        plan = plan_render(paths, RATE, duration=2.0, response_error_db=error_db)
         list(render_chunks(plan))  # builds the kernels
         seconds = []
         for _ in range(3):
             with Stages() as stages:
                 list(render_chunks(plan))
             seconds.append(stages.seconds["render"])
-        emission, spent = plan.emissions[0], statistics.median(seconds)
-        functions = len(emission.basis)
-        found.append((functions, int(emission.rows[-1]), len(paths) * 2.0 * RATE * functions / spent, spent))
+        filters, spent = plan.source_filters[0], statistics.median(seconds)
+        functions = len(filters.basis)
+        found.append((functions, int(filters.rows[-1]), len(paths) * 2.0 * RATE * functions / spent, spent))
     return found
 
 
@@ -293,23 +293,21 @@ def pulse_rows() -> list[tuple[str, ...]]:
 
         def timed(scene=scene, paths=paths, error_db=error_db, duration=duration) -> tuple[float, np.ndarray]:
             begun = time.perf_counter()
-            made = clsim.render(scene, paths, RATE, duration=duration, response_error_db=error_db).pressure
+            made = clsim.render(paths, RATE, duration=duration, response_error_db=error_db).pressure
             return time.perf_counter() - begun, made
 
         timed()  # builds the kernels
         sparse = [timed() for _ in range(4)]
         usual, silence._SPARSE = silence._SPARSE, 0.0  # nothing is worth leaving out
         try:
-            clsim.render(scene, paths, RATE, duration=0.1, response_error_db=error_db)  # builds the kernels
+            clsim.render(paths, RATE, duration=0.1, response_error_db=error_db)  # builds the kernels
             dense, whole = timed()
         finally:
             silence._SPARSE = usual
         assert np.array_equal(sparse[0][1], whole)
         sparse += [timed() for _ in range(4)]  # before and after: the machine's own pace changes
         spent = statistics.median(seconds for seconds, _ in sparse)
-        functions = len(
-            plan_render(scene, paths, RATE, duration=duration, response_error_db=error_db).emissions[0].basis
-        )
+        functions = len(plan_render(paths, RATE, duration=duration, response_error_db=error_db).source_filters[0].basis)
         rows.append((f"{duration:g} s", f"{functions}", f"{dense:.2f} s", f"{spent:.2f} s", f"{dense / spent:.1f}"))
     return rows
 
@@ -328,8 +326,8 @@ def growth() -> dict[str, list[tuple[float, float]]]:
         found["sources"].append((sources, render_rates(8, 1.0, sources=sources)[1]))
     for error_db in (-40.0, -60.0, -80.0, -90.0, -110.0):
         scene = make_scene(1.0)
-        plan = plan_render(scene, clsim.find_paths(scene, 1), RATE, interpolator=clsim.Bandlimited(error_db))
-        found["branches"].append((len(plan.emissions[0].bank.taps), render_rates(10, 1.0, error_db)[1]))
+        plan = plan_render(clsim.find_paths(scene, 1), RATE, interpolator=clsim.Bandlimited(error_db))
+        found["branches"].append((len(plan.source_filters[0].bank.taps), render_rates(10, 1.0, error_db)[1]))
     for cores in range(1, (os.cpu_count() or 1) + 1):
         environment = os.environ | {"POCL_MAX_PTHREAD_COUNT": str(cores)}
         command = [sys.executable, __file__, "--one-rate"]

@@ -11,7 +11,7 @@ from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
-from clsim.paths.ground_truth import direct_truth
+from clsim.paths.ground_truth import direct_path
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
@@ -19,9 +19,9 @@ from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.plan import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.scene.air import Air
-from clsim.scene.directivity.axial_table import DirectivityTable
-from clsim.scene.directivity.patterns import Cardioid, Omni, Piston, named_directivity
-from clsim.scene.directivity.spherical_table import SphericalTable
+from clsim.scene.directivity.axial_table import AxialDirectivity
+from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston, named_directivity
+from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
@@ -34,18 +34,18 @@ from clsim.scene.transducer.transducer import Transducer, named_transducer
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Air",
+    "AxialDirectivity",
     "Bandlimited",
     "Baseband",
-    "Cardioid",
     "ClsimError",
     "ClsimWarning",
     "DeviceError",
-    "DirectivityTable",
     "Electronics",
+    "FirstOrder",
     "ImpulseResponses",
     "InputError",
     "Lagrange",
@@ -60,12 +60,12 @@ __all__ = [
     "Shoebox",
     "Signal",
     "Source",
-    "SphericalTable",
+    "SphericalDirectivity",
     "Tracks",
     "Trajectory",
     "Transducer",
     "TruncatedLagrange",
-    "direct_truth",
+    "direct_path",
     "find_paths",
     "grid_positions",
     "impulse_responses",

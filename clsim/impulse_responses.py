@@ -15,15 +15,15 @@ from clsim.paths.arrivals import arrivals
 from clsim.paths.coverage import check_known
 from clsim.paths.impulse_response import ResponseBand, frozen_response
 from clsim.paths.path_set import PathSet
-from clsim.scene.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from clsim.paths.arrivals import PathGroup
+    from clsim.paths.arrivals import PairPaths
     from clsim.paths.impulse_response import ImpulseResponse
+    from clsim.scene.scene import Scene
 
 LEADS = ("cut", "keep")
 _WIDEST = 0.95  # of half the sampling rate
@@ -98,7 +98,6 @@ class ImpulseResponses:
 
 
 def impulse_responses(
-    scene: Scene,
     paths: PathSet,
     sampling_rate: float,
     at: float = 0.0,
@@ -111,10 +110,8 @@ def impulse_responses(
 
     Parameters
     ----------
-    scene : Scene
-        What sounds where; signals, transducers and electronics are left out.
     paths : PathSet
-        Its paths, from `find_paths`.
+        The paths of a scene, from `find_paths`; signals, transducers and electronics are left out.
     sampling_rate : float
         Hz.
     at : float
@@ -158,14 +155,13 @@ def impulse_responses(
     >>> robot = clsim.Source("robot", tone, clsim.Trajectory.fixed((4.0, 3.0, 1.5)))
     >>> ceiling = clsim.Receiver("ceiling", clsim.Trajectory.fixed((1.0, 1.0, 2.9)))
     >>> scene = clsim.Scene(room, clsim.Air(speed_of_sound=343.0), [robot], [ceiling])
-    >>> found = clsim.impulse_responses(scene, clsim.find_paths(scene, max_order=0), 48e3)
+    >>> found = clsim.impulse_responses(clsim.find_paths(scene, max_order=0), 48e3)
     >>> int(found.samples[0, 0].argmax()), round(14.96 ** 0.5 / 343.0 * 48e3, 1)
     (541, 541.3)
     """
-    if not isinstance(scene, Scene):
-        raise InputError("scene", f"must be a Scene, but is {scene!r:.80}")
-    if not isinstance(paths, PathSet) or paths.scene is not scene:
-        raise InputError("paths", f"must be the PathSet of this scene, but is {paths!r:.80}")
+    if not isinstance(paths, PathSet):
+        raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
+    scene = paths.scene
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
     time = _as_instant(scene, at)
     kept = as_response_band(rate, band)
@@ -197,7 +193,7 @@ def impulse_responses(
     return made
 
 
-def _on_one_axis(pairs: tuple[int, int], groups: list[PathGroup], found: list[ImpulseResponse]) -> tuple[Floats, int]:
+def _on_one_axis(pairs: tuple[int, int], groups: list[PairPaths], found: list[ImpulseResponse]) -> tuple[Floats, int]:
     """Return the taps of pairs (sources, receivers, n), and how many of the n come before time 0."""
     lead = max(0, -min(response.first for response in found))
     shape = (*pairs, lead + max(response.last for response in found) + 1)
@@ -243,7 +239,7 @@ def _as_instant(scene: Scene, at: Any) -> float:
     return time
 
 
-def _heard_groups(paths: PathSet, time: float) -> list[PathGroup]:
+def _heard_groups(paths: PathSet, time: float) -> list[PairPaths]:
     """Return the paths of every pair that are heard at a time; pairs without any are left out."""
     heard: NDArray[np.bool_] = (paths.start <= time) & (time < paths.end)
     return [group.part(np.flatnonzero(heard[rows])) for rows, group in paths.groups() if heard[rows].any()]

@@ -86,7 +86,7 @@ class Recording:
     def reception_times(self, receiver: int) -> NDArray[np.float64]:
         """Return the true times (samples,) at which a receiver took its samples, s; see `Electronics`."""
         times = self.times
-        return times if self.paths is None else times + self.paths.scene.receivers[receiver].clock_ahead(times)
+        return times if self.paths is None else times + self.paths.scene.receivers[receiver].clock_error(times)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a WAV file of 32-bit floats in Pa or V, one channel per receiver, whole or not at all.

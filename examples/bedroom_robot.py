@@ -41,7 +41,7 @@ def main() -> None:
     scene = clsim.Scene(room, clsim.Air(), [clsim.Source("robot", signal, motion)], receivers)
     paths = clsim.find_paths(scene, max_order=3)
     print(f"{len(room.walls)} walls, {len(paths)} intervals of paths")
-    recording = clsim.render(scene, paths, RATE, duration=signal.duration)
+    recording = clsim.render(paths, RATE, duration=signal.duration)
     recording.save(options.output / "bedroom_robot.wav")
     draw(paths, recording.pressure, chirp.read(0, round(3e-3 * RATE)), options.output / "bedroom_robot.png")
     print(options.output / "bedroom_robot.png")

@@ -39,7 +39,7 @@ def main() -> None:
     room = clsim.Shoebox(size=(4.0, 2.0, 2.5), walls=clsim.Material.from_reflection(0.95))
     scene = clsim.Scene(room, clsim.Air(), [speaker], [ear])
     paths = clsim.find_paths(scene, max_order=2)
-    recording = clsim.render(scene, paths, RATE, duration=0.018)
+    recording = clsim.render(paths, RATE, duration=0.018)
     recording.save(folder / "electronics.wav")
     used = np.abs(recording.voltage).max() / ear.electronics.adc_full_scale
     print(f"{100 * used:.0f} % of the converter's range; {recording.clipped[0]} samples clipped")

@@ -32,7 +32,7 @@ def main() -> None:
     ceiling = [clsim.Receiver(f"ceiling-{i}", clsim.Trajectory.fixed((x, y, 2.95))) for i, (x, y) in enumerate(corners)]
     scene = clsim.Scene(room, clsim.Air(), [beacon], ceiling)
     paths = clsim.find_paths(scene, max_order=2)
-    recording = clsim.render(scene, paths, 192e3, duration=options.duration)
+    recording = clsim.render(paths, 192e3, duration=options.duration)
     recording.save(options.output / "hand_held.wav")
     for name, pressure in zip(recording.receiver_names, recording.pressure, strict=True):
         picture = options.output / f"hand_held_{name}.png"

@@ -31,7 +31,7 @@ def main() -> None:
     receiver = clsim.Receiver("receiver", clsim.Trajectory.fixed((7.2, 1.2, 2.0)))
     scene = clsim.Scene(room, clsim.Air(), [source], [receiver])
     paths = clsim.find_paths(scene, max_order=3)
-    recording = clsim.render(scene, paths, RATE, duration=DURATION)
+    recording = clsim.render(paths, RATE, duration=DURATION)
     recording.save(folder / "l_room.wav")
     heard = [int(np.sum((paths.start <= t) & (t < paths.end))) for t in range(int(DURATION))]
     print(f"{len(paths)} intervals; paths heard at 0, 1, 2 ... s: {heard}")

@@ -34,7 +34,7 @@ def main() -> None:
     walls = {"default": clsim.Material.from_reflection(0.3), "x_min": clsim.Material.from_reflection(0.6)}
     scene = clsim.Scene(clsim.Shoebox((8.0, 6.0, 3.0), walls), clsim.Air(), [robot], [ear])
     paths = clsim.find_paths(scene, max_order=2)
-    recording = clsim.render(scene, paths, RATE, baseband=(CARRIER, 1e3), duration=DURATION)
+    recording = clsim.render(paths, RATE, baseband=(CARRIER, 1e3), duration=DURATION)
     print("\n".join(recording.notes))
     recording.save(folder / "micro_doppler.wav")
     title = "A 40 kHz beacon on a walking robot; from 4 s on its motor runs at 22 Hz"

@@ -59,7 +59,7 @@ def received(
     room = clsim.Shoebox(size=(4.0, 3.0, 2.5), walls=clsim.Material.from_reflection(0.98))
     scene = clsim.Scene(room, clsim.Air(), [source], [receiver])
     paths = clsim.find_paths(scene, max_order=3)
-    return clsim.render(scene, paths, RATE, duration=0.02), paths
+    return clsim.render(paths, RATE, duration=0.02), paths
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     file = load_scene(Path(__file__).with_name("circle.toml"))
     paths = clsim.find_paths(file.scene, **file.paths)
-    recording = clsim.render(file.scene, paths, **file.render)
+    recording = clsim.render(paths, **file.render)
     recording.save(folder / "paper_circle.wav")
     times = np.linspace(0.0, 2.0, 401)
     table = paths.table(times, motion=file.render["motion"])

@@ -29,7 +29,7 @@ def main() -> None:
     receiver = clsim.Receiver("receiver", clsim.Trajectory.fixed((5.0, 6.5, 1.6)))
     scene = clsim.Scene(room, clsim.Air(), [beacon], [receiver])
     paths = clsim.find_paths(scene, max_order=2)
-    recording = clsim.render(scene, paths, RATE, duration=5.0)
+    recording = clsim.render(paths, RATE, duration=5.0)
     recording.save(folder / "pillar.wav")
     direct = np.flatnonzero(paths.order == 0)
     for start, end in zip(paths.start[direct], paths.end[direct], strict=True):

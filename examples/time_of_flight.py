@@ -26,11 +26,11 @@ def errors(recording: clsim.Recording, paths: clsim.PathSet, parameters: dict[st
 
     clsim calls this in the process that rendered a member of the study; the sound is not kept.
     """
-    robot, rate, c = paths.scene.sources[0], recording.sampling_rate, paths.scene.air.sound_speed
+    robot, rate, c = paths.scene.sources[0], recording.sampling_rate, paths.scene.air.speed_of_sound
     count, length = round(robot.signal.duration / PERIOD), round(LENGTH * rate)
     emitted = PERIOD * np.arange(count) + 0.5 * LENGTH  # the middles of the chirps
     times = np.arange(0.0, recording.times[-1], 1e-3)
-    truth = clsim.direct_truth(paths, times)
+    truth = clsim.direct_path(paths, times)
     found, heard, radial = (np.empty((len(recording.samples), count)) for _ in range(3))
     for r, samples in enumerate(recording.pressure):
         matched = oaconvolve(samples.astype(float), robot.signal.read(0, length)[::-1])[length - 1 :]

@@ -54,7 +54,7 @@ def piston_gain(cosine: ArrayLike, frequency: ArrayLike, radius: float, speed_of
     return gain
 
 
-def cardioid_gain(cosine: ArrayLike, weight: float) -> Floats:
+def first_order_gain(cosine: ArrayLike, weight: float) -> Floats:
     """Return the gain of a first-order transducer, 1 on the axis.
 
     Parameters
@@ -76,7 +76,7 @@ def cardioid_gain(cosine: ArrayLike, weight: float) -> Floats:
 
     Examples
     --------
-    >>> cardioid_gain([1.0, 0.0, -1.0], 0.5).tolist()
+    >>> first_order_gain([1.0, 0.0, -1.0], 0.5).tolist()
     [1.0, 0.5, 0.0]
     """
     gain: Floats = weight + (1.0 - weight) * np.asarray(cosine, dtype=np.float64)

@@ -13,7 +13,7 @@ from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.output.beam_plots import Beam, air_picture, beams_picture
 from clsim.scene.air import Air
-from clsim.scene.directivity.patterns import Directivity, SphericalDirectivity, named_directivity
+from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, named_directivity
 from clsim.scene.scene import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
@@ -64,11 +64,11 @@ def _beams(options: argparse.Namespace) -> tuple[list[Beam], list[Path]]:
     directivity = _read(options)
     frequencies = _usual_frequencies(directivity) if wanted is None else wanted
     title = options.name if options.name is not None else options.table.stem
-    beam = _checked(Beam(title, directivity, frequencies, Air().sound_speed), "--frequencies")
+    beam = _checked(Beam(title, directivity, frequencies, Air().speed_of_sound), "--frequencies")
     return [beam], [] if options.table is None else [options.table]
 
 
-def _read(options: argparse.Namespace) -> Directivity | SphericalDirectivity:
+def _read(options: argparse.Namespace) -> AxialPattern | DirectionalPattern:
     """Return the directivity of a name or of a table's file."""
     if options.name is not None:
         try:
@@ -102,7 +102,7 @@ def _scene_beams(scene: Scene, end: str | None, wanted: Floats | None) -> list[B
             if not len(frequencies):
                 frequencies = _usual_frequencies(item.directivity)
         what = "source" if isinstance(item, Source) else "receiver"
-        beam = Beam(f"{what} {item.name}", item.directivity, frequencies, scene.air.sound_speed)
+        beam = Beam(f"{what} {item.name}", item.directivity, frequencies, scene.air.speed_of_sound)
         beams.append(_checked(beam, f"--frequencies (for {item.name})"))
     return beams
 
@@ -117,7 +117,7 @@ def _heard_frequencies(scene: Scene) -> Floats:
     return np.asarray(kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST_CURVES)).round().astype(int)])
 
 
-def _usual_frequencies(directivity: Directivity | SphericalDirectivity) -> Floats:
+def _usual_frequencies(directivity: AxialPattern | DirectionalPattern) -> Floats:
     """Return frequencies spread over a beam's band, Hz."""
     low, high = directivity.band
     if math.isinf(high):

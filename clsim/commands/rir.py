@@ -36,7 +36,7 @@ def execute(options: argparse.Namespace) -> int:
         paths = found_paths(file, {})
         with progress("impulse responses", 1.0) as advance:
             found = impulse_responses(
-                file.scene, paths, rate, options.at, options.band, lead=options.lead, progress=shares(advance)
+                paths, rate, options.at, options.band, lead=options.lead, progress=shares(advance)
             )
         made = [target.ready() for target in targets]
         if kind == "wav":

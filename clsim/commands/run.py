@@ -14,7 +14,7 @@ from clsim.files.atomic import safe_path
 from clsim.output.envelope_plot import envelope_spectrogram
 from clsim.output.plots import echogram, history, spectrogram
 from clsim.output.stores import StoredSound, check_store, sound_store
-from clsim.output.table import check_table, write_table, write_truth
+from clsim.output.table import check_table, write_ground_truth, write_table
 from clsim.render.memory import within_memory
 from clsim.scene_file import completed_scene, load_scene
 from clsim.workflow.checkpoint import render_sound, run_identity
@@ -73,7 +73,7 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
     if any(name.endswith(".png") for name in missing):
         _draw(plan, paths, times, store, results, outputs, missing)
     if TRUTH in missing:
-        write_truth(paths, times, plan.tracks.motion, results.work / TRUTH)  # type: ignore[attr-defined]
+        write_ground_truth(paths, times, plan.tracks.motion, results.work / TRUTH)  # type: ignore[attr-defined]
     if COMPLETED in missing:
         with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(text, "utf-8")
@@ -163,8 +163,8 @@ def _shown_band(plan: Plan) -> tuple[float, float]:
     """Return the frequencies worth showing: those that hold nearly all energy, with a margin for Doppler."""
     low: float = np.inf
     high: float = 0.0
-    for emission in plan.emissions:
-        frequencies, energy = emission.signal.energy_spectrum()
+    for filters in plan.source_filters:
+        frequencies, energy = filters.signal.energy_spectrum()
         share = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
         low = min(low, float(frequencies[np.searchsorted(share, 1e-3)]))
         high = max(high, float(frequencies[np.minimum(np.searchsorted(share, 1.0 - 1e-3), len(frequencies) - 1)]))

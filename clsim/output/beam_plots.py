@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.air import Air
-    from clsim.scene.directivity.patterns import Directivity, SphericalDirectivity
+    from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern
 
 _FLOOR_DB = -40.0
 _COLUMNS = 3
@@ -44,7 +44,7 @@ class Beam:
     """
 
     title: str
-    directivity: Directivity | SphericalDirectivity
+    directivity: AxialPattern | DirectionalPattern
     frequencies: Floats
     speed_of_sound: float
 

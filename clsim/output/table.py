@@ -12,7 +12,7 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
-from clsim.paths.ground_truth import direct_truth
+from clsim.paths.ground_truth import direct_path
 from clsim.paths.path_table import PathTable
 
 if TYPE_CHECKING:
@@ -70,8 +70,8 @@ def check_table(name: str, field: str = "path") -> None:
         raise InputError(field, 'Parquet needs pyarrow: pip install "clsim[parquet]"')
 
 
-def write_truth(paths: PathSet, times: Floats, motion: str, path: str | os.PathLike[str]) -> None:
-    """Write what receivers should find out of the direct sound as ``.npz``: arrays as in `DirectTruth`, and names.
+def write_ground_truth(paths: PathSet, times: Floats, motion: str, path: str | os.PathLike[str]) -> None:
+    """Write what receivers should find out of the direct sound as ``.npz``: arrays as in `DirectPath`, and names.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def write_truth(paths: PathSet, times: Floats, motion: str, path: str | os.PathL
     OSError
         If the file cannot be written; nothing is left of it then.
     """
-    truth = direct_truth(paths, times, motion)
+    truth = direct_path(paths, times, motion)
     columns: dict[str, Any] = {f.name: getattr(truth, f.name) for f in dataclasses.fields(truth)}
     columns["source_names"] = np.array([s.name for s in paths.scene.sources])
     columns["receiver_names"] = np.array([r.name for r in paths.scene.receivers])

@@ -120,7 +120,7 @@ def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: s
     level = 20.0 * np.log10(gain / gain.max(initial=0.0))
     strongest = np.argsort(-level, kind="stable")[:limit]
     heard, level = heard[strongest], level[strongest]
-    corners = paths.corners(time, motion)[heard]
+    corners = paths.vertices(time, motion)[heard]
     names = [
         f"{table.source_names[table.source[p]]} to {table.receiver_names[table.receiver[p]]}, "
         + (", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct")

@@ -58,7 +58,7 @@ class Arrivals:
     arrival: Floats
     distance: Floats
     emitted: Floats
-    stretch: Floats
+    mach_factor: Floats
 
     def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Arrivals:
         """Return what some of the paths bring at some of the times."""
@@ -66,7 +66,7 @@ class Arrivals:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PathGroup:
+class PairPaths:
     """Paths between one source and one receiver.
 
     Attributes
@@ -85,13 +85,13 @@ class PathGroup:
     offset: Floats
     walls: NDArray[np.signedinteger[Any]]
 
-    def part(self, rows: NDArray[np.int64]) -> PathGroup:
+    def part(self, rows: NDArray[np.int64]) -> PairPaths:
         """Return some of the paths."""
-        return PathGroup(self.source, self.receiver, self.matrix[rows], self.offset[rows], self.walls[rows])
+        return PairPaths(self.source, self.receiver, self.matrix[rows], self.offset[rows], self.walls[rows])
 
 
 def arrivals(
-    scene: Scene, group: PathGroup, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
+    scene: Scene, group: PairPaths, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
 ) -> Arrivals:
     """Return delay, gain and directions of a group of paths.
 
@@ -99,7 +99,7 @@ def arrivals(
     ----------
     scene : Scene
         Holds trajectories, air and directivities.
-    group : PathGroup
+    group : PairPaths
         P paths.
     times : ndarray (T,)
         Times of reception, s.
@@ -115,7 +115,7 @@ def arrivals(
     the image towards the receiver at emission (Morse and Ingard, Theoretical Acoustics, 1968, section 11.2).
     """
     source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
-    c = scene.air.sound_speed
+    c = scene.air.speed_of_sound
     times = np.asarray(times, dtype=np.float64)
     at = receiver.trajectory.position(times)
     # Seen from the image's room the receiver stands at A^T (x_r - b): one mirrored receiver per path.
@@ -134,9 +134,9 @@ def arrivals(
     receding = np.sum(departure * moving, axis=-1) / c
     retarded = motion == "retarded"
     arrival = -np.einsum("pij,ptj->pti", group.matrix, departure)
-    stretch = (1.0 - mach) ** -MACH_EXPONENT[amplitude] if retarded else np.ones_like(mach)
+    mach_factor = (1.0 - mach) ** -MACH_EXPONENT[amplitude] if retarded else np.ones_like(mach)
     rate = (receding - mach) / (1.0 - mach) if retarded else receding - mach
-    found = Arrivals(delay, rate, np.empty(0), departure, arrival, distance, emitted, stretch)
+    found = Arrivals(delay, rate, np.empty(0), departure, arrival, distance, emitted, mach_factor)
     gain = Responses(scene, np.array([source.emitted.centre_frequency])).along(group, found, times)[..., 0]
     return replace(found, gain=gain)
 

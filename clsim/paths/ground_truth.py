@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import as_floats
-from clsim.paths.arrivals import PathGroup, arrivals, slices_of
+from clsim.paths.arrivals import PairPaths, arrivals, slices_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DirectTruth:
+class DirectPath:
     """The direct sound between every source and receiver, (sources, receivers, T).
 
     Attributes
@@ -41,7 +41,7 @@ class DirectTruth:
     radial_speed: Floats
 
 
-def direct_truth(paths: PathSet, times: Floats, motion: str = "retarded") -> DirectTruth:
+def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> DirectPath:
     """Return the truth about the direct sound.
 
     Parameters
@@ -61,7 +61,7 @@ def direct_truth(paths: PathSet, times: Floats, motion: str = "retarded") -> Dir
     >>> source = clsim.Source("s", tone, clsim.Trajectory.fixed((1.0, 3.0, 1.5)))
     >>> receiver = clsim.Receiver("r", clsim.Trajectory.line((4.0, 3.0, 1.5), (5.0, 3.0, 1.5), duration=1.0))
     >>> paths = clsim.find_paths(clsim.Scene(room, clsim.Air(speed_of_sound=340.0), [source], [receiver]), 0)
-    >>> truth = direct_truth(paths, [0.0, 0.5])
+    >>> truth = direct_path(paths, [0.0, 0.5])
     >>> truth.delay[0, 0] * 340.0, truth.radial_speed[0, 0].round(9), truth.line_of_sight[0, 0]
     (array([3. , 3.5]), array([1., 1.]), array([ True,  True]))
     """
@@ -72,11 +72,11 @@ def direct_truth(paths: PathSet, times: Floats, motion: str = "retarded") -> Dir
     for s in range(shape[0]):
         for r in range(shape[1]):
             walls = np.empty((1, 0), dtype=np.int32)
-            direct = PathGroup(s, r, np.eye(3)[None], np.zeros((1, 3)), walls)
+            direct = PairPaths(s, r, np.eye(3)[None], np.zeros((1, 3)), walls)
             for part in slices_of(len(times), 1):
                 found = arrivals(scene, direct, times[part], motion)
                 delay[s, r, part], rate[s, r, part] = found.delay[0], found.delay_rate[0]
     for row in np.flatnonzero(paths.order == 0):
         heard = (times >= paths.start[row]) & (times < paths.end[row])
         seen[paths.source[row], paths.receiver[row]] |= heard
-    return DirectTruth(times, delay, 1.0 - rate, seen, scene.air.sound_speed * rate)
+    return DirectPath(times, delay, 1.0 - rate, seen, scene.air.speed_of_sound * rate)

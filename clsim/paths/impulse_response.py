@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.nufft import band_edges, delayed_sums, ringing
-from clsim.paths.arrivals import PathGroup, arrivals
+from clsim.paths.arrivals import PairPaths, arrivals
 from clsim.paths.response import Responses
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ def _trimmed(taps: Floats, first: int) -> ImpulseResponse:
 
 def frozen_response(
     scene: Scene,
-    group: PathGroup,
+    group: PairPaths,
     time: float,
     sampling_rate: float,
     band: ResponseBand,
@@ -224,7 +224,7 @@ def frozen_response(
     ----------
     scene : Scene
         Holds trajectories, air, walls and beams.
-    group : PathGroup
+    group : PairPaths
         The paths.
     time : float
         Of reception, s.

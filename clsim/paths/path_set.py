@@ -9,10 +9,10 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals, slices_of
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PairPaths, arrivals, slices_of
 from clsim.paths.path_table import PathTable
 from clsim.paths.response import is_complex
-from clsim.paths.vertices import path_corners
+from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,7 +53,7 @@ class PathSet:
     def __len__(self) -> int:
         return len(self.source)
 
-    def groups(self) -> Iterator[tuple[NDArray[np.int64], PathGroup]]:
+    def groups(self) -> Iterator[tuple[NDArray[np.int64], PairPaths]]:
         """Yield the rows of every (source, receiver) that has paths, and what they are."""
         pair = self.source.astype(np.int64) * len(self.scene.receivers) + self.receiver
         in_order = bool(np.all(pair[1:] >= pair[:-1]))
@@ -68,7 +68,7 @@ class PathSet:
                 rows = order[part]
                 if len(rows):
                     which = part if in_order else rows  # a slice is no copy
-                    group = PathGroup(s, r, self.image_matrix[which], self.image_offset[which], self.walls[which])
+                    group = PairPaths(s, r, self.image_matrix[which], self.image_offset[which], self.walls[which])
                     yield rows, group
 
     def heard_by(self, receiver: int) -> PathSet:
@@ -117,7 +117,7 @@ class PathSet:
             self.scene.room.wall_names,
         )  # fmt: skip
 
-    def corners(self, time: float, motion: str = "retarded") -> Floats:
+    def vertices(self, time: float, motion: str = "retarded") -> Floats:
         """Return where every path leaves, is reflected and arrives, as it is heard at a time.
 
         Parameters
@@ -139,9 +139,9 @@ class PathSet:
             delay = 0.0 if motion == "quasi-static" else arrivals(self.scene, group, now, motion).delay[:, 0]
             source[rows] = self.scene.sources[group.source].trajectory.position(np.full(len(rows), time) - delay)
             receiver[rows] = self.scene.receivers[group.receiver].trajectory.position(now)
-        corners = path_corners(self.scene.room.planes, self.walls, source, receiver)
-        corners[~((self.start <= time) & (time < self.end))] = np.nan
-        return corners
+        vertices = path_vertices(self.scene.room.planes, self.walls, source, receiver)
+        vertices[~((self.start <= time) & (time < self.end))] = np.nan
+        return vertices
 
     def __post_init__(self) -> None:
         count = len(self.source)

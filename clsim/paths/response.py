@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.quaternions import rotate
-from clsim.scene.directivity.patterns import Omni, SphericalDirectivity
+from clsim.scene.directivity.patterns import DirectionalPattern, Omni
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals, PathGroup
-    from clsim.scene.directivity.patterns import AnyDirectivity
+    from clsim.paths.arrivals import Arrivals, PairPaths
+    from clsim.scene.directivity.patterns import Directivity
     from clsim.scene.material.material import Material
     from clsim.scene.scene import Scene
 
@@ -57,21 +57,23 @@ class Responses:
         for material in dict.fromkeys(materials):
             if not material.depends_on_angle:
                 rows = [m is material for m in (*materials, None)]
-                self._factors[rows] = material.reflection_at(known(frequencies, material), 1.0, scene.air.sound_speed)
+                self._factors[rows] = material.reflection_at(
+                    known(frequencies, material), 1.0, scene.air.speed_of_sound
+                )
 
-    def walls(self, group: PathGroup) -> Floats | Complexes:
+    def walls(self, group: PairPaths) -> Floats | Complexes:
         """Return the product of the factors (P, F) of each path's walls, of those that are the same at every angle."""
         product: Floats | Complexes = np.ones((len(group.walls), len(self._frequencies)), dtype=self.dtype)
         for wall in group.walls.T:
             product *= self._factors[wall]
         return product
 
-    def along(self, group: PathGroup, found: Arrivals, times: Floats) -> Floats | Complexes:
+    def along(self, group: PairPaths, found: Arrivals, times: Floats) -> Floats | Complexes:
         """Return the responses of paths.
 
         Parameters
         ----------
-        group : PathGroup
+        group : PairPaths
             P paths.
         found : Arrivals
             Of them at `times`.
@@ -83,10 +85,10 @@ class Responses:
         ndarray (P, T, F)
             Of the type `dtype`; a delay tau would be ``exp(-2j pi f tau)``.
         """
-        scene, frequencies, c = self._scene, self._frequencies, self._scene.air.sound_speed
+        scene, frequencies, c = self._scene, self._frequencies, self._scene.air.speed_of_sound
         source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
         response = np.exp(-(found.distance - 1.0)[..., None] * self.nepers) * self.walls(group)[:, None, :]
-        response *= (found.stretch / found.distance)[..., None]
+        response *= (found.mach_factor / found.distance)[..., None]
         for bounce, normals in self.angular_bounces(group):
             for wall in np.unique(group.walls[:, bounce][self.angular[group.walls[:, bounce]]]):
                 rows = np.flatnonzero(group.walls[:, bounce] == wall)
@@ -95,14 +97,14 @@ class Responses:
                 angle = np.maximum(cosine, _GRAZING)[..., None]
                 response[rows] *= material.reflection_at(known(frequencies, material), angle, c)
         if not isinstance(source.directivity, Omni):
-            towards = seen_from(source.orientation, found.emitted, found.departure)
-            response *= beam_gain(source.directivity, towards, frequencies, c)
+            towards = to_transducer_frame(source.orientation, found.emitted, found.departure)
+            response *= directivity_gain(source.directivity, towards, frequencies, c)
         if not isinstance(receiver.directivity, Omni):
-            towards = seen_from(receiver.orientation, times, found.arrival)
-            response *= beam_gain(receiver.directivity, towards, frequencies, c)
+            towards = to_transducer_frame(receiver.orientation, times, found.arrival)
+            response *= directivity_gain(receiver.directivity, towards, frequencies, c)
         return response
 
-    def angular_bounces(self, group: PathGroup) -> list[tuple[int, Floats]]:
+    def angular_bounces(self, group: PairPaths) -> list[tuple[int, Floats]]:
         """Return the bounces at which some path meets a wall whose factor depends on the angle, with normals (P, 3).
 
         The normals are those of the unfolded path: the angle is that between them and the departure.
@@ -144,23 +146,23 @@ def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]]) -> 
     return np.asarray(unfolded)
 
 
-def seen_from(orientation: Callable[[Floats], Floats], times: Floats, directions: Floats) -> Floats:
+def to_transducer_frame(orientation: Callable[[Floats], Floats], times: Floats, directions: Floats) -> Floats:
     """Return directions (P, T, 3) in the frame of a transducer, turned as it is at times (T,) or (P, T)."""
     quaternions = orientation(times.ravel()).reshape(*times.shape, 4)
     return np.stack([np.sum(rotate(quaternions, axis) * directions, axis=-1) for axis in np.eye(3)], axis=-1)
 
 
-def beam_gain(
-    directivity: AnyDirectivity, towards: Floats, frequencies: Floats, speed_of_sound: float
+def directivity_gain(
+    directivity: Directivity, towards: Floats, frequencies: Floats, speed_of_sound: float
 ) -> Floats | Complexes:
     """Return the gain (..., F) of a directivity in directions (..., 3) of its own frame."""
     f = known(frequencies, directivity)
-    if isinstance(directivity, SphericalDirectivity):
+    if isinstance(directivity, DirectionalPattern):
         return directivity.gain_towards(towards[..., None, :], f, speed_of_sound)
     return directivity.gain(np.clip(towards[..., :1], -1.0, 1.0), f, speed_of_sound)
 
 
-def known(frequencies: Floats, thing: Material | AnyDirectivity) -> Floats:
+def known(frequencies: Floats, thing: Material | Directivity) -> Floats:
     """Return the frequencies nearest to given ones at which a material or a beam is known.
 
     Where a signal is more than next to nothing they are the same: plans see to that.

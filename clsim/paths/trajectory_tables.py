@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from clsim.scene.flush import Mount
     from clsim.scene.motion.motion import Motion
 
-NUDGES = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
+PERTURBATIONS = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
 _TOLERANCE = 1e-8  # m, of a position between knots
 _WORST = 1e-3  # m, the same where a motion has corners, or knots are as many as they may be
 _MOST_KNOTS = 2_000_000
@@ -30,20 +30,20 @@ _MOST_STEPS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Balls:
-    """Balls that hold the ends of paths over the time that matters: centres (n, 3) and radii (n,), m."""
+class BoundingSpheres:
+    """BoundingSpheres that hold the ends of paths over the time that matters: centres (n, 3) and radii (n,), m."""
 
     centre: Floats
     radius: Floats
 
     @staticmethod
-    def none() -> Balls:
+    def none() -> BoundingSpheres:
         """Return no balls."""
-        return Balls(np.empty((0, 3)), np.empty(0))
+        return BoundingSpheres(np.empty((0, 3)), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Movers:
+class TrajectoryTables:
     """Trajectories of one source (row 0) and of receivers (rows 1, 2, …).
 
     Attributes
@@ -114,10 +114,10 @@ class Movers:
         normal, offset = self.mounts[row, :3], self.mounts[row, 3]
         return float(np.abs(offset - hull @ normal).max())
 
-    def receiver_balls(self, begin: float = 0.0, end: float = math.inf) -> Balls:
+    def receiver_spheres(self, begin: float = 0.0, end: float = math.inf) -> BoundingSpheres:
         """Return the balls of all receivers."""
         balls = [self.ball(row, begin, end) for row in range(1, len(self.places))]
-        return Balls(np.array([b[0] for b in balls]).reshape(-1, 3), np.array([b[1] for b in balls]))
+        return BoundingSpheres(np.array([b[0] for b in balls]).reshape(-1, 3), np.array([b[1] for b in balls]))
 
     def delay(self, mirrored: Floats, time: Floats, speed_of_sound: float) -> Floats:
         """Return the delays (n,) from the source to places (n, 3) in its own room, s."""
@@ -132,7 +132,9 @@ class Movers:
         return delay
 
 
-def movers(source: Motion, receivers: Sequence[Motion], mounts: Sequence[Mount | None] = ()) -> Movers:
+def trajectory_tables(
+    source: Motion, receivers: Sequence[Motion], mounts: Sequence[Mount | None] = ()
+) -> TrajectoryTables:
     """Return the tables of one source and its receivers, from time 0 to the end of each; no mounts when left out.
 
     Raises
@@ -159,7 +161,7 @@ def movers(source: Motion, receivers: Sequence[Motion], mounts: Sequence[Mount |
         if mount is not None:
             plane[:] = [*mount.normal, mount.offset + mount.step]
     columns = (places, scales, knots, np.concatenate(levels), planes)
-    return Movers(*(read_only(column) for column in columns))
+    return TrajectoryTables(*(read_only(column) for column in columns))
 
 
 def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:
@@ -170,7 +172,7 @@ def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:
     InputError
         If a motion is too long for so many knots that it is known between them.
     """
-    if motion.at_rest:
+    if motion.is_static:
         still = np.zeros((1, 12))
         still[0, :3] = motion.position(0.0)
         return still, 0.0, 1.0

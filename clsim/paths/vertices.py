@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 
-def path_corners(
+def path_vertices(
     planes: tuple[Floats, Floats], walls: NDArray[np.signedinteger[Any]], source: Floats, receiver: Floats
 ) -> Floats:
     """Return the corners of paths from their sources by their walls to a receiver.
@@ -41,10 +41,10 @@ def path_corners(
         wall = walls[:, k]
         height = np.einsum("pi,pi->p", image[:, k], normal[wall]) - offset[wall]
         image[:, k + 1] = image[:, k] - 2.0 * np.where(wall >= 0, height, 0.0)[:, None] * normal[wall]
-    corners = np.full((count, most + 2, 3), np.nan)
+    vertices = np.full((count, most + 2, 3), np.nan)
     order = np.sum(walls >= 0, axis=1)
-    corners[:, 0] = source
-    corners[np.arange(count), order + 1] = receiver
+    vertices[:, 0] = source
+    vertices[np.arange(count), order + 1] = receiver
     at = np.array(receiver, dtype=np.float64)
     for k in range(most, 0, -1):
         rows = np.flatnonzero(order >= k)
@@ -54,5 +54,5 @@ def path_corners(
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(near == far, 0.5, near / (near - far))  # both in the wall: along it
         at[rows] += share[:, None] * (image[rows, k] - at[rows])
-        corners[rows, k] = at[rows]
-    return corners
+        vertices[rows, k] = at[rows]
+    return vertices

@@ -14,7 +14,7 @@ from clsim.numerics.fractional_delay import design_bandlimited
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import GROUP, WIDEST_GROUP, half_band
 from clsim.render.interpolator import Bandlimited, Bank
-from clsim.render.source_filters import Emission, basis_of, check_response_error
+from clsim.render.source_filters import SourceFilters, basis_of, check_response_error
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class Mixer:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EnvelopeEmission(Emission):
+class EnvelopeFilters(SourceFilters):
     """One source's complex envelope and the filters for it; what is removed lies outside the band on either side.
 
     Attributes
@@ -138,9 +138,9 @@ class EnvelopeEmission(Emission):
         first, last = response.first // every - reach, response.last // every + reach + 1
         return ImpulseResponse(first, 0.5 * every * self.plain(response.read, first, last)[0])
 
-    def turned(self, late: Floats) -> Complexes:
+    def turned(self, delay_samples: Floats) -> Complexes:
         """Return the carrier's phase ``exp(-2 pi j carrier delay)`` of delays (P, n), samples of the envelope."""
-        return np.asarray(np.exp(-2j * math.pi * self.cycles * late))
+        return np.asarray(np.exp(-2j * math.pi * self.cycles * delay_samples))
 
     def describe_filters(self) -> str:
         """Return how delays are carried."""
@@ -163,14 +163,14 @@ def design_envelope(
     sampling_rate: float,
     response_error_db: float | str,
     exact: bool,
-    at_rest: bool = False,
-) -> EnvelopeEmission:
+    static: bool = False,
+) -> EnvelopeFilters:
     """Return a source's complex envelope, with filters for its band and for how its paths move.
 
     Parameters
     ----------
-    index, signal, start, tracks, interpolator, until, response_error_db, exact, at_rest
-        As of `design_emission`.
+    index, signal, start, tracks, interpolator, until, response_error_db, exact, static
+        As of `design_source_filters`.
     baseband : Baseband
         With its sampling rate.
     sampling_rate : float
@@ -179,7 +179,8 @@ def design_envelope(
     Raises
     ------
     InputError
-        If the signal does not lie in the band, the interpolator is none of `Bandlimited`, or as in `design_emission`.
+        If the signal does not lie in the band, the interpolator is none of `Bandlimited`, or as in
+        `design_source_filters`.
     """
     if not isinstance(interpolator, Bandlimited):
         raise InputError("interpolator", f"must be Bandlimited in baseband, but is {interpolator!r:.80}")
@@ -189,7 +190,7 @@ def design_envelope(
     low, high = baseband.carrier - half, baseband.carrier + half
     basis = basis_of(
         index, signal, ShortTimeSpectra.of(signal), high, tracks, until, sampling_rate, response_error_db, exact,
-        at_rest, least=low,
+        static, least=low,
     )  # fmt: skip
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
@@ -206,7 +207,7 @@ def design_envelope(
         for filters in (basis.filters, np.ones((1, 1)))
     )
     highest = baseband.carrier + 0.5 * baseband.bandwidth
-    return EnvelopeEmission(
+    return EnvelopeFilters(
         signal, start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, 1, removed_db,
         baseband.carrier, half, mixer, plain,
     )  # fmt: skip

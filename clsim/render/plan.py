@@ -16,16 +16,17 @@ from clsim.paths.path_set import PathSet
 from clsim.render.baseband import Baseband, as_baseband, check_ends, segmented
 from clsim.render.envelope import design_envelope
 from clsim.render.interpolator import SMALL_GROUP, Bandlimited, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.source_filters import AT_CENTRE, DEFAULT_RESPONSE_ERROR_DB, Emission, design_emission
-from clsim.render.static_pairs import NONE_AT_REST, AtRest, find_at_rest
-from clsim.scene.scene import Receiver, Scene
+from clsim.render.source_filters import AT_CENTRE, DEFAULT_RESPONSE_ERROR_DB, SourceFilters, design_source_filters
+from clsim.render.static_pairs import NO_STATIC_PAIRS, StaticPairs, find_static_pairs
 from clsim.scene.signal.signal import Signal
-from clsim.tracks.pruning import without_quiet
+from clsim.tracks.pruning import pruned
 from clsim.tracks.tracks import SceneTracks, Tracks, track
 from clsim.tracks.transition import DEFAULT_TRANSITION
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from clsim.scene.scene import Receiver, Scene
 
 ENGINES = ("opencl", "reference")
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
@@ -40,7 +41,7 @@ class Plan:
     """Everything that an engine needs, with nothing left to decide."""
 
     tracks: Tracks
-    emissions: tuple[Emission, ...]
+    source_filters: tuple[SourceFilters, ...]
     interpolator: Interpolator
     sampling_rate: float
     samples: int
@@ -48,7 +49,7 @@ class Plan:
     engine: str
     device: str | None
     left_out: str = ""
-    at_rest: AtRest = NONE_AT_REST
+    static_pairs: StaticPairs = NO_STATIC_PAIRS
     segment: int = SEGMENT
     blocks: tuple[int, ...] = BLOCKS
     baseband: Baseband | None = None  # of complex envelopes; None for sound as it is
@@ -69,7 +70,7 @@ class Plan:
 
     def group(self, source: int, block: int) -> int:
         """Return how many neighbouring samples of a block share the whole part of a delay."""
-        group = self.emissions[source].bank.group
+        group = self.source_filters[source].bank.group
         return min(group, SMALL_GROUP) if self.is_fine(block) else group
 
     @property
@@ -95,7 +96,7 @@ class Plan:
     @property
     def max_rate(self) -> float:
         """Fastest change of any delay, s/s."""
-        return max(self.tracks.max_rate(s) for s in range(len(self.emissions)))
+        return max(self.tracks.max_rate(s) for s in range(len(self.source_filters)))
 
     @property
     def memory_bytes(self) -> int:
@@ -113,8 +114,8 @@ class Plan:
         """Return the bytes that the fields of a scene file ask for."""
         middle, length = 0.5 * self.duration, 0.5 * min(self.chunk / self.sampling_rate, self.duration)
         span = self.tracks.longest_delay(middle - length, middle + length) * self.sampling_rate
-        rows = max(e.oversampling * int(e.rows[-1]) for e in self.emissions)
-        functions = max(len(e.basis) for e in self.emissions)
+        rows = max(e.oversampling * int(e.rows[-1]) for e in self.source_filters)
+        functions = max(len(e.basis) for e in self.source_filters)
         per_segment = (
             (4 + 4 * self.delay_terms + 16 * functions)
             * (self.segment // self.shortest_block)
@@ -131,8 +132,8 @@ class Plan:
 
         Errors of delay filters, of responses and of motion between nodes are independent: their squares add up.
         """
-        emission = self.emissions[source]
-        parts_db = [emission.bank.error_db, emission.basis.error_db, self.motion_error_db]
+        filters = self.source_filters[source]
+        parts_db = [filters.bank.error_db, filters.basis.error_db, self.motion_error_db]
         return 10.0 * math.log10(sum(10.0 ** (part / 10.0) for part in parts_db))
 
     @property
@@ -158,17 +159,17 @@ class Plan:
     def describe(self) -> list[str]:
         """Return what will be computed, a line each."""
         lines = [
-            f"{self.path_count} paths from {len(self.emissions)} sources to {self.receiver_count} receivers",
+            f"{self.path_count} paths from {len(self.source_filters)} sources to {self.receiver_count} receivers",
             f"{self.samples} samples at {self.sampling_rate:g} Hz, {self.duration:g} s, in chunks of {self.chunk}",
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",
             *([self.left_out] if self.left_out else []),
-            *self.at_rest.describe(self.tracks),
+            *self.static_pairs.describe(self.tracks),
         ]
         if self.baseband is not None:
             lines[1] += f"; complex envelopes of {self.baseband.bandwidth:g} Hz about {self.baseband.carrier:g} Hz"
-        for i, e in enumerate(self.emissions):
-            if not self.at_rest.holds(self.tracks, i):
+        for i, e in enumerate(self.source_filters):
+            if not self.static_pairs.holds(self.tracks, i):
                 lines += [f"source {i}: {e.describe_filters()}", f"source {i}: {e.describe()}"]
                 lines.append(
                     f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"
@@ -182,7 +183,6 @@ class Plan:
 
 
 def plan_render(
-    scene: Scene,
     paths: PathSet,
     sampling_rate: float,
     *,
@@ -192,28 +192,27 @@ def plan_render(
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
     baseband: Baseband | tuple[float, ...] | None = None,
-    quietest_db: float | None = None,
+    prune_below_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
-    convolve_at_rest: bool = True,
+    convolve_static: bool = True,
 ) -> Plan:
     """Return the plan of a rendering without carrying it out; arguments as in `render`."""
-    if not isinstance(scene, Scene):
-        raise InputError("scene", f"must be a Scene, but is {scene!r:.80}")
-    if isinstance(paths, PathSet) and paths.scene is not scene:
-        raise InputError("paths", "must be those of the scene that is rendered, but belong to another one")
+    if not isinstance(paths, PathSet):
+        raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
+    scene = paths.scene
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
     if baseband is not None:
         check_ends(scene)
     ringing = _check_receivers(scene, rate)
     tracks, left_out = track(paths, motion=motion, amplitude=amplitude, transition=transition), ""
-    if quietest_db is not None:
-        below_db = as_number("quietest_db", quietest_db, at_least=-300.0, at_most=-20.0, unit="dB")
+    if prune_below_db is not None:
+        below_db = as_number("prune_below_db", prune_below_db, at_least=-300.0, at_most=-20.0, unit="dB")
         end = min(max(source.start + source.emitted.duration for source in scene.sources), tracks.last_time())
         until = min(duration or end + tracks.longest_delay(end, end), tracks.last_time())
-        tracks, left_out = without_quiet(tracks, below_db, until)
+        tracks, left_out = pruned(tracks, below_db, until)
     return plan_tracks(
         [source.emitted for source in scene.sources],
         tracks,
@@ -228,7 +227,7 @@ def plan_render(
         chunk=chunk,
         ringing=ringing,
         left_out=left_out,
-        convolve_at_rest=convolve_at_rest,
+        convolve_static=convolve_static,
     )
 
 
@@ -247,7 +246,7 @@ def plan_tracks(
     chunk: int | None = None,
     ringing: float = 0.0,
     left_out: str = "",
-    convolve_at_rest: bool = True,
+    convolve_static: bool = True,
 ) -> Plan:
     """Return the plan of rendering signals along tracks; arguments as in `render_tracks`.
 
@@ -267,24 +266,26 @@ def plan_tracks(
         raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
     starts = [0.0] * len(signals) if starts is None else starts
     wanted = None if baseband is None else as_baseband(baseband, rate)
-    design = design_emission if wanted is None else partial(design_envelope, baseband=wanted)
+    design = design_source_filters if wanted is None else partial(design_envelope, baseband=wanted)
     heard_at = rate if wanted is None else wanted.sampling_rate or rate
     samples = _samples(signals, starts, tracks, heard_at, duration, ringing)
-    if not isinstance(convolve_at_rest, bool | np.bool_):
-        raise InputError("convolve_at_rest", f"must be true or false, but is {convolve_at_rest!r:.80}")
-    still = NONE_AT_REST
-    if convolve_at_rest and engine == "opencl":
-        still = find_at_rest(tracks, interpolator, at_centre=response_error_db == AT_CENTRE)
+    if not isinstance(convolve_static, bool | np.bool_):
+        raise InputError("convolve_static", f"must be true or false, but is {convolve_static!r:.80}")
+    static_pairs = NO_STATIC_PAIRS
+    if convolve_static and engine == "opencl":
+        static_pairs = find_static_pairs(tracks, interpolator, at_centre=response_error_db == AT_CENTRE)
     # Matrices are small: threads of the linear algebra would wait for each other, the longer the busier the machine.
     with threadpool_limits(1, "blas"):
-        emissions = tuple(
+        source_filters = tuple(
             design(
                 i, signal, start, tracks, interpolator=interpolator, until=samples / heard_at, sampling_rate=rate,
-                response_error_db=response_error_db, exact=engine == "reference", at_rest=still.holds(tracks, i),
+                response_error_db=response_error_db, exact=engine == "reference", static=static_pairs.holds(tracks, i),
             )
             for i, (signal, start) in enumerate(zip(signals, starts, strict=True))
         )  # fmt: skip
-    draft = Plan(tracks, emissions, interpolator, heard_at, samples, SEGMENT, engine, device, left_out, still)
+    draft = Plan(
+        tracks, source_filters, interpolator, heard_at, samples, SEGMENT, engine, device, left_out, static_pairs
+    )
     if wanted is not None:
         segment, blocks = segmented(tracks, heard_at, wanted.carrier, draft.max_rate)
         draft = replace(draft, segment=segment, blocks=blocks, baseband=wanted)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _Kind = Literal["highpass", "lowpass"]
 
 
-class Receiving:
+class ReceiverChain:
     """What all receivers of a plan do to the pressure; pieces must come in order.
 
     Attributes

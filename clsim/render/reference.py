@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.render.plan import Plan
-    from clsim.render.source_filters import Emission
+    from clsim.render.source_filters import SourceFilters
 
 _NUMBERS = 2**22  # gains held at a time
 
@@ -30,7 +30,7 @@ class ReferenceEngine:
         plan = self._plan
         pressure = np.zeros((plan.receiver_count, stop - start), dtype=float if plan.baseband is None else complex)
         for i, group in enumerate(plan.tracks.groups):
-            functions = len(plan.emissions[group.source].basis)
+            functions = len(plan.source_filters[group.source].basis)
             step = min(max(_NUMBERS // (len(group) * functions), 256), 4096)
             for first in range(start, stop, step):
                 last = min(first + step, stop)
@@ -41,30 +41,30 @@ class ReferenceEngine:
 def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats | Complexes:
     """Return the sum of a group's paths over samples `first` to `last`, shape (n,)."""
     tracks, member = plan.tracks, plan.tracks.groups[group]
-    emission = plan.emissions[member.source]
+    filters = plan.source_filters[member.source]
     times = np.arange(first, last) / plan.sampling_rate
     ramp = 0.5 * tracks.transition
     rows = np.flatnonzero((member.start - ramp <= times[-1]) & (member.end + ramp >= times[0]))
     if not len(rows):
         return np.zeros(last - first)
-    delay, _, gain = tracks.evaluate(group, times, emission.basis, rows)
+    delay, _, gain = tracks.evaluate(group, times, filters.basis, rows)
     weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
     gain = np.where(weight > 0.0, gain, 0.0) * weight
-    late = delay * (emission.oversampling * plan.sampling_rate) + emission.late
-    whole = np.rint(late)
-    weighted: Any = gain * emission.turned(late)
-    samples = emission.oversampling * np.arange(first, last)
-    return _sum_paths(plan, emission, samples - whole.astype(np.int64), late - whole, weighted)
+    delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples
+    whole = np.rint(delay_samples)
+    weighted: Any = gain * filters.turned(delay_samples)
+    samples = filters.oversampling * np.arange(first, last)
+    return _sum_paths(plan, filters, samples - whole.astype(np.int64), delay_samples - whole, weighted)
 
 
 def _sum_paths(
-    plan: Plan, emission: Emission, emitted: NDArray[np.int64], mu: Floats, gain: Floats | Complexes
+    plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, gain: Floats | Complexes
 ) -> Floats | Complexes:
     """Apply taps and gains (K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
-    length, centre = emission.bank.taps.shape[1], emission.bank.centre
+    length, centre = filters.bank.taps.shape[1], filters.bank.centre
     total: Any = np.zeros(emitted.shape[1], dtype=gain.dtype)
     first = int(emitted.min()) + centre - length + 1
-    streams = emission.streams(first, int(emitted.max()) + centre + 1)
+    streams = filters.streams(first, int(emitted.max()) + centre + 1)
     if not np.any(streams):
         return np.asarray(total)
     # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
@@ -73,6 +73,6 @@ def _sum_paths(
         if np.any(gain[:, p]):
             seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
             total += np.einsum(
-                "nk,fnk,fn->n", plan.interpolator.taps(emission.bank, mu[p]), seen, gain[:, p], optimize=True
+                "nk,fnk,fn->n", plan.interpolator.taps(filters.bank, mu[p]), seen, gain[:, p], optimize=True
             )
     return np.asarray(total)

@@ -13,7 +13,7 @@ from clsim.render.memory import within_memory
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.plan import Plan, plan_render, plan_tracks
-from clsim.render.receiver_chain import Receiving
+from clsim.render.receiver_chain import ReceiverChain
 from clsim.render.reference import ReferenceEngine
 from clsim.render.source_filters import DEFAULT_RESPONSE_ERROR_DB
 from clsim.render.static_pairs import Convolution
@@ -29,12 +29,10 @@ if TYPE_CHECKING:
     from clsim.recording import Recording
     from clsim.render.baseband import Baseband
     from clsim.render.interpolator import Interpolator
-    from clsim.scene.scene import Scene
     from clsim.scene.signal.signal import Signal
 
 
 def render(
-    scene: Scene,
     paths: PathSet,
     sampling_rate: float,
     *,
@@ -44,21 +42,19 @@ def render(
     transition: float | str = DEFAULT_TRANSITION,
     response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
     baseband: Baseband | tuple[float, ...] | None = None,
-    quietest_db: float | None = None,
+    prune_below_db: float | None = None,
     engine: str = "opencl",
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
-    convolve_at_rest: bool = True,
+    convolve_static: bool = True,
 ) -> Recording:
     """Return what every receiver of a scene hears.
 
     Parameters
     ----------
-    scene : Scene
-        What sounds where.
     paths : PathSet
-        Its paths, from `find_paths`.
+        The paths of a scene, from `find_paths`.
     sampling_rate : float
         Of the recording, Hz; signals are brought to it. In baseband that of the signals.
     interpolator : Lagrange, TruncatedLagrange or Bandlimited, optional
@@ -78,7 +74,7 @@ def render(
         Render complex envelopes about a carrier, Hz, instead of the sound: what mixing it with
         ``exp(-2 pi j carrier t)``, a low-pass and decimation would give, several times faster. The bandwidth, both
         sides together, must hold signals and Doppler shifts; a third number chooses the sampling rate: see `Baseband`.
-    quietest_db : float, optional
+    prune_below_db : float, optional
         Leave out paths that stay below this level, dB relative to the strongest arrival at the same receiver; the
         recording's notes tell how many, and a bound of what they add up to.
     engine : {"opencl", "reference"}
@@ -90,7 +86,7 @@ def render(
         receiver's trajectory ends.
     chunk : int, optional
         Samples that are held at a time, rounded up to whole segments (of 18432 samples; in baseband of 32 blocks).
-    convolve_at_rest : bool
+    convolve_static : bool
         Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
         instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
 
@@ -125,13 +121,13 @@ def render(
     >>> ceiling = clsim.Receiver("ceiling", clsim.Trajectory.fixed((1.0, 1.0, 2.9)))
     >>> scene = clsim.Scene(room, clsim.Air(), [robot], [ceiling])
     >>> paths = clsim.find_paths(scene, max_order=1)
-    >>> render(scene, paths, 192e3, engine="reference", duration=0.02).pressure.shape
+    >>> render(paths, 192e3, engine="reference", duration=0.02).pressure.shape
     (1, 3840)
     """
     plan = plan_render(
-        scene, paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
-        transition=transition, response_error_db=response_error_db, baseband=baseband, quietest_db=quietest_db,
-        engine=engine, device=device, duration=duration, chunk=chunk, convolve_at_rest=convolve_at_rest,
+        paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
+        transition=transition, response_error_db=response_error_db, baseband=baseband, prune_below_db=prune_below_db,
+        engine=engine, device=device, duration=duration, chunk=chunk, convolve_static=convolve_static,
     )  # fmt: skip
     return _record(plan)
 
@@ -149,7 +145,7 @@ def render_tracks(
     device: str | None = None,
     duration: float | None = None,
     chunk: int | None = None,
-    convolve_at_rest: bool = True,
+    convolve_static: bool = True,
 ) -> Recording:
     """Return what is heard of signals along tracks, whoever computed these.
 
@@ -163,19 +159,19 @@ def render_tracks(
         Of the recording, Hz.
     starts : sequence of float, optional
         Time at which each signal begins, s; 0 when left out.
-    interpolator, response_error_db, baseband, engine, device, duration, chunk, convolve_at_rest
+    interpolator, response_error_db, baseband, engine, device, duration, chunk, convolve_static
         As in `render`.
     """
     plan = plan_tracks(
         signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, response_error_db=response_error_db,
         baseband=baseband, engine=engine, device=device, duration=duration, chunk=chunk,
-        convolve_at_rest=convolve_at_rest,
+        convolve_static=convolve_static,
     )  # fmt: skip
     return _record(plan)
 
 
 def render_chunks(
-    plan: Plan, *, first: int = 0, receiving: Receiving | None = None
+    plan: Plan, *, first: int = 0, receiver_chain: ReceiverChain | None = None
 ) -> Iterator[tuple[int, NDArray[Any]]]:
     """Yield the recording piece by piece, in bounded memory.
 
@@ -185,7 +181,7 @@ def render_chunks(
         From `plan_render`.
     first : int
         Sample to begin with, a whole number of chunks: those before it were rendered earlier.
-    receiving : Receiving, optional
+    receiving : ReceiverChain, optional
         The receivers' ends, with all that they remember of the pieces before. Behind each piece its ``state()`` is
         what another process needs to go on bit for bit, by ``restore``.
 
@@ -203,19 +199,19 @@ def render_chunks(
     """
     if as_count("first", first, at_most=plan.samples) % plan.chunk and first != plan.samples:
         raise InputError("first", f"must be a whole number of chunks of {plan.chunk} samples, but is {first}")
-    receiving = Receiving(plan) if receiving is None else receiving
-    yield from _pieces(plan, receiving, first)
-    receiving.warn()
+    receiver_chain = ReceiverChain(plan) if receiver_chain is None else receiver_chain
+    yield from _pieces(plan, receiver_chain, first)
+    receiver_chain.warn()
 
 
-def _pieces(plan: Plan, receiving: Receiving, first: int = 0) -> Iterator[tuple[int, NDArray[Any]]]:
+def _pieces(plan: Plan, receiver_chain: ReceiverChain, first: int = 0) -> Iterator[tuple[int, NDArray[Any]]]:
     engine, convolution = _engine(plan), Convolution(plan)
     for start in range(first, plan.samples, plan.chunk):
         stop = min(start + plan.chunk, plan.samples)
         silence = (plan.receiver_count, stop - start)
         pressure = np.zeros(silence, plan.sample_type) if engine is None else engine.render(start, stop)
         convolution.add(pressure, start)
-        yield start, receiving(start, pressure)
+        yield start, receiver_chain(start, pressure)
     if isinstance(engine, OpenclEngine):
         engine.warn()
 
@@ -224,7 +220,7 @@ def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine | None:
     """Return what renders the paths of a plan that are not convolved; None if there are none."""
     if plan.engine == "reference":
         return ReferenceEngine(plan)
-    if len(plan.at_rest.groups) == len(plan.tracks.groups):
+    if len(plan.static_pairs.groups) == len(plan.tracks.groups):
         find_device(plan.device)  # a device that is not there is an error all the same
         return None
     return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
@@ -236,12 +232,12 @@ def _record(plan: Plan) -> Recording:
     size = plan.receiver_count * plan.samples * np.dtype(plan.sample_type).itemsize
     with within_memory("duration", "a whole recording (see `render_chunks`)", size):
         samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)
-    receiving = Receiving(plan)
-    for start, piece in _pieces(plan, receiving):
+    receiver_chain = ReceiverChain(plan)
+    for start, piece in _pieces(plan, receiver_chain):
         samples[:, start : start + piece.shape[1]] = piece
-    receiving.warn()
+    receiver_chain.warn()
     samples.flags.writeable = False
     paths = plan.tracks.paths if isinstance(plan.tracks, SceneTracks) else None
-    notes = (*plan.describe(), *receiving.describe())
+    notes = (*plan.describe(), *receiver_chain.describe())
     names = plan.tracks.receiver_names
-    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiving.clipped, plan.carrier)
+    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiver_chain.clipped, plan.carrier)

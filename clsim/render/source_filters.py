@@ -44,7 +44,7 @@ _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may w
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Emission:
+class SourceFilters:
     """One source's signal and the filters for it.
 
     Attributes
@@ -93,7 +93,7 @@ class Emission:
         return self.oversampling * self.signal.sampling_rate
 
     @property
-    def late(self) -> float:
+    def delay_samples(self) -> float:
         """What is added to delays, samples of the branch signals."""
         return self.start * self.rate - self.bank.shift
 
@@ -134,7 +134,7 @@ class Emission:
         own = self.signal.read(before, -(-last // times))
         return np.kron(own, np.eye(1, times)[0])[first - times * before :][: last - first]
 
-    def turned(self, late: Floats) -> Floats | Complexes | float:
+    def turned(self, delay_samples: Floats) -> Floats | Complexes | float:
         """Return the factor by which delays (P, n), samples, turn the phase of what is carried: 1 of sound as it is."""
         return 1.0
 
@@ -179,7 +179,7 @@ class Emission:
         )
 
 
-def design_emission(
+def design_source_filters(
     index: int,
     signal: Signal,
     start: float,
@@ -190,8 +190,8 @@ def design_emission(
     sampling_rate: float,
     response_error_db: float | str,
     exact: bool,
-    at_rest: bool = False,
-) -> Emission:
+    static: bool = False,
+) -> SourceFilters:
     """Return a source's signal at the sampling rate, Hz, with filters for its band and for how its paths move.
 
     Parameters
@@ -214,7 +214,7 @@ def design_emission(
         As in `render`.
     exact : bool
         For the reference engine: -100 dB at least.
-    at_rest : bool
+    static : bool
         All its paths are convolved, so that nothing needs functions of frequency.
 
     Raises
@@ -228,11 +228,11 @@ def design_emission(
     times = _oversampling(sound, interpolator, tracks.max_rate(index), sampling_rate)
     high, removed_db, limit = _band(index, signal, sound, interpolator, tracks, times)
     rate = times * sampling_rate
-    basis = basis_of(index, signal, sound, high, tracks, until, rate, response_error_db, exact, at_rest)
+    basis = basis_of(index, signal, sound, high, tracks, until, rate, response_error_db, exact, static)
     banks = _banks(index, basis, sound, high, interpolator, tracks.max_rate(index), rate, times)
     filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])
     swiftness = min(sound.swiftness(), high) or high
-    return Emission(signal, start, banks, basis, filters, limit, high, swiftness, times, removed_db)
+    return SourceFilters(signal, start, banks, basis, filters, limit, high, swiftness, times, removed_db)
 
 
 def check_response_error(response_error_db: float | str) -> None:
@@ -355,7 +355,7 @@ def basis_of(
     rate: float,
     error_db: float | str,
     exact: bool,
-    at_rest: bool,
+    static: bool,
     least: float = 0.0,
 ) -> Basis:
     """Return the functions of frequency that a source's paths need, from `least` to `high` Hz at most."""
@@ -365,7 +365,7 @@ def basis_of(
         return flat_basis(signal.centre_frequency)
     told = shares(signal.energy_spectrum(), _MAIN_SHARE)
     check_known(tracks.scene, [index], *told, f"the signal of source {index}")
-    if at_rest:
+    if static:
         return flat_basis(signal.centre_frequency)
     floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
     low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from clsim.render.interpolator import Interpolator
     from clsim.render.plan import Plan
-    from clsim.render.source_filters import Emission
+    from clsim.render.source_filters import SourceFilters
     from clsim.scene.scene import Receiver, Source
     from clsim.tracks.tracks import Tracks
 
@@ -30,7 +30,7 @@ _LOWEST_COMPLEX = 1e-3  # the same for complex responses, which may bend at 0 Hz
 
 
 @dataclass(frozen=True, slots=True)
-class AtRest:
+class StaticPairs:
     """Which groups of paths are convolved, by their indices.
 
     Attributes
@@ -56,27 +56,27 @@ class AtRest:
         return [f"{len(self.groups)} of {len(tracks.groups)} pairs never move: impulse responses, convolved"]
 
 
-NONE_AT_REST = AtRest()
+NO_STATIC_PAIRS = StaticPairs()
 
 
-def find_at_rest(tracks: Tracks, interpolator: Interpolator, *, at_centre: bool) -> AtRest:
+def find_static_pairs(tracks: Tracks, interpolator: Interpolator, *, at_centre: bool) -> StaticPairs:
     """Return the groups of paths that never change.
 
     Neither end moves, no clock drifts, no path begins or ends, and no beam turns. A delay filter that is asked for by
     name (Lagrange) is used for all paths.
     """
     if not isinstance(tracks, SceneTracks) or not isinstance(interpolator, Bandlimited):
-        return NONE_AT_REST
+        return NO_STATIC_PAIRS
     scene, found = tracks.scene, []
     for i, group in enumerate(tracks.groups):
         source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
-        if _rests(source) and _rests(receiver) and receiver.pace == 1.0 and group.always_heard:
+        if _is_static(source) and _is_static(receiver) and receiver.clock_rate == 1.0 and group.always_heard:
             found.append(i)
-    return AtRest(frozenset(found), at_centre)
+    return StaticPairs(frozenset(found), at_centre)
 
 
-def _rests(end: Source | Receiver) -> bool:
-    return end.trajectory.at_rest and (isinstance(end.directivity, Omni) or not end.trajectory.turns)
+def _is_static(end: Source | Receiver) -> bool:
+    return end.trajectory.is_static and (isinstance(end.directivity, Omni) or not end.trajectory.turns)
 
 
 class Convolution:
@@ -88,15 +88,17 @@ class Convolution:
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add what is heard from sample `start` on to the pressure (receivers, n) in Pa."""
-        if self._plan.at_rest.groups and not self._responses:
-            self._responses = {source: _responses(self._plan, source) for source in range(len(self._plan.emissions))}
+        if self._plan.static_pairs.groups and not self._responses:
+            self._responses = {
+                source: _responses(self._plan, source) for source in range(len(self._plan.source_filters))
+            }
         stop = start + pressure.shape[1]
         for source, responses in self._responses.items():
             if not responses:
                 continue
             last = max(response.last for _, response in responses)
             first = min(response.first for _, response in responses)
-            emitted = self._plan.emissions[source].emitted(start - last, stop - first)
+            emitted = self._plan.source_filters[source].emitted(start - last, stop - first)
             if not np.any(emitted):
                 continue
             for receiver, response in responses:
@@ -105,27 +107,25 @@ class Convolution:
 
 def _responses(plan: Plan, source: int) -> list[tuple[int, ImpulseResponse]]:
     """Return receivers and impulse responses of a source."""
-    tracks, emission = plan.tracks, plan.emissions[source]
+    tracks, filters = plan.tracks, plan.source_filters[source]
     assert isinstance(tracks, SceneTracks)
-    centre = emission.signal.centre_frequency if plan.at_rest.at_centre else None
-    rate = emission.signal.sampling_rate
-    band, found = _band(emission, complex_responses=is_complex(tracks.scene)), []
-    for i in sorted(plan.at_rest.groups):
+    centre = filters.signal.centre_frequency if plan.static_pairs.at_centre else None
+    rate = filters.signal.sampling_rate
+    band, found = _band(filters, complex_responses=is_complex(tracks.scene)), []
+    for i in sorted(plan.static_pairs.groups):
         group = tracks.path_groups[i]
         if group.source == source:
-            ahead = float(tracks.scene.receivers[group.receiver].clock_ahead(np.zeros(1))[0])
-            response = frozen_response(
-                tracks.scene, group, 0.0, rate, band, later=emission.start - ahead, centre=centre
-            )
-            found.append((group.receiver, emission.acting(response)))
+            ahead = float(tracks.scene.receivers[group.receiver].clock_error(np.zeros(1))[0])
+            response = frozen_response(tracks.scene, group, 0.0, rate, band, later=filters.start - ahead, centre=centre)
+            found.append((group.receiver, filters.acting(response)))
     return found
 
 
-def _band(emission: Emission, *, complex_responses: bool) -> ResponseBand:
+def _band(filters: SourceFilters, *, complex_responses: bool) -> ResponseBand:
     """Return the band that holds a signal, with edges as wide as there is room, so that arrivals are short."""
-    rate = emission.signal.sampling_rate
-    low, high = np.clip(shares(emission.signal.energy_spectrum(), _SHARE), *emission.held)
-    high = min(max(high, 0.025 * rate), max(0.5 * _WIDEST * rate, emission.band))
+    rate = filters.signal.sampling_rate
+    low, high = np.clip(shares(filters.signal.energy_spectrum(), _SHARE), *filters.held)
+    high = min(max(high, 0.025 * rate), max(0.5 * _WIDEST * rate, filters.band))
     low, above = min(low, high), 0.5 * rate - high
     least = (_LOWEST_COMPLEX if complex_responses else _LOWEST) * rate
     return ResponseBand(low, high, low if low >= least else 0.0, above)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -26,7 +26,21 @@ _THINNEST, _DENSEST = 1e4, 1e6  # Pa
 _SLOWEST, _FASTEST = 100.0, 2000.0  # m/s: heavy gases, hydrogen, water
 
 
-@dataclass(frozen=True, slots=True)
+class _FormulaSpeed(float):
+    """A speed of sound from a formula, which knows its formula: air with another temperature has another speed."""
+
+    formula: str | None
+
+    def __new__(cls, speed: float, formula: str | None) -> Self:
+        made = super().__new__(cls, speed)
+        made.formula = formula
+        return made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _FormulaSpeed, (float(self), self.formula)
+
+
+@dataclass(frozen=True, slots=True, init=False)
 class Air:
     """Still air of one temperature, humidity and pressure.
 
@@ -43,6 +57,11 @@ class Air:
     absorption : bool
         Whether the air absorbs sound, by ISO 9613-1; without it closed forms of walls and spreading hold exactly.
 
+    Attributes
+    ----------
+    speed_of_sound : float
+        The given speed, or what the formula gives, m/s.
+
     Raises
     ------
     InputError
@@ -58,56 +77,42 @@ class Air:
     Examples
     --------
     >>> air = Air(temperature_celsius=20.0, relative_humidity=0.5)
-    >>> round(air.sound_speed, 3), round(float(air.absorption_at(40e3)), 3)
+    >>> round(air.speed_of_sound, 3), round(float(air.absorption_at(40e3)), 3)
     (343.994, 1.318)
     """
 
-    temperature_celsius: float = 20.0
-    relative_humidity: float = 0.5
-    pressure: float = 101_325.0
-    speed_of_sound: float | str | None = None
-    absorption: bool = True
+    temperature_celsius: float
+    relative_humidity: float
+    pressure: float
+    speed_of_sound: float
+    absorption: bool
 
-    def __post_init__(self) -> None:
-        for name, value in (
-            (
-                "temperature_celsius",
-                as_number(
-                    "temperature_celsius",
-                    self.temperature_celsius,
-                    at_least=_COLDEST,
-                    at_most=_HOTTEST,
-                    unit="°C",
-                ),
-            ),
-            ("relative_humidity", _checked_humidity(self.relative_humidity)),
-            (
-                "pressure",
-                as_number("pressure", self.pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa"),
-            ),
-            ("speed_of_sound", _checked_speed(self.speed_of_sound)),
-            ("absorption", as_flag("absorption", self.absorption)),
-        ):
-            object.__setattr__(self, name, value)
-        vapour = vapour_fraction_giacomo(self.temperature_celsius, self.relative_humidity, self.pressure)
+    def __init__(
+        self,
+        temperature_celsius: float = 20.0,
+        relative_humidity: float = 0.5,
+        pressure: float = 101_325.0,
+        speed_of_sound: float | str | None = None,
+        absorption: bool = True,
+    ) -> None:
+        celsius = as_number("temperature_celsius", temperature_celsius, at_least=_COLDEST, at_most=_HOTTEST, unit="°C")
+        humidity = _checked_humidity(relative_humidity)
+        pascal = as_number("pressure", pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa")
+        asked = _checked_speed(speed_of_sound)
+        absorbs = as_flag("absorption", absorption)
+        vapour = vapour_fraction_giacomo(celsius, humidity, pascal)
         if vapour >= 1.0:
             raise InputError(
                 "relative_humidity",
-                f"must leave room for air, but at {self.temperature_celsius:g} °C and {self.pressure:g} Pa "
-                f"{self.relative_humidity:g} is nothing but water vapour",
+                f"must leave room for air, but at {celsius:g} °C and {pascal:g} Pa "
+                f"{humidity:g} is nothing but water vapour",
             )
-        for message in (_doubt_in_speed(self, vapour), _doubt_in_absorption(self)):
+        speed = _speed(asked, celsius, humidity, pascal)
+        for name, value in zip(self.__slots__, (celsius, humidity, pascal, speed, absorbs), strict=True):
+            object.__setattr__(self, name, value)
+        for message in (_doubt_in_speed(self, asked, vapour), _doubt_in_absorption(self)):
             if message:
-                warnings.warn(message, ClsimWarning, stacklevel=3)
-
-    @property
-    def sound_speed(self) -> float:
-        """Speed of sound, m/s: the given one, or what the formula gives."""
-        if self.speed_of_sound is None:
-            return speed_of_sound_cramer(self.temperature_celsius, self.relative_humidity, self.pressure)
-        if isinstance(self.speed_of_sound, str):
-            return speed_of_sound_iso9613(self.temperature_celsius)
-        return self.speed_of_sound
+                warnings.warn(message, ClsimWarning, stacklevel=2)
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
         """Return the absorption of pure tones by ISO 9613-1, dB/m; zero in air without.
@@ -156,6 +161,8 @@ def _checked_humidity(value: float) -> float:
 
 
 def _checked_speed(value: float | str | None) -> float | str | None:
+    if isinstance(value, _FormulaSpeed):
+        return value.formula
     if value is None:
         return None
     if isinstance(value, str):
@@ -163,10 +170,19 @@ def _checked_speed(value: float | str | None) -> float | str | None:
     return as_number("speed_of_sound", value, at_least=_SLOWEST, at_most=_FASTEST, unit="m/s")
 
 
-def _doubt_in_speed(air: Air, vapour: float) -> str:
+def _speed(asked: float | str | None, celsius: float, humidity: float, pressure: float) -> float:
+    """Return the speed of sound that was asked for, by number or by formula, m/s."""
+    if asked is None:
+        return _FormulaSpeed(speed_of_sound_cramer(celsius, humidity, pressure), None)
+    if isinstance(asked, str):
+        return _FormulaSpeed(speed_of_sound_iso9613(celsius), asked)
+    return asked
+
+
+def _doubt_in_speed(air: Air, asked: float | str | None, vapour: float) -> str:
     """Return a sentence if the speed comes from Cramer's formula outside its range."""
     inside = 0.0 <= air.temperature_celsius <= 30.0 and 75e3 <= air.pressure <= 102e3 and vapour <= 0.06
-    if air.speed_of_sound is not None or inside:
+    if asked is not None or inside:
         return ""
     return (
         f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of "

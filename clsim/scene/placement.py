@@ -28,7 +28,7 @@ _SCAN_BLOCK = 65536  # instants among which the nearest approach is told
 def check_motions(scene: Scene) -> None:
     """Refuse trajectories that leave the room, meet a wall, or are as fast as sound, with time and place."""
     ends = scene.named_ends()
-    still = [i for i, (_, item) in enumerate(ends) if item.trajectory.at_rest and item.flush is False]
+    still = [i for i, (_, item) in enumerate(ends) if item.trajectory.is_static and item.flush is False]
     if still:  # one look at all of them: they may be very many
         free = clearance(scene.room, _places([ends[i][1] for i in still])) > 0.0
         ends = [ends[i] for i in sorted({*range(len(ends))} - {still[i] for i in np.flatnonzero(free)})]
@@ -41,8 +41,8 @@ def _check_motion(scene: Scene, field_name: str, item: Source | Receiver) -> Non
         mount = find_mount(scene.room, item)
     except InputError as error:
         raise error.within(field_name) from error
-    speed_of_sound, (start, end) = scene.air.sound_speed, scene.span(item)
-    instants = Instants(start, start if item.trajectory.at_rest else end, _SCAN_RATE)
+    speed_of_sound, (start, end) = scene.air.speed_of_sound, scene.span(item)
+    instants = Instants(start, start if item.trajectory.is_static else end, _SCAN_RATE)
     refused = first_refused(scene.room, item.trajectory, instants, mount)
     if refused is not None:
         times = instants.times(np.arange(refused, min(refused + 2, instants.count)))
@@ -65,14 +65,14 @@ def _places(ends: Sequence[Source | Receiver]) -> Floats:
 def check_distances(scene: Scene, index: int, source: Source) -> None:
     """Refuse a source that comes closer to a receiver than the scene allows, with the time."""
     last, nearest = scene.span(source)[1], scene.min_distance
-    still = [r for r in scene.receivers if r.trajectory.at_rest]
+    still = [r for r in scene.receivers if r.trajectory.is_static]
     if still:
         instants = Instants(0.0, last, _SCAN_RATE)
         met = first_approach(source.trajectory, _places(still), nearest, instants)
         if met is not None:
             raise _too_close(scene, index, still[met[1]], instants, met[0])
     for receiver in scene.receivers:
-        if not receiver.trajectory.at_rest:
+        if not receiver.trajectory.is_static:
             instants = Instants(0.0, min(last, receiver.trajectory.end), _SCAN_RATE)
             met = first_approach(source.trajectory, receiver.trajectory, nearest, instants)
             if met is not None:

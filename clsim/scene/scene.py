@@ -13,7 +13,7 @@ from clsim.arrays import FARTHEST, Floats, as_number
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
 from clsim.scene.air import Air
-from clsim.scene.directivity.patterns import AnyDirectivity, Directivity, Omni, SphericalDirectivity
+from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, Directivity, Omni
 from clsim.scene.flush import checked_flush
 from clsim.scene.motion.checks import LONGEST, as_direction
 from clsim.scene.motion.trajectory import Trajectory
@@ -63,7 +63,7 @@ class Source:
     name: str
     signal: Signal
     trajectory: Trajectory
-    directivity: AnyDirectivity = field(default_factory=Omni)
+    directivity: Directivity = field(default_factory=Omni)
     aim: Any = None
     start: float = 0.0
     transducer: Transducer | None = None
@@ -111,7 +111,7 @@ class Receiver:
 
     name: str
     trajectory: Trajectory
-    directivity: AnyDirectivity = field(default_factory=Omni)
+    directivity: Directivity = field(default_factory=Omni)
     aim: Any = None
     transducer: Transducer | None = None
     electronics: Electronics | None = None
@@ -129,13 +129,13 @@ class Receiver:
         return "Pa" if self.transducer is None else "V"
 
     @property
-    def pace(self) -> float:
+    def clock_rate(self) -> float:
         """True seconds per second told by the receiver's clock."""
         return 1.0 if self.electronics is None else 1.0 + 1e-6 * self.electronics.clock_ppm
 
-    def clock_ahead(self, times: Floats) -> Floats:
+    def clock_error(self, times: Floats) -> Floats:
         """Return how much later than told by the receiver's clock its samples are taken (n,), s."""
-        return np.zeros_like(times) if self.electronics is None else self.electronics.clock_ahead(times)
+        return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
     def orientation(self, times: Floats) -> Floats:
         """Return unit quaternions x y z w at `times` (n,), shape (n, 4)."""
@@ -217,7 +217,7 @@ def _checked_ends(item: Source | Receiver) -> Floats | None:
         raise InputError("name", f"must be a text that is not empty, but is {item.name!r:.80}")
     if not isinstance(item.trajectory, Trajectory):
         raise InputError("trajectory", f"must be a Trajectory, but is {item.trajectory!r:.80}")
-    if not isinstance(item.directivity, Omni | Directivity | SphericalDirectivity):
+    if not isinstance(item.directivity, Omni | AxialPattern | DirectionalPattern):
         raise InputError("directivity", f"must be a directivity, but is {item.directivity!r:.80}")
     if item.transducer is not None and not isinstance(item.transducer, Transducer):
         raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")

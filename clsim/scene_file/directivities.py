@@ -8,16 +8,16 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from clsim.errors import InputError
-from clsim.scene.directivity.axial_table import DirectivityTable
+from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.patterns import (
-    Cardioid,
-    Directivity,
+    AxialPattern,
+    DirectionalPattern,
+    FirstOrder,
     Omni,
     Piston,
-    SphericalDirectivity,
     named_directivity,
 )
-from clsim.scene.directivity.spherical_table import SphericalTable
+from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene_file.model import Model
 
 
@@ -26,7 +26,7 @@ class OmniModel(Model):
 
     kind: Literal["omni"] = "omni"
 
-    def build(self, base: Path) -> Directivity:
+    def build(self, base: Path) -> AxialPattern:
         """Return what it says."""
         return Omni()
 
@@ -35,15 +35,15 @@ class _Cardioid(Model):
     kind: Literal["cardioid"]
     weight: float = 0.5
 
-    def build(self, base: Path) -> Directivity:
-        return Cardioid(self.weight)
+    def build(self, base: Path) -> AxialPattern:
+        return FirstOrder(self.weight)
 
 
 class _Piston(Model):
     kind: Literal["piston"]
     radius: float
 
-    def build(self, base: Path) -> Directivity:
+    def build(self, base: Path) -> AxialPattern:
         return Piston(self.radius)
 
 
@@ -52,7 +52,7 @@ class _Named(Model):
     name: str
     outside: Literal["hold"] | None = None
 
-    def build(self, base: Path) -> Directivity:
+    def build(self, base: Path) -> AxialPattern:
         return named_directivity(self.name, self.outside)
 
 
@@ -73,7 +73,7 @@ class DirectivityTableModel(Model):
     outside: Literal["hold"] | None = None
     relative_to_axis: bool = False
 
-    def build(self, base: Path) -> Directivity:
+    def build(self, base: Path) -> AxialPattern:
         """Return what it says."""
         path = base / self.path
         options: dict[str, Any] = {
@@ -91,7 +91,7 @@ class DirectivityTableModel(Model):
                     name, f"must be left out for text files, whose layout is fixed, but is {layout[name]!r}"
                 )
             phases = None if self.phases_path is None else base / self.phases_path
-            return DirectivityTable.from_csv(path, phases, self.scale or "db", **options)
+            return AxialDirectivity.from_csv(path, phases, self.scale or "db", **options)
         if suffix not in (".npz", ".mat"):
             raise InputError("path", f"must end in .csv, .txt, .npz or .mat, but is {self.path!r:.80}")
         if self.phases_path is not None:
@@ -100,7 +100,7 @@ class DirectivityTableModel(Model):
             raise InputError(
                 "variable", f"must be left out for .npz files, which hold no structs, but is {self.variable!r}"
             )
-        read = DirectivityTable.from_npz if suffix == ".npz" else DirectivityTable.from_mat
+        read = AxialDirectivity.from_npz if suffix == ".npz" else AxialDirectivity.from_mat
         return read(path, self.scale, **layout, **options)
 
 
@@ -113,10 +113,10 @@ class SofaModel(Model):
     outside: Literal["hold"] | None = None
     relative_to_axis: bool = False
 
-    def build(self, base: Path) -> SphericalDirectivity:
+    def build(self, base: Path) -> DirectionalPattern:
         """Return what it says."""
         path = base / self.path
-        return SphericalTable.from_sofa(
+        return SphericalDirectivity.from_sofa(
             path, self.measurement, outside=self.outside, relative_to_axis=self.relative_to_axis, name=path.stem
         )
 

@@ -165,12 +165,12 @@ class _Render(Model):
     transition: float | Literal["gate"] = DEFAULT_TRANSITION
     response_error_db: float | Literal["centre"] = DEFAULT_RESPONSE_ERROR_DB
     baseband: _Baseband | None = None
-    quietest_db: float | None = None
+    prune_below_db: float | None = None
     engine: Literal["opencl", "reference"] = "opencl"
     device: str | None = None
     duration: float | None = None
     chunk: int | None = None
-    convolve_at_rest: bool = True
+    convolve_static: bool = True
 
 
 class SceneModel(Model):

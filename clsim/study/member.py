@@ -22,7 +22,7 @@ import numpy as np
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, StoredSound, consolidate, texts
-from clsim.paths.ground_truth import direct_truth
+from clsim.paths.ground_truth import direct_path
 from clsim.study.file import TAKEN, Member, Study
 
 if TYPE_CHECKING:
@@ -219,7 +219,7 @@ def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, st
         file.render["device"] = file.render["device"] or device
         file.paths["device"] = file.paths["device"] or device
     paths = find_paths(file.scene, **file.paths)
-    recording = render(file.scene, paths, **file.render)
+    recording = render(paths, **file.render)
     content = _described(file, recording, study, member)
     if "recording" in study.keep:
         content["sound"] = (("receiver", "time"), recording.samples, content.attrs.pop("sound"))
@@ -261,7 +261,7 @@ def _instants(rate: float, recording: Recording) -> Any:
 
 
 def _add_truth(content: Any, paths: PathSet, times: Any, motion: str) -> None:
-    truth = direct_truth(paths, times, motion)
+    truth = direct_path(paths, times, motion)
     over = ("source", "receiver", "times")
     content.coords["times"] = ("times", truth.times, _OF_RECEPTION)
     content.coords["source"] = texts(s.name for s in paths.scene.sources)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.paths.arrivals import MACH_EXPONENT, arrivals
-from clsim.paths.response import NEPERS, beam_gain, known
+from clsim.paths.response import NEPERS, directivity_gain, known
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.signal.occupied_bandwidth import shares
-from clsim.tracks.tracks import SceneTracks, TrackGroup
+from clsim.tracks.tracks import PairTracks, SceneTracks
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
-    from clsim.scene.directivity.patterns import AnyDirectivity
+    from clsim.scene.directivity.patterns import Directivity
 
 _STEP = 0.25  # s, over which distances are bounded
 _LEAST_MOVE = 0.05  # m, or for as long as motions take for it
@@ -27,7 +27,7 @@ _FREQUENCIES = 9
 _SHARE = 1e-4  # of the signal's energy at either end, which is not looked at
 
 
-def without_quiet(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTracks, str]:
+def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTracks, str]:
     """Return the tracks of the paths that may matter, and what is said of the others.
 
     Parameters
@@ -58,7 +58,7 @@ def without_quiet(tracks: SceneTracks, below_db: float, until: float) -> tuple[S
     if not count:
         return tracks, f"no path stays below {below_db:g} dB"
     groups = [
-        TrackGroup(group.source, group.receiver, group.start[rows], group.end[rows])
+        PairTracks(group.source, group.receiver, group.start[rows], group.end[rows])
         for group, rows in zip(tracks.groups, kept, strict=True)
     ]
     reduced = replace(
@@ -76,7 +76,7 @@ def without_quiet(tracks: SceneTracks, below_db: float, until: float) -> tuple[S
 def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, float]:
     """Return bounds (P,) of the gains of a group's paths, and the strongest gain that was met."""
     scene, paths = tracks.scene, tracks.path_groups[group]
-    source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.sound_speed
+    source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.speed_of_sound
     frequencies = np.linspace(*shares(source.emitted.energy_spectrum(), _SHARE), _FREQUENCIES)
     factors = np.ones((len(scene.room.wall_materials) + 1, len(frequencies)))
     for w, material in enumerate(scene.room.wall_materials):
@@ -85,7 +85,7 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
     beams = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
     reflected = np.prod(factors[paths.walls], axis=1) * beams
     nepers = scene.air.absorption_at(frequencies) * NEPERS
-    stretch = (1.0 - tracks.source_speed[paths.source] / c) ** -MACH_EXPONENT[tracks.amplitude]
+    mach_factor = (1.0 - tracks.source_speed[paths.source] / c) ** -MACH_EXPONENT[tracks.amplitude]
     bound, strongest = np.zeros(len(paths.walls)), 0.0
     speed = tracks.source_speed[paths.source] + tracks.receiver_speed[paths.receiver]
     member, step = tracks.groups[group], _STEP
@@ -95,7 +95,7 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
     for begin, end in pairwise(edges):
         heard = (member.start < end) & (member.end > begin)
         nearest = np.maximum(tracks.delay_range(group, begin, end)[0] * c, scene.min_distance)[:, None]
-        gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * stretch
+        gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
         bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
         middle = np.array([0.5 * (begin + end)])
         now = np.abs(arrivals(scene, paths, middle, tracks.motion, tracks.amplitude).gain[:, 0])
@@ -103,7 +103,7 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
     return bound, strongest
 
 
-def _peak(directivity: AnyDirectivity, frequencies: Floats, speed_of_sound: float) -> Floats:
+def _peak(directivity: Directivity, frequencies: Floats, speed_of_sound: float) -> Floats:
     """Return a bound of a beam's gain in any direction, (F,)."""
     if isinstance(directivity, Omni):
         return np.ones(len(frequencies))
@@ -111,5 +111,5 @@ def _peak(directivity: AnyDirectivity, frequencies: Floats, speed_of_sound: floa
     z, turn = 1.0 - 2.0 * (i + 0.5) / _DIRECTIONS, i * math.pi * (3.0 - math.sqrt(5.0))  # Fibonacci's spiral
     flat = np.sqrt(1.0 - z**2)
     towards = np.stack([z, flat * np.cos(turn), flat * np.sin(turn)], axis=1)  # dense along the axis, +x
-    gain = np.abs(beam_gain(directivity, np.concatenate([np.eye(3)[:1], towards]), frequencies, speed_of_sound))
+    gain = np.abs(directivity_gain(directivity, np.concatenate([np.eye(3)[:1], towards]), frequencies, speed_of_sound))
     return np.asarray(_BETWEEN * np.broadcast_to(gain, (len(towards) + 1, len(frequencies))).max(axis=0))

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PathGroup, arrivals
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PairPaths, arrivals
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import Responses
 from clsim.scene.motion.curves import CONTINUATION
@@ -29,7 +29,7 @@ _TOGETHER = 65536  # paths looked at at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrackGroup:
+class PairTracks:
     """Paths from one source to one receiver.
 
     Attributes
@@ -57,7 +57,7 @@ class TrackGroup:
 class Tracks(ABC):
     """Delay and gain of paths as functions of the time of reception."""
 
-    groups: tuple[TrackGroup, ...]
+    groups: tuple[PairTracks, ...]
     source_count: int
     receiver_names: tuple[str, ...]
     transition: float  # s, over which paths begin and end; 0 for a gate
@@ -148,8 +148,8 @@ class SceneTracks(Tracks):
     paths: PathSet
     motion: str
     amplitude: str
-    groups: tuple[TrackGroup, ...]
-    path_groups: tuple[PathGroup, ...]
+    groups: tuple[PairTracks, ...]
+    path_groups: tuple[PairPaths, ...]
     path_rows: tuple[NDArray[np.int64], ...]  # of each group's paths in `paths`
     source_speed: tuple[float, ...]
     receiver_speed: tuple[float, ...]
@@ -176,45 +176,45 @@ class SceneTracks(Tracks):
         """Return delay, its derivative and gains, in float64 without approximation."""
         paths = self.path_groups[group] if rows is None else self.path_groups[group].part(rows)
         receiver = self.scene.receivers[paths.receiver]
-        ahead, pace = receiver.clock_ahead(times), receiver.pace
-        found = arrivals(self.scene, paths, times + ahead, self.motion, self.amplitude)
-        response = Responses(self.scene, basis.nodes).along(paths, found, times + ahead)
+        clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
+        found = arrivals(self.scene, paths, times + clock_error, self.motion, self.amplitude)
+        response = Responses(self.scene, basis.nodes).along(paths, found, times + clock_error)
         gain = np.moveaxis(basis.gains(response), -1, 0)
-        return found.delay - ahead, found.delay_rate * pace - (pace - 1.0), gain
+        return found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0), gain
 
     def max_rate(self, source: int) -> float:
         """Return ``(v_s + v_r) / (c - v_s)`` with peak speeds, by the clock of the receiver where it is most."""
-        paces = [r.pace for r in self.scene.receivers]
+        paces = [r.clock_rate for r in self.scene.receivers]
         speeds = zip(self.receiver_speed, paces, strict=True)
-        return max(self._rate(source, speed) * pace + abs(pace - 1.0) for speed, pace in speeds)
+        return max(self._rate(source, speed) * clock_rate + abs(clock_rate - 1.0) for speed, clock_rate in speeds)
 
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
         """Return the largest peak speed, and by how much all speeds must be scaled for another rate of delays."""
-        v_s, v_r, c = self.source_speed[source], max(self.receiver_speed), self.scene.air.sound_speed
+        v_s, v_r, c = self.source_speed[source], max(self.receiver_speed), self.scene.air.speed_of_sound
         scale = max_rate * c / (v_s + v_r + max_rate * v_s)
         return max(v_s, v_r), scale * max(v_s, v_r)
 
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds from the distance at mid-time and the peak speeds."""
         paths = self.path_groups[group]
-        told = np.array([start, end])
-        ahead = self.scene.receivers[paths.receiver].clock_ahead(told)
-        start, end = (told + ahead).tolist()
-        c, middle = self.scene.air.sound_speed, np.array([0.5 * (start + end)])
+        clock_times = np.array([start, end])
+        clock_error = self.scene.receivers[paths.receiver].clock_error(clock_times)
+        start, end = (clock_times + clock_error).tolist()
+        c, middle = self.scene.air.speed_of_sound, np.array([0.5 * (start + end)])
         x_s = self.scene.sources[paths.source].trajectory.position(middle)[0]
         x_r = self.scene.receivers[paths.receiver].trajectory.position(middle)[0]
         distance = np.linalg.norm(paths.matrix @ x_s + paths.offset - x_r, axis=1)
         v_s, v_r = self.source_speed[paths.source], self.receiver_speed[paths.receiver]
         slack = 0.5 * (end - start) * (v_s + v_r)
         low, high = np.maximum(distance - slack, 0.0) / (c + v_s), (distance + slack) / (c - v_s)
-        return low - ahead.max(), high - ahead.min()
+        return low - clock_error.max(), high - clock_error.min()
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return the largest of the bounds of `delay_range`, of very many groups at once."""
-        scene, c, longest = self.scene, self.scene.air.sound_speed, 0.0
-        told = np.array([start, end])
-        ahead = np.stack([r.clock_ahead(told) for r in scene.receivers])
-        middle, reach = np.mean(told + ahead, axis=1), 0.5 * np.diff(told + ahead)[:, 0]
+        scene, c, longest = self.scene, self.scene.air.speed_of_sound, 0.0
+        clock_times = np.array([start, end])
+        clock_error = np.stack([r.clock_error(clock_times) for r in scene.receivers])
+        middle, reach = np.mean(clock_times + clock_error, axis=1), 0.5 * np.diff(clock_times + clock_error)[:, 0]
         x_r = np.stack([r.trajectory.position(t) for r, t in zip(scene.receivers, middle, strict=True)])
         for s in range(len(scene.sources)) if source is None else [source]:
             v_s = self.source_speed[s]
@@ -224,24 +224,24 @@ class SceneTracks(Tracks):
                 r = self.paths.receiver[rows]
                 image = np.einsum("pij,pj->pi", self.paths.image_matrix[rows], x_s[r]) + self.paths.image_offset[rows]
                 distance = np.linalg.norm(image - x_r[r], axis=1)
-                bound = (distance + slack[r]) / (c - v_s) - ahead.min(axis=1)[r]
+                bound = (distance + slack[r]) / (c - v_s) - clock_error.min(axis=1)[r]
                 longest = max(longest, float(bound.max()))
         return longest
 
     def last_time(self) -> float:
         """Return the end of the first moving receiver's trajectory, or infinity."""
-        return float(min(_told(r, np.array([r.trajectory.end]))[0] for r in self.scene.receivers))
+        return float(min(_clock_time(r, np.array([r.trajectory.end]))[0] for r in self.scene.receivers))
 
     def _rate(self, source: int, receiver_speed: float) -> float:
         speed = self.source_speed[source]
-        return (speed + receiver_speed) / (self.scene.air.sound_speed - speed)
+        return (speed + receiver_speed) / (self.scene.air.speed_of_sound - speed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledTracks(Tracks):
     """Tracks given as samples over time; see `Tracks.from_samples`."""
 
-    groups: tuple[TrackGroup, ...]
+    groups: tuple[PairTracks, ...]
     splines: tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...]
     source_count: int
     receiver_names: tuple[str, ...]
@@ -320,8 +320,8 @@ def track(
     for rows, group in paths.groups():
         receiver = scene.receivers[group.receiver]
         own = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] + 1 == len(rows) else rows  # a slice is no copy
-        interval = (_told(receiver, times[own]) for times in (paths.start, paths.end))
-        groups.append(TrackGroup(group.source, group.receiver, *interval))
+        interval = (_clock_time(receiver, times[own]) for times in (paths.start, paths.end))
+        groups.append(PairTracks(group.source, group.receiver, *interval))
         path_groups.append(group)
         path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
@@ -343,7 +343,7 @@ def track(
 
 def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:
     """Return the largest speed from a start to an end, m/s, and shortly beyond, where a trajectory goes on."""
-    return 0.0 if trajectory.at_rest else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
+    return 0.0 if trajectory.is_static else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
 
 
 def _batches(groups: list[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
@@ -360,11 +360,11 @@ def _batches(groups: list[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
         yield np.concatenate(batch)
 
 
-def _told(receiver: Receiver, times: Floats) -> Floats:
+def _clock_time(receiver: Receiver, times: Floats) -> Floats:
     """Return what the receiver's clock tells at true times (n,), s."""
     if receiver.electronics is None:
         return times
-    return (times - receiver.clock_ahead(np.zeros(1))) / receiver.pace
+    return (times - receiver.clock_error(np.zeros(1))) / receiver.clock_rate
 
 
 def _from_samples(
@@ -383,18 +383,18 @@ def _from_samples(
     if np.any(delays[heard] < 0.0):
         raise InputError("delays", f"must be at least 0 s, but one is {np.min(delays[heard]):g} s")
     s, r = (_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
-    stretches = _stretches(heard)
-    if not stretches:
+    intervals = _intervals(heard)
+    if not intervals:
         raise InputError("delays", "must hold at least one path that is heard, but all are NaN")
     groups, splines, largest = [], [], 0.0
-    for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in stretches}):
-        mine = [stretch for stretch in stretches if (s[stretch[0]], r[stretch[0]]) == pair]
+    for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in intervals}):
+        mine = [interval for interval in intervals if (s[interval[0]], r[interval[0]]) == pair]
         fitted = _fit(mine, times, delays, gains)
         splines.append(fitted)
         largest = max([largest, *(float(np.abs(f(f.x, 1)[..., 0]).max()) for _, f in fitted)])
         start = np.array([times[a] if a else -np.inf for _, a, _ in mine])
         end = np.array([times[b - 1] if b < len(times) else np.inf for _, _, b in mine])
-        groups.append(TrackGroup(*pair, read_only(start), read_only(end)))
+        groups.append(PairTracks(*pair, read_only(start), read_only(end)))
     if largest >= 1.0:
         raise InputError("delays", f"must change by less than 1 s per second, but change by {largest:.3g}")
     names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
@@ -413,7 +413,7 @@ def _indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
     return out.astype(np.int64)
 
 
-def _stretches(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
+def _intervals(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
     """Return path, first and one past last sample of every stretch in which a path is heard."""
     found = []
     for p, row in enumerate(heard):
@@ -426,15 +426,15 @@ def _stretches(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
 
 
 def _fit(
-    stretches: list[tuple[int, int, int]], times: Floats, delays: Floats, gains: Floats
+    intervals: list[tuple[int, int, int]], times: Floats, delays: Floats, gains: Floats
 ) -> tuple[tuple[NDArray[np.int64], Any], ...]:
     """Fit one spline through all stretches with the same samples: (T, paths, 2) for delay and gain."""
     from scipy.interpolate import CubicSpline
 
     fitted = []
-    for a, b in sorted({(a, b) for _, a, b in stretches}):
-        rows = np.array([i for i, stretch in enumerate(stretches) if stretch[1:] == (a, b)])
-        which = [stretches[i][0] for i in rows]
+    for a, b in sorted({(a, b) for _, a, b in intervals}):
+        rows = np.array([i for i, interval in enumerate(intervals) if interval[1:] == (a, b)])
+        which = [intervals[i][0] for i in rows]
         values = np.stack([delays[which, a:b], gains[which, a:b]], axis=-1).swapaxes(0, 1)
         fitted.append((rows, CubicSpline(times[a:b], values, bc_type="not-a-knot" if b - a > 3 else "natural")))
     return tuple(fitted)

@@ -12,7 +12,7 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
-from clsim.render.receiver_chain import Receiving
+from clsim.render.receiver_chain import ReceiverChain
 from clsim.render.render import render_chunks
 from clsim.scene_file import referenced_files
 from clsim.workflow.console import progress
@@ -46,34 +46,39 @@ def render_sound(results: ResultFolder, plan: Plan, store: SoundStore, identity:
     names = [path.name for path in store.paths]
     if all(map(results.is_whole, names)):
         return []
-    receiving, done = Receiving(plan), 0
+    receiver_chain, done = ReceiverChain(plan), 0
     if results.journal.exists():
         _, done, state = results.journal.load()
-        receiving.restore(state)
+        receiver_chain.restore(state)
         lost = [path for path in store.paths if not (path.exists() or results.is_whole(path.name))]
         if lost:
             raise InputError("--resume", f"must find {lost[0]}, which is missing (--force begins anew)")
     else:
         store.create()
     if done < plan.samples:
-        _render(results, plan, store, identity, done, receiving)
+        _render(results, plan, store, identity, done, receiver_chain)
     return results.take(names)
 
 
 def _render(
-    results: ResultFolder, plan: Plan, store: SoundStore, identity: dict[str, Any], done: int, receiving: Receiving
+    results: ResultFolder,
+    plan: Plan,
+    store: SoundStore,
+    identity: dict[str, Any],
+    done: int,
+    receiver_chain: ReceiverChain,
 ) -> None:
     store.open()
     try:
         with progress("rendering", plan.path_count * plan.samples) as advance:
             advance(plan.path_count * done)
             noted = -math.inf
-            for start, samples in render_chunks(plan, first=done, receiving=receiving):
+            for start, samples in render_chunks(plan, first=done, receiver_chain=receiver_chain):
                 store.write(start, samples)
                 done = start + samples.shape[1]
                 if done == plan.samples or time.monotonic() - noted > _PERIOD:
                     store.to_disk()
-                    results.journal.save(identity, done, receiving.state())
+                    results.journal.save(identity, done, receiver_chain.state())
                     noted = time.monotonic()
                 advance(plan.path_count * samples.shape[1])
     finally:
@@ -110,10 +115,10 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
     found = hashlib.sha256()
     for name in ("source", "receiver", "walls", "image_matrix", "image_offset", "start", "end"):
         found.update(np.ascontiguousarray(getattr(paths, name)).tobytes())
-    filters = hashlib.sha256()  # linear algebra on another number of threads may round otherwise
-    for emission in plan.emissions:
-        for array in (emission.basis.projection, emission.filters, *(bank.taps for bank in emission.banks)):
-            filters.update(np.ascontiguousarray(array).tobytes())
+    designed = hashlib.sha256()  # linear algebra on another number of threads may round otherwise
+    for filters in plan.source_filters:
+        for array in (filters.basis.projection, filters.filters, *(bank.taps for bank in filters.banks)):
+            designed.update(np.ascontiguousarray(array).tobytes())
     return {
         "scene": content,
         "contents": {os.path.relpath(path, file.base): _digest(path) for path in referenced_files(file)},
@@ -121,7 +126,7 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
         "options": options,
         "versions": {"clsim": clsim.__version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "paths": found.hexdigest(),
-        "filters": filters.hexdigest(),
+        "filters": designed.hexdigest(),
     }
 
 

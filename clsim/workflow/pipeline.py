@@ -26,7 +26,7 @@ def planned(file: SceneFile, overrides: dict[str, Any]) -> tuple[PathSet, Plan]:
     """Return the paths of a scene file and the plan of rendering them, with overrides of its ``[render]``."""
     paths = found_paths(file, overrides)
     try:
-        return paths, plan_render(file.scene, paths, **(file.render | overrides))
+        return paths, plan_render(paths, **(file.render | overrides))
     except InputError as error:
         if error.field.split("[")[0] in ("room", "sources", "receivers"):
             raise

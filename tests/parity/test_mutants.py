@@ -45,8 +45,8 @@ def _paths(kind: str) -> PathSet:
     if kind == "near":
         return _near()
     turned = kind == "turned"
-    beams = {"phased": (OffCentre(2e-3), clsim.Cardioid(0.4)), "lopsided": (Lopsided(False), Lopsided(True))}
-    source_beam, receiver_beam = beams.get(kind, (clsim.Piston(0.004), clsim.Cardioid(0.4)))
+    beams = {"phased": (OffCentre(2e-3), clsim.FirstOrder(0.4)), "lopsided": (Lopsided(False), Lopsided(True))}
+    source_beam, receiver_beam = beams.get(kind, (clsim.Piston(0.004), clsim.FirstOrder(0.4)))
     spin = Rotation.from_rotvec(np.linspace(0.0, 0.6, 9)[:, None] * [1.0, -2.0, 0.5]).as_quat()
     tone = clsim.Signal.chirp(34e3, 46e3, 0.03, RATE, window="tukey")
     if kind == "doubled":
@@ -118,8 +118,8 @@ def _plan(kind: str):
     paths = _paths(kind)
     filters = clsim.Bandlimited(-100.0)  # blocks are 6 dB better
     return plan_render(
-        paths.scene, paths, RATE, duration=LAST / RATE, response_error_db=-110.0, interpolator=filters,
-        convolve_at_rest=False,
+        paths, RATE, duration=LAST / RATE, response_error_db=-110.0, interpolator=filters,
+        convolve_static=False,
     )  # fmt: skip
 
 

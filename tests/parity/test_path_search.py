@@ -10,8 +10,8 @@ import clsim
 from clsim.opencl import device as device_module
 from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
-from clsim.paths.specular.intervals import Intervals, Question, find_intervals
-from clsim.paths.trajectory_tables import movers
+from clsim.paths.specular.intervals import Intervals, VisibilityQuery, find_intervals
+from clsim.paths.trajectory_tables import trajectory_tables
 
 pytestmark = pytest.mark.usefixtures("device")
 WALL = clsim.Material.from_reflection(0.9)
@@ -53,14 +53,14 @@ def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Tra
     }
 
 
-def question(room, source, receivers, _order) -> Question:
+def query(room, source, receivers, _order) -> VisibilityQuery:
     last = np.array([min(source.end + 0.1, r.end) for r in receivers])
-    return Question(room.walls, movers(source, receivers), 343.0, np.zeros(len(last)), last, STEP)
+    return VisibilityQuery(room.walls, trajectory_tables(source, receivers), 343.0, np.zeros(len(last)), last, STEP)
 
 
 def candidates(room, source, receivers, order) -> list[Candidates]:
-    ends = movers(source, receivers)
-    tree = BeamTree(room.walls, *ends.ball(0), ends.receiver_balls(), 10**6)
+    ends = trajectory_tables(source, receivers)
+    tree = BeamTree(room.walls, *ends.ball(0), ends.receiver_spheres(), 10**6)
     found = [c for c in tree.candidates(order) if len(c.row)]
     orders = sorted({c.sequence.shape[1] for c in found})
     return [Candidates.joined([c for c in found if c.sequence.shape[1] == n]) for n in orders]
@@ -75,7 +75,7 @@ def wanted() -> dict[str, list[tuple[Candidates, Intervals]]]:
     """Return what the NumPy twin finds."""
     for name, case in CASES.items():
         if name not in WANTED:
-            asked = question(*case)
+            asked = query(*case)
             WANTED[name] = [(c, find_intervals(asked, c.sequence[c.row], c.receiver)) for c in candidates(*case)]
     return WANTED
 
@@ -95,7 +95,7 @@ def same(got: Intervals, twin: Intervals) -> bool:
 
 def agree(wanted: dict[str, list[tuple[Candidates, Intervals]]]) -> bool:
     for name, parts in wanted.items():
-        search = DeviceSearch(question(*CASES[name]))
+        search = DeviceSearch(query(*CASES[name]))
         for c, twin in parts:
             if not same(search.find(c.sequence[c.row], c.receiver), twin):
                 return False

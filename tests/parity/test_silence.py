@@ -9,7 +9,7 @@ from made_meshes import pillar_room
 import clsim
 from clsim.opencl import device as device_module
 from clsim.render.opencl import branch_signals as branches_module
-from clsim.render.opencl.activity import CELL, Sounding, sounding
+from clsim.render.opencl.activity import CELL, Activity, sounding
 from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import SEGMENT, Plan, plan_render
 
@@ -36,14 +36,14 @@ def box_plan(signal: clsim.Signal, order: int = 4, **options) -> Plan:
     ]
     source = clsim.Source("s", signal, around((2.0, 2.0, 1.2), 0.8, 1.7), start=0.0123)
     scene = clsim.Scene(clsim.Shoebox((6, 5, 3), walls), clsim.Air(), [source], ears)
-    return plan_render(scene, clsim.find_paths(scene, order), RATE, duration=0.5, **options)
+    return plan_render(clsim.find_paths(scene, order), RATE, duration=0.5, **options)
 
 
 def pillar_plan() -> Plan:
     source = clsim.Source("s", pulses(0.05, 10), around((3.0, 2.0, 1.2), 1.5, 2.0))
     ears = [clsim.Receiver("r", clsim.Trajectory.fixed((6.2, 4.4, 1.4)))]
     scene = clsim.Scene(clsim.MeshRoom(*pillar_room(), WALL), clsim.Air(), [source], ears)
-    return plan_render(scene, clsim.find_paths(scene, 2), RATE, duration=0.5)
+    return plan_render(clsim.find_paths(scene, 2), RATE, duration=0.5)
 
 
 def near_plan() -> Plan:
@@ -52,7 +52,7 @@ def near_plan() -> Plan:
     source = clsim.Source("s", pulses(0.033, 6, 5e-3), line)
     ears = [clsim.Receiver("r", clsim.Trajectory.fixed((3.02, 2.512, 2.0)))]  # when the fourth pulse is in its middle
     scene = clsim.Scene(clsim.Shoebox((6, 5, 4), WALL), clsim.Air(), [source], ears)
-    return replace(plan_render(scene, clsim.find_paths(scene, 2), RATE, duration=0.2), blocks=(24,))
+    return replace(plan_render(clsim.find_paths(scene, 2), RATE, duration=0.2), blocks=(24,))
 
 
 PLANS = {
@@ -99,23 +99,23 @@ def test_memory_that_is_used_again_is_silent_again(monkeypatch: pytest.MonkeyPat
     wanted = in_chunks(plan, False)
     np.testing.assert_allclose(wanted, rendered(plan, False), atol=1e-6 * np.abs(wanted).max())
     np.testing.assert_array_equal(in_chunks(plan, True), wanted)
-    monkeypatch.setattr(Sounding, "__or__", lambda now, before: now)  # what sounded before is left there
+    monkeypatch.setattr(Activity, "__or__", lambda now, before: now)  # what sounded before is left there
     assert not np.array_equal(in_chunks(plan, True), wanted)
 
 
 @pytest.mark.parametrize("response_error_db", [-80.0, "centre"])
 def test_functions_of_frequency_are_applied_where_it_sounds(response_error_db) -> None:
-    emission = box_plan(pulses(0.1, 5), response_error_db=response_error_db).emissions[0]
+    filters = box_plan(pulses(0.1, 5), response_error_db=response_error_db).source_filters[0]
     first, last = -300, int(0.35 * RATE)
-    half, filters = emission.filter_half, emission.filters
-    read = emission.signal.read(first - half, last + half)
+    half, filters = filters.filter_half, filters.filters
+    read = filters.signal.read(first - half, last + half)
     wanted = np.stack([np.convolve(read, f, mode="valid") for f in filters])
-    found = emission.streams(first, last)
+    found = filters.streams(first, last)
     np.testing.assert_allclose(found, wanted, atol=1e-13 * np.abs(wanted).max())
     reached = np.convolve(read != 0.0, np.ones(2 * half + 1), mode="valid") > 0.5
     assert 0.003 < np.mean(reached) < 0.05
     assert not found[:, ~reached].any()
-    places, values = emission.sounding(first, last)
+    places, values = filters.sounding(first, last)
     np.testing.assert_array_equal(places, np.flatnonzero(reached))
     np.testing.assert_array_equal(found[:, places], values)
 

@@ -16,7 +16,7 @@ from clsim.render.render import render_chunks
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-C = clsim.Air().sound_speed
+C = clsim.Air().speed_of_sound
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Case:
     def plan(self) -> Plan:
         scene = self.scene()
         paths = clsim.find_paths(scene, max_order=self.room.order)
-        return plan_render(scene, paths, self.rate, **self.options)
+        return plan_render(paths, self.rate, **self.options)
 
     def truth(self, receiver: int, at: np.ndarray, limits: list[np.ndarray]) -> oracle.Truth:
         """Return what a receiver hears at samples of what each source emits below its limit."""
@@ -105,7 +105,7 @@ def measured(case: Case, change: Callable[[np.ndarray], np.ndarray] = lambda pre
 
 def band_limits(plan: Plan) -> list[np.ndarray]:
     """Return the taps of the filters that what each source emits passes."""
-    return [e.band_limit for e in plan.emissions]
+    return [e.band_limit for e in plan.source_filters]
 
 
 def listed() -> list[Case]:
@@ -144,7 +144,7 @@ def pairs_at_rest() -> list[Case]:
     sweep = clsim.Signal.chirp(20e3, 76e3, 0.05, 192e3, window="tukey")
     cases = [case, replace(case, name="at rest, sweep, convolved", signals=(sweep,))]
     apart = [
-        replace(c, name=c.name.replace("convolved", "path by path"), options={"convolve_at_rest": False}) for c in cases
+        replace(c, name=c.name.replace("convolved", "path by path"), options={"convolve_static": False}) for c in cases
     ]
     return [*cases, *apart]
 

@@ -37,7 +37,7 @@ def response(
         gain = 10 ** (-air.absorption_at(f) * (distance - 1.0) / 20) / distance
         for factor, times in zip(factors, met, strict=True):
             gain = gain * factor**times
-        total += gain * np.exp(-2j * np.pi * f * distance / air.sound_speed)
+        total += gain * np.exp(-2j * np.pi * f * distance / air.speed_of_sound)
     return total
 
 

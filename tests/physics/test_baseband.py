@@ -50,7 +50,7 @@ def room_scene(phased: bool, **receiver) -> clsim.Scene:
     return clsim.Scene(
         clsim.Shoebox((8, 6, 3), walls), AIR,
         [clsim.Source("s", chirp(), way, beam, aim=(1, 0.4, 0.2), start=0.0123)],
-        [clsim.Receiver("r", back, clsim.Cardioid(0.5), aim=(1, 0.5, -0.3), **receiver)],
+        [clsim.Receiver("r", back, clsim.FirstOrder(0.5), aim=(1, 0.5, -0.3), **receiver)],
     )  # fmt: skip
 
 
@@ -58,8 +58,8 @@ def room_scene(phased: bool, **receiver) -> clsim.Scene:
 def test_same_as_the_sound_mixed_down(engine: str, phased: bool) -> None:
     scene = room_scene(phased, electronics=clsim.Electronics(clock_ppm=200.0, clock_offset=1.7e-3))
     paths = clsim.find_paths(scene, 2)
-    made = clsim.render(scene, paths, RATE, baseband=(CARRIER, 4e3), engine=engine, duration=0.2)
-    sound = clsim.render(scene, paths, RATE, engine="reference", duration=0.2, response_error_db=-100.0)
+    made = clsim.render(paths, RATE, baseband=(CARRIER, 4e3), engine=engine, duration=0.2)
+    sound = clsim.render(paths, RATE, engine="reference", duration=0.2, response_error_db=-100.0)
     assert made.sampling_rate == 6000.0
     assert made.samples.dtype == np.complex64
     assert made.carrier == CARRIER
@@ -73,7 +73,7 @@ def test_a_cosine_at_the_carrier_is_one(engine: str) -> None:
     distance = 1.0 + 0.3e-3  # so that the phase says something
     scene = free_field(tone, clsim.Trajectory.fixed((10.0 - distance, 10.0, 10.0)))
     made = clsim.render(
-        scene, clsim.find_paths(scene, 0), RATE, baseband=(CARRIER, 500.0), engine=engine, duration=0.4, **STEADY
+        clsim.find_paths(scene, 0), RATE, baseband=(CARRIER, 500.0), engine=engine, duration=0.4, **STEADY
     ).pressure[0]
     air = 10 ** (-AIR.absorption_at(CARRIER) * (distance - 1.0) / 20)
     wanted = air / distance * np.exp(-2j * np.pi * CARRIER * distance / C)
@@ -88,7 +88,7 @@ def test_a_passing_source_is_heard_by_its_closed_form(engine: str) -> None:
     way = clsim.Trajectory.line((10.0 + x0, 10.0 + side, 10.0), (10.0 + x0 + v * 0.6, 10.0 + side, 10.0), 0.6)
     scene = free_field(tone, way)
     made = clsim.render(
-        scene, clsim.find_paths(scene, 0), RATE, baseband=(CARRIER, 4e3), engine=engine, duration=0.5, **STEADY
+        clsim.find_paths(scene, 0), RATE, baseband=(CARRIER, 4e3), engine=engine, duration=0.5, **STEADY
     )
     t = made.times
     along = x0 + v * t
@@ -117,7 +117,7 @@ def test_a_vibrating_source_has_bessel_sidebands(engine: str) -> None:
 
     scene = free_field(tone, clsim.Trajectory.sampled(place, 1.6, 2000.0))
     made = clsim.render(
-        scene, clsim.find_paths(scene, 0), RATE, baseband=(CARRIER, 500.0), engine=engine, duration=1.3,
+        clsim.find_paths(scene, 0), RATE, baseband=(CARRIER, 500.0), engine=engine, duration=1.3,
         motion="quasi-static", **STEADY,
     )  # fmt: skip
     rate = made.sampling_rate
@@ -137,8 +137,7 @@ def test_the_sampling_rate_can_be_told(engine: str) -> None:
     scene = room_scene(False)
     paths = clsim.find_paths(scene, 1)
     slow, fast = (
-        clsim.render(scene, paths, RATE, baseband=(CARRIER, 4e3, rate), engine=engine, duration=0.15)
-        for rate in (6e3, 24e3)
+        clsim.render(paths, RATE, baseband=(CARRIER, 4e3, rate), engine=engine, duration=0.15) for rate in (6e3, 24e3)
     )
     assert (slow.sampling_rate, fast.sampling_rate) == (6e3, 24e3)
     assert apart_db(slow.pressure[0], fast.pressure[0][::4]) < -80.0

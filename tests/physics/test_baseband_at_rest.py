@@ -41,7 +41,7 @@ def envelope(sound: np.ndarray, every: int) -> np.ndarray:
 
 def test_equals_a_sum_over_the_spectrum() -> None:
     one, start, count = scene(), 0.0123456, 57600
-    made = clsim.render(one, clsim.find_paths(one, 4), RATE, baseband=BAND, duration=count / RATE, chunk=1)
+    made = clsim.render(clsim.find_paths(one, 4), RATE, baseband=BAND, duration=count / RATE, chunk=1)
     assert "2 of 3 pairs never move: impulse responses, convolved" in made.notes
     factors = [lambda f, r=r: np.full(len(f), r) for r in (0.93, -0.8, 0.7, 0.9, 0.6, 0.8)]
     for got, place in zip(made.pressure, (B, FAR), strict=False):
@@ -60,7 +60,7 @@ def test_same_as_path_by_path(phased: bool, error_db: float | str) -> None:
     paths = clsim.find_paths(one, 3)
     convolved, summed = (
         clsim.render(
-            one, paths, RATE, baseband=BAND, duration=0.2, response_error_db=error_db, convolve_at_rest=convolve
+            paths, RATE, baseband=BAND, duration=0.2, response_error_db=error_db, convolve_static=convolve
         ).samples
         for convolve in (True, False)
     )
@@ -73,7 +73,7 @@ def test_same_as_path_by_path(phased: bool, error_db: float | str) -> None:
 def test_silence_is_exact() -> None:
     one = scene(TRAIN, start=0.0)
     paths = clsim.find_paths(one, 1)
-    made = clsim.render(one, paths, RATE, baseband=BAND, duration=0.35)
+    made = clsim.render(paths, RATE, baseband=BAND, duration=0.35)
     latest = paths.table(np.zeros(1)).delay.max()
     quiet = (made.times % 0.125 > 0.008 + latest + 4e-3) & (made.times % 0.125 < 0.12)
     assert np.count_nonzero(quiet) > 100
@@ -84,6 +84,6 @@ def test_silence_is_exact() -> None:
 def test_a_source_that_rests_needs_no_functions() -> None:
     one = scene()
     one = clsim.Scene(one.room, one.air, one.sources, one.receivers[:2])
-    plan = plan_render(one, clsim.find_paths(one, 2), RATE, baseband=BAND, duration=0.1)
-    assert len(plan.emissions[0].basis) == 1
+    plan = plan_render(clsim.find_paths(one, 2), RATE, baseband=BAND, duration=0.1)
+    assert len(plan.source_filters[0].basis) == 1
     assert not any(line.startswith("source 0") for line in plan.describe())

@@ -101,7 +101,7 @@ def test_what_lies_above_the_band_is_refused_and_not_rendered_as_nothing(
         [clsim.Receiver("r", clsim.Trajectory.line((4.0, 2.0, 2.0), (4.1, 2.0, 2.0), 0.1))],
     )  # fmt: skip
     with pytest.raises(InputError, match=r"half of its energy lies at 237\d\d Hz and above: sample faster"):
-        clsim.render(scene, clsim.find_paths(scene, 0), 48e3, interpolator=filters)
+        clsim.render(clsim.find_paths(scene, 0), 48e3, interpolator=filters)
 
 
 @pytest.mark.parametrize("case", named(drawn()))
@@ -125,7 +125,7 @@ def test_before_the_first_arrival(speed: float, convolved: bool) -> None:
     tone = clsim.Signal.tone(40e3, 0.01, rate)
     case = Case(
         "silence", room, (tone,), (Line((1.0, 2.0, 2.0), (speed, 0.0, 0.0)),), (Line((5.0, 2.0, 2.0)),), rate, 0.03,
-        options={"convolve_at_rest": convolved},
+        options={"convolve_static": convolved},
     )  # fmt: skip
     plan = case.plan()
     made = pressures(plan)[0]

@@ -9,8 +9,8 @@ import clsim
 from clsim.paths.specular import ray_shooting as shooting
 from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
-from clsim.paths.specular.intervals import Question
-from clsim.paths.trajectory_tables import movers
+from clsim.paths.specular.intervals import VisibilityQuery
+from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.scene.flush import find_mount
 
 WALL = clsim.Material.from_reflection(0.9)
@@ -92,7 +92,7 @@ def test_a_rigid_wall_doubles_what_sits_in_it(engine: str) -> None:
         found = paths(room, *ends, flush_source, not flush_source, order=1)
         free = paths(room, at((1, 1, 1)), at((1 + np.sqrt(12.0), 1, 1)), order=0)  # as far apart
         got, alone = (
-            clsim.render(p.scene, p, 192e3, engine=engine, duration=0.03, convolve_at_rest=False).pressure[0]
+            clsim.render(p, 192e3, engine=engine, duration=0.03, convolve_static=False).pressure[0]
             for p in (found, free)
         )
         some = np.arange(2000, 5700, 7)
@@ -155,20 +155,20 @@ def test_the_side_of_a_screen_decides(device) -> None:
 def test_a_flush_end_that_slides_costs_no_more_than_another(device) -> None:
     """Paths that an end a step before its wall never has are dismissed at once, however it slides."""
     rail = clsim.Trajectory.line((1, 1, 0), (3, 7, 0), 1.0)
-    looks = []
+    evaluations = []
     for flush in (True, False):
         way = rail if flush else clsim.Trajectory.line((1, 1, 0.5), (3, 7, 0.5), 1.0)
         scene = clsim.Scene(
             CORNER, clsim.Air(), [clsim.Source("s", TONE, way, flush=flush)], [clsim.Receiver("r", WAY)]
         )
         mounts = [find_mount(CORNER, end) for end in (*scene.sources, *scene.receivers)]
-        ends = movers(way, [WAY], mounts)
-        question = Question(CORNER.walls, ends, 343.0, np.zeros(1), np.ones(1), 1.0 / 48e3)
-        tree = BeamTree(CORNER.walls, *ends.ball(0), ends.receiver_balls(), 10**6)
+        ends = trajectory_tables(way, [WAY], mounts)
+        query = VisibilityQuery(CORNER.walls, ends, 343.0, np.zeros(1), np.ones(1), 1.0 / 48e3)
+        tree = BeamTree(CORNER.walls, *ends.ball(0), ends.receiver_spheres(), 10**6)
         parts = [c for c in tree.candidates(2) if len(c.row) and c.sequence.shape[1] == 2]
         both = Candidates.joined(parts)
-        looks.append(DeviceSearch(question).find(both.sequence[both.row], both.receiver).looks / len(both.row))
-    assert looks[0] < 2.0 * looks[1]
+        evaluations.append(DeviceSearch(query).find(both.sequence[both.row], both.receiver).evaluations / len(both.row))
+    assert evaluations[0] < 2.0 * evaluations[1]
 
 
 def test_rays_are_shot_from_before_the_wall(device, monkeypatch: pytest.MonkeyPatch) -> None:

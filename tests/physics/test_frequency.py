@@ -39,7 +39,7 @@ def test_a_chirp_over_ten_metres(engine: str) -> None:
     room = clsim.Shoebox((20, 4, 4), clsim.Material.from_reflection(0.0))
     ears = [clsim.Receiver("r", clsim.Trajectory.fixed((2.0, 2, 2)))]
     scene = clsim.Scene(room, AIR, [clsim.Source("s", chirp, way)], ears)
-    made = clsim.render(scene, clsim.find_paths(scene, 0), RATE, engine=engine, duration=0.08).pressure[0]
+    made = clsim.render(clsim.find_paths(scene, 0), RATE, engine=engine, duration=0.08).pressure[0]
     times = np.arange(round(0.034 * RATE), round(0.069 * RATE)) / RATE
     distance, delay = approach(times)
 
@@ -52,9 +52,7 @@ def test_a_chirp_over_ten_metres(engine: str) -> None:
     )
     assert np.linalg.norm(got - wanted) < 10 ** (-75 / 20) * np.linalg.norm(wanted)
     # The air alone tilts the spectrum: at one frequency for all the error would be gross.
-    flat = clsim.render(
-        scene, clsim.find_paths(scene, 0), RATE, engine=engine, duration=0.08, response_error_db="centre"
-    )
+    flat = clsim.render(clsim.find_paths(scene, 0), RATE, engine=engine, duration=0.08, response_error_db="centre")
     assert np.linalg.norm(flat.pressure[0][len(made) // 2 :] - made[len(made) // 2 :]) > 0.1 * np.linalg.norm(
         made[len(made) // 2 :]
     )
@@ -91,7 +89,7 @@ def room_scene(low: float, high: float, beam: bool = True) -> clsim.Scene:
 def test_walls_and_a_beam_in_a_room(engine: str) -> None:
     scene = room_scene(25e3, 55e3)
     paths = clsim.find_paths(scene, 2)
-    made = clsim.render(scene, paths, RATE, engine=engine, duration=0.06).pressure[0]
+    made = clsim.render(paths, RATE, engine=engine, duration=0.06).pressure[0]
     window = slice(round(0.012 * RATE), round(0.05 * RATE))
     times = np.arange(window.start, window.stop, 5) / RATE
     table = paths.table(times)
@@ -128,8 +126,8 @@ def test_walls_and_a_beam_in_a_room(engine: str) -> None:
 def test_order_six_needs_few_functions(low: float, high: float, most: int) -> None:
     scene = room_scene(low, high)
     paths = clsim.find_paths(scene, 6)
-    plan = plan_render(scene, paths, RATE, duration=0.05)
-    basis = plan.emissions[0].basis
+    plan = plan_render(paths, RATE, duration=0.05)
+    basis = plan.source_filters[0].basis
     assert 1 < len(basis) <= most
     assert basis.error_db < -80.0
     # Of paths and times that were not looked at: the same bound, for what a response is at any frequency of the band.
@@ -154,9 +152,7 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
 def test_engines_agree_over_a_band() -> None:
     scene = room_scene(25e3, 60e3)
     paths = clsim.find_paths(scene, 6)
-    fast, slow = (
-        clsim.render(scene, paths, RATE, engine=e, duration=0.04).pressure[0] for e in ("opencl", "reference")
-    )
+    fast, slow = (clsim.render(paths, RATE, engine=e, duration=0.04).pressure[0] for e in ("opencl", "reference"))
     assert np.linalg.norm(fast - slow) < 10 ** (-80 / 20) * np.linalg.norm(slow)
 
 
@@ -165,8 +161,8 @@ def test_narrow_signals_need_few_functions() -> None:
     scene = room_scene(20e3, 80e3)
     source = clsim.Source("s", tone, scene.sources[0].trajectory, clsim.Piston(0.0047), aim=(1, 0.4, 0.2))
     one = clsim.Scene(scene.room, AIR, [source], scene.receivers)
-    plan = plan_render(one, clsim.find_paths(one, 3), RATE, duration=0.1)
-    assert len(plan.emissions[0].basis) <= 3
+    plan = plan_render(clsim.find_paths(one, 3), RATE, duration=0.1)
+    assert len(plan.source_filters[0].basis) <= 3
     assert any("functions of frequency" in line for line in plan.describe())
 
 
@@ -175,4 +171,4 @@ def test_bounds_that_are_none_are_refused() -> None:
     paths = clsim.find_paths(scene, 0)
     for value in (0.0, -200.0, float("nan"), "fine"):
         with pytest.raises(clsim.InputError, match="response_error_db: must be"):
-            plan_render(scene, paths, RATE, response_error_db=value)  # type: ignore[arg-type]
+            plan_render(paths, RATE, response_error_db=value)  # type: ignore[arg-type]

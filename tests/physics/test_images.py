@@ -51,7 +51,7 @@ def test_listed_walls_make_the_image() -> None:
 
 
 def test_path_table_of_a_moving_scene(rng) -> None:
-    order, c = 3, AIR.sound_speed
+    order, c = 3, AIR.speed_of_sound
     source, receiver = (oracle.Wobble.random(rng, x, 8.0) for x in ([1.6, 2.0, 1.5], [3.6, 2.0, 1.5]))
     room = clsim.Shoebox(SIZE, {w: clsim.Material.from_reflection(f) for w, f in zip(WALLS, FACTORS, strict=True)})
     scene = clsim.Scene(

@@ -198,12 +198,12 @@ def test_intervals_of_a_path_neither_touch_nor_overlap() -> None:
 
 @pytest.mark.usefixtures("device")
 def test_a_source_in_the_plane_of_an_inner_wall_settles_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    looks = []
+    evaluations = []
     find = DeviceSearch.find
 
     def counted(self, *paths):
         found = find(self, *paths)
-        looks.append(found.looks)
+        evaluations.append(found.evaluations)
         return found
 
     monkeypatch.setattr(DeviceSearch, "find", counted)
@@ -214,7 +214,7 @@ def test_a_source_in_the_plane_of_an_inner_wall_settles_quickly(monkeypatch: pyt
     assert paths.order.min() == 0
     assert np.all(np.isneginf(paths.start[paths.order == 0]))
     # To 1/16 sample a second has 3 million spans, for each of these paths. In spans of 1 ms: 172 000 in all.
-    assert 0 < sum(looks) < 400_000
+    assert 0 < sum(evaluations) < 400_000
 
 
 @pytest.mark.parametrize("engine", ["opencl", "reference"])

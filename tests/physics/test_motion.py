@@ -20,9 +20,7 @@ def heard(source: clsim.Trajectory, receiver: clsim.Trajectory, engine: str, ord
         options.pop("room", ROOM), AIR, [clsim.Source("s", signal, source)], [clsim.Receiver("r", receiver)]
     )
     paths = clsim.find_paths(scene, order)
-    return checked(
-        clsim.render(scene, paths, RATE, engine=engine, duration=duration, convolve_at_rest=False, **options)
-    )[0]
+    return checked(clsim.render(paths, RATE, engine=engine, duration=duration, convolve_static=False, **options))[0]
 
 
 def checked(recording: clsim.Recording) -> np.ndarray:
@@ -117,7 +115,7 @@ def test_static_room_is_a_convolution(engine: str) -> None:
     )  # fmt: skip
     paths = clsim.find_paths(scene, 2)
     pressure = clsim.render(
-        scene, paths, RATE, engine=engine, duration=0.08, response_error_db="centre", convolve_at_rest=False
+        paths, RATE, engine=engine, duration=0.08, response_error_db="centre", convolve_static=False
     ).pressure[0]
     table = paths.table([0.0])
     count = 2**15
@@ -149,7 +147,7 @@ def test_tracks_from_samples_equal_the_scene(engine: str) -> None:
         ROOM, AIR, [clsim.Source("s", signal, line)], [clsim.Receiver("r", clsim.Trajectory.fixed((9, 4, 3)))]
     )
     paths = clsim.find_paths(scene, 1)
-    whole = checked(clsim.render(scene, paths, RATE, engine=engine, duration=0.1, response_error_db="centre"))[0]
+    whole = checked(clsim.render(paths, RATE, engine=engine, duration=0.1, response_error_db="centre"))[0]
     times = np.linspace(0.0, 0.1, 201)
     table = paths.table(times)
     tracks = clsim.Tracks.from_samples(times, table.delay, table.gain)
@@ -171,7 +169,7 @@ def test_sources_add(engine: str) -> None:
     def render(some: list[clsim.Source]) -> np.ndarray:
         scene = clsim.Scene(ROOM, AIR, some, receivers)
         paths = clsim.find_paths(scene, 1)
-        return checked(clsim.render(scene, paths, RATE, engine=engine, duration=0.06, convolve_at_rest=False))
+        return checked(clsim.render(paths, RATE, engine=engine, duration=0.06, convolve_static=False))
 
     both, first, second = render(sources), render(sources[:1]), render(sources[1:])
     np.testing.assert_allclose(both, first + second, atol=1e-6 * np.abs(both).max())

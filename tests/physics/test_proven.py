@@ -15,7 +15,7 @@ def sound(at_rest: bool) -> np.ndarray:
     room = clsim.Shoebox((4, 3, 2.5), clsim.Material.from_reflection(0.9))
     scene = clsim.Scene(room, clsim.Air(), [source], [receiver])
     paths = clsim.find_paths(scene, 0)
-    return clsim.render(scene, paths, 192e3, duration=0.01, convolve_at_rest=at_rest).pressure[0]
+    return clsim.render(paths, 192e3, duration=0.01, convolve_static=at_rest).pressure[0]
 
 
 def looks_for(name: str, engine: str) -> None:

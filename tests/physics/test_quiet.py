@@ -22,7 +22,7 @@ def scene(beam=None) -> clsim.Scene:
     return clsim.Scene(clsim.Shoebox((6, 5, 3), walls), clsim.Air(), [source], ears)
 
 
-@pytest.mark.parametrize("beam", [clsim.Omni(), clsim.Piston(0.006), clsim.Cardioid(0.3)])
+@pytest.mark.parametrize("beam", [clsim.Omni(), clsim.Piston(0.006), clsim.FirstOrder(0.3)])
 def test_bounds_are_bounds(beam, rng: np.random.Generator) -> None:
     paths = clsim.find_paths(scene(beam), 4)
     bound, strongest = _bounds(track(paths), 0, 0.5)
@@ -38,7 +38,7 @@ def test_what_is_lost_is_less_than_said(engine: str) -> None:
     world = scene()
     paths = clsim.find_paths(world, 5)
     whole, part = (
-        clsim.render(world, paths, RATE, engine=engine, duration=0.1, response_error_db="centre", quietest_db=level)
+        clsim.render(paths, RATE, engine=engine, duration=0.1, response_error_db="centre", prune_below_db=level)
         for level in (None, -60.0)
     )
     said = next(note for note in part.notes if "left out" in note)
@@ -54,7 +54,7 @@ def test_what_is_lost_is_less_than_said(engine: str) -> None:
 def test_paths_that_all_matter_stay() -> None:
     world = scene()
     paths = clsim.find_paths(world, 1)
-    plan = plan_render(world, paths, RATE, duration=0.2, quietest_db=-100.0)
+    plan = plan_render(paths, RATE, duration=0.2, prune_below_db=-100.0)
     assert plan.path_count == len(paths)
     assert "no path stays below -100 dB" in plan.describe()
 
@@ -62,5 +62,5 @@ def test_paths_that_all_matter_stay() -> None:
 @pytest.mark.parametrize("level", [0.0, float("nan"), "quiet"])
 def test_levels_that_are_none_are_refused(level) -> None:
     world = scene()
-    with pytest.raises(clsim.InputError, match="quietest_db: must be"):
-        plan_render(world, clsim.find_paths(world, 1), RATE, duration=0.2, quietest_db=level)
+    with pytest.raises(clsim.InputError, match="prune_below_db: must be"):
+        plan_render(clsim.find_paths(world, 1), RATE, duration=0.2, prune_below_db=level)

@@ -104,22 +104,22 @@ def walk(transition: float | str = 1e-3) -> tuple[clsim.Scene, clsim.PathSet]:
 @pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("transition", ["gate", 1e-3])
 def test_engines_agree_while_paths_come_and_go(transition: float | str) -> None:
-    scene, paths = walk()
+    _scene, paths = walk()
     ends = np.concatenate([paths.start, paths.end])
     assert np.sum(np.isfinite(ends)) > 30
-    made = plan_render(scene, paths, RATE, duration=0.4, transition=transition, response_error_db="centre")
+    made = plan_render(paths, RATE, duration=0.4, transition=transition, response_error_db="centre")
     got = OpenclEngine(made).render(0, made.samples)[0]
     options = {"transition": transition, "response_error_db": "centre"}
-    wanted = clsim.render(scene, paths, RATE, duration=0.4, engine="reference", **options).pressure[0]
+    wanted = clsim.render(paths, RATE, duration=0.4, engine="reference", **options).pressure[0]
     assert 20 * np.log10(np.linalg.norm(got - wanted) / np.linalg.norm(wanted)) < -98.0
 
 
 def test_no_step_is_larger_than_the_transition_allows(engine: str) -> None:
     # With one path at a time: what the envelope of a path can do in a sample is the slope of its raised cosine, gain
     # times pi / 2 per transition, besides what its motion does.
-    scene, paths = walk()
+    _scene, paths = walk()
     length = 1e-3
-    signal = clsim.render(scene, paths, RATE, duration=0.4, engine=engine, transition=length).pressure[0]
+    signal = clsim.render(paths, RATE, duration=0.4, engine=engine, transition=length).pressure[0]
     from scipy.signal import hilbert
 
     envelope = hilbert(signal) * np.exp(-2j * np.pi * TONE * np.arange(len(signal)) / RATE)
@@ -133,9 +133,9 @@ def test_no_step_is_larger_than_the_transition_allows(engine: str) -> None:
 
 @pytest.mark.usefixtures("device")
 def test_chunks_change_nothing_while_paths_come_and_go() -> None:
-    scene, paths = walk()
-    whole = clsim.render(scene, paths, RATE, duration=0.4, chunk=10**9).pressure
-    parts = clsim.render(scene, paths, RATE, duration=0.4, chunk=1).pressure
+    _scene, paths = walk()
+    whole = clsim.render(paths, RATE, duration=0.4, chunk=10**9).pressure
+    parts = clsim.render(paths, RATE, duration=0.4, chunk=1).pressure
     assert 20 * np.log10(np.linalg.norm(parts - whole) / np.linalg.norm(whole)) < -98.0
 
 
@@ -146,10 +146,10 @@ def test_nothing_is_heard_without_a_path(engine: str) -> None:
     paths = clsim.find_paths(scene, 0)
     assert len(paths) == 0
     assert paths.table([0.0, 0.1]).delay.shape == (0, 2)
-    recording = clsim.render(scene, paths, RATE, duration=0.1, engine=engine)
+    recording = clsim.render(paths, RATE, duration=0.1, engine=engine)
     assert recording.pressure.shape == (1, 19200)
     assert not np.any(recording.pressure)
-    assert clsim.render(scene, paths, RATE, engine=engine).pressure.shape == (1, round(0.4 * RATE))
+    assert clsim.render(paths, RATE, engine=engine).pressure.shape == (1, round(0.4 * RATE))
 
 
 @pytest.mark.parametrize("value", ["fade", 0.0, -1e-3, 2.0, float("nan"), None, True])

@@ -197,7 +197,7 @@ def settings(random: np.random.Generator, plain: bool) -> dict[str, Any]:
         ],
         "motion": ["quasi-static"], "amplitude": ["static", "convective"], "transition": ["gate", 0.001],
         "baseband": [{"carrier": 16e3, "bandwidth": 8e3}],
-        "quietest_db": [-60.0, -100.0], "duration": [0.01], "chunk": [1000], "convolve_at_rest": [False], "engine": ["opencl"],
+        "prune_below_db": [-60.0, -100.0], "duration": [0.01], "chunk": [1000], "convolve_static": [False], "engine": ["opencl"],
     }  # fmt: skip
     for name, values in choices.items():
         if random.random() < 0.08:

@@ -6,9 +6,9 @@ from clsim.scene.air import Air
 
 
 def test_speed_is_the_one_asked_for():
-    assert Air().sound_speed == pytest.approx(343.994, abs=5e-4)
-    assert Air(speed_of_sound="iso9613").sound_speed == pytest.approx(343.2, rel=1e-15)
-    assert Air(speed_of_sound=340).sound_speed == 340.0
+    assert Air().speed_of_sound == pytest.approx(343.994, abs=5e-4)
+    assert Air(speed_of_sound="iso9613").speed_of_sound == pytest.approx(343.2, rel=1e-15)
+    assert Air(speed_of_sound=340).speed_of_sound == 340.0
 
 
 def test_absorption_keeps_the_shape_and_is_zero_at_zero_frequency():
@@ -70,7 +70,7 @@ def test_doubtful_speed_warns_unless_the_speed_is_given():
 def test_air_without_absorption_has_none_at_any_frequency():
     air = Air(absorption=False)
     np.testing.assert_array_equal(air.absorption_at([[0.0, 1e3], [40e3, 2e6]]), np.zeros((2, 2)))
-    assert air.sound_speed == Air().sound_speed
+    assert air.speed_of_sound == Air().speed_of_sound
     assert air != Air()
     Air(relative_humidity=0.0, absorption=False)  # nothing to doubt: no warning
     with pytest.raises(InputError, match="at least 0 Hz"):

@@ -25,7 +25,7 @@ def scene(signal: clsim.Signal = TONE, speed: float = 0.0, **receiver) -> clsim.
 
 
 def planned(one: clsim.Scene, baseband: object = (40e3, 4e3), **options):
-    return clsim.plan_render(one, clsim.find_paths(one, 1), RATE, baseband=baseband, **options)
+    return clsim.plan_render(clsim.find_paths(one, 1), RATE, baseband=baseband, **options)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_transitions_shorter_than_samples_are_told() -> None:
     paths = clsim.find_paths(one, 1)
     paths = dataclasses.replace(paths, end=np.full(len(paths), 0.03))
     with pytest.warns(clsim.ClsimWarning, match="transition: paths begin and end within 2.6 samples"):
-        clsim.plan_render(one, paths, RATE, baseband=(40e3, 1e3))
+        clsim.plan_render(paths, RATE, baseband=(40e3, 1e3))
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_save_writes_two_channels(tmp_path: Path) -> None:
     import soundfile
 
     one = scene()
-    made = clsim.render(one, clsim.find_paths(one, 0), RATE, baseband=Baseband(40e3, 4e3), engine="reference")
+    made = clsim.render(clsim.find_paths(one, 0), RATE, baseband=Baseband(40e3, 4e3), engine="reference")
     made.save(tmp_path / "iq.wav")
     frames, rate = soundfile.read(tmp_path / "iq.wav", dtype="float32")
     assert rate == 6000
@@ -159,7 +159,7 @@ def test_scene_file_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert main(["run", str(tmp_path / "a.toml"), "-o", str(tmp_path / "out")]) == 0
     capsys.readouterr()
     assert (tmp_path / "out" / "r_spectrogram.png").stat().st_size > 10_000
-    made = clsim.render(file.scene, clsim.find_paths(file.scene, 1), **file.render)
+    made = clsim.render(clsim.find_paths(file.scene, 1), **file.render)
     frames = soundfile.read(tmp_path / "out" / "r.wav", dtype="float32")[0]
     assert np.array_equal(frames[:, 0] + 1j * frames[:, 1], made.samples[0])
     assert main(["run", str(tmp_path / "out" / "scene.completed.toml"), "-o", str(tmp_path / "again")]) == 0

@@ -180,7 +180,7 @@ def test_quiet_paths_are_left_out_of_envelopes(engine: str) -> None:
     )
     paths = clsim.find_paths(one, 5)
     whole, part = (
-        clsim.render(one, paths, 192e3, engine=engine, duration=0.15, baseband=(40e3, 4e3), quietest_db=level)
+        clsim.render(paths, 192e3, engine=engine, duration=0.15, baseband=(40e3, 4e3), prune_below_db=level)
         for level in (None, -50.0)
     )
     said = next(note for note in part.notes if "paths that stay below -50 dB" in note)

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 import clsim
 from clsim.paths.specular.beams import beam_planes, clip_rings
-from clsim.paths.trajectory_tables import movers
+from clsim.paths.trajectory_tables import trajectory_tables
 
 SQUARE = np.array([[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]], float)  # counterclockwise about +x
 
@@ -163,7 +163,7 @@ MOTIONS = {
 @pytest.mark.parametrize("name", MOTIONS)
 def test_tables_hold_the_motion(name: str, rng) -> None:
     motion = MOTIONS[name]
-    table = movers(MOTIONS["fixed"], [MOTIONS["line"], motion])
+    table = trajectory_tables(MOTIONS["fixed"], [MOTIONS["line"], motion])
     last = 1.0 if math.isinf(motion.end) else motion.end
     times = np.sort(rng.uniform(0.0, last, 500))
     row = np.full(500, 2)

@@ -135,13 +135,13 @@ def test_what_float32_does_not_hold_is_refused_when_it_arises(engine: str, reque
     with pytest.raises(
         InputError, match=r"^receivers\[0\]: must hear what float32 holds, but sample \d+ is -?(inf|nan)"
     ):
-        clsim.render(made, paths, 192e3, engine=engine, response_error_db="centre", duration=0.01)
+        clsim.render(paths, 192e3, engine=engine, response_error_db="centre", duration=0.01)
 
 
 def test_paths_that_walls_of_reflection_0_silence_are_left_out() -> None:
     room = Shoebox((4.0, 3.0, 2.0), Material.from_reflection(0.0))
     made = Scene(room, Air(), [Source("s", TONE, HERE)], [Receiver("r", Trajectory.fixed((2.0, 2.0, 1.0)))])
-    plan = clsim.plan_render(made, clsim.find_paths(made, 1), 192e3, quietest_db=-60.0, engine="reference")
+    plan = clsim.plan_render(clsim.find_paths(made, 1), 192e3, prune_below_db=-60.0, engine="reference")
     assert plan.path_count == 1
     assert plan.left_out.endswith(
         "6 paths that stay below -60 dB of the strongest are left out; all of them together are silent"

@@ -209,7 +209,7 @@ def planned(scene: Path) -> tuple[clsim.PathSet, float]:
     """Return the paths of a scene file, and how long its recording lasts."""
     file = load_scene(scene)
     paths = clsim.find_paths(file.scene, **file.paths)
-    return paths, plan_render(file.scene, paths, **file.render).duration
+    return paths, plan_render(paths, **file.render).duration
 
 
 def test_view_writes_a_page_beside_the_scene(mesh_scene: Path, tmp_path: Path, capsys) -> None:

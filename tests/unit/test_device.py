@@ -21,7 +21,7 @@ def render(**options) -> np.ndarray:
     room = clsim.Shoebox((8, 6, 3), clsim.Material.from_reflection(0.9))
     source = clsim.Source("s", TONE, clsim.Trajectory.fixed((4, 3, 1)))
     scene = clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("r", clsim.Trajectory.fixed((1, 1, 2)))])
-    return clsim.render(scene, clsim.find_paths(scene, 1), 192e3, **options).pressure
+    return clsim.render(clsim.find_paths(scene, 1), 192e3, **options).pressure
 
 
 def no_platform(*_: object) -> list:
@@ -50,7 +50,7 @@ def test_build_failure_names_device_and_file(device: None, monkeypatch: pytest.M
     original = device_module.kernel_source
     monkeypatch.setattr(device_module, "kernel_source", lambda name: original(name) + "\nthis is no OpenCL C;")
     with pytest.raises(clsim.DeviceError, match=r"(?s)could not build \w+\.cl.*reference"):
-        render(convolve_at_rest=False)
+        render(convolve_static=False)
 
 
 def test_poisoned_cache_is_built_around(device: None, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_poisoned_cache_is_built_around(device: None, tmp_path: Path) -> None:
         "room = clsim.Shoebox((8, 6, 3), clsim.Material.from_reflection(0.9));"
         "s = clsim.Source('s', t, clsim.Trajectory.fixed((4, 3, 1)));"
         "scene = clsim.Scene(room, clsim.Air(), [s], [clsim.Receiver('r', clsim.Trajectory.fixed((1, 1, 2)))]);"
-        "p = clsim.render(scene, clsim.find_paths(scene, 1), 192e3, convolve_at_rest=False).pressure; print(float((p**2).sum()))"
+        "p = clsim.render(scene, clsim.find_paths(scene, 1), 192e3, convolve_static=False).pressure; print(float((p**2).sum()))"
     )
 
     def run(died: bool = False, warning: str = "") -> str:

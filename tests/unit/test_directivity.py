@@ -5,10 +5,17 @@ import pytest
 
 from clsim.acoustics.directivity import piston_gain
 from clsim.errors import InputError
-from clsim.scene.directivity.patterns import DIRECTIVITY_NAMES, Cardioid, Directivity, Omni, Piston, named_directivity
+from clsim.scene.directivity.patterns import (
+    DIRECTIVITY_NAMES,
+    AxialPattern,
+    FirstOrder,
+    Omni,
+    Piston,
+    named_directivity,
+)
 
 ANGLES = np.radians(np.linspace(0.0, 180.0, 181))
-ALL = [Omni(), Cardioid(0.0), Cardioid(0.25), Cardioid(), Cardioid(1.0), Piston(0.0047), Piston(0.1)]
+ALL = [Omni(), FirstOrder(0.0), FirstOrder(0.25), FirstOrder(), FirstOrder(1.0), Piston(0.0047), Piston(0.1)]
 
 
 @pytest.mark.parametrize("directivity", ALL, ids=repr)
@@ -17,7 +24,7 @@ def test_gain_is_one_on_the_axis_and_nowhere_more(directivity):
     assert gain.shape == ANGLES.shape
     assert gain[0] == pytest.approx(1.0, rel=1e-15)
     assert np.all(np.abs(gain) <= 1.0 + 1e-15)
-    assert isinstance(directivity, Directivity)
+    assert isinstance(directivity, AxialPattern)
 
 
 @pytest.mark.parametrize("directivity", ALL, ids=repr)
@@ -28,10 +35,10 @@ def test_gain_keeps_the_shape(directivity):
 def test_first_order_patterns():
     sides = np.array([1.0, 0.0, -1.0])
     np.testing.assert_array_equal(Omni().gain(sides, 1e3, 343.0), [1, 1, 1])
-    np.testing.assert_array_equal(Cardioid(1.0).gain(sides, 1e3, 343.0), [1, 1, 1])
-    np.testing.assert_array_equal(Cardioid(0.5).gain(sides, 1e3, 343.0), [1, 0.5, 0])
-    np.testing.assert_array_equal(Cardioid(0.25).gain(sides, 1e3, 343.0), [1, 0.25, -0.5])
-    np.testing.assert_array_equal(Cardioid(0.0).gain(sides, 1e3, 343.0), [1, 0, -1])
+    np.testing.assert_array_equal(FirstOrder(1.0).gain(sides, 1e3, 343.0), [1, 1, 1])
+    np.testing.assert_array_equal(FirstOrder(0.5).gain(sides, 1e3, 343.0), [1, 0.5, 0])
+    np.testing.assert_array_equal(FirstOrder(0.25).gain(sides, 1e3, 343.0), [1, 0.25, -0.5])
+    np.testing.assert_array_equal(FirstOrder(0.0).gain(sides, 1e3, 343.0), [1, 0, -1])
 
 
 def test_piston_is_the_integral_over_its_face():
@@ -124,7 +131,7 @@ def test_nicera_s_transducer_has_the_published_levels():
 def test_bad_values_are_refused_by_name():
     for weight in (-0.1, 1.1, np.nan, "0.5", None):
         with pytest.raises(InputError) as error:
-            Cardioid(weight)
+            FirstOrder(weight)
         assert error.value.field == "weight"
     for radius in (0.0, -1.0, np.inf, None):
         with pytest.raises(InputError) as error:
@@ -140,5 +147,5 @@ def test_bad_values_are_refused_by_name():
 
 def test_directivities_are_values():
     assert Piston(0.0047) == named_directivity("MA40S4S")
-    assert len({Omni(), Omni(), Cardioid(), Cardioid(0.5)}) == 2
-    assert [d.kind for d in (Omni(), Cardioid(), Piston(1.0))] == ["omni", "cardioid", "piston"]
+    assert len({Omni(), Omni(), FirstOrder(), FirstOrder(0.5)}) == 2
+    assert [d.kind for d in (Omni(), FirstOrder(), Piston(1.0))] == ["omni", "cardioid", "piston"]

@@ -7,7 +7,7 @@ import pytest
 import scipy.io
 
 import clsim
-from clsim import DirectivityTable
+from clsim import AxialDirectivity
 
 LEVELS = """# turntable, 2 m
 angle, 30e3, 40e3
@@ -30,30 +30,30 @@ def arrays() -> dict[str, np.ndarray]:
 def test_text_files_have_frequencies_across_and_angles_down(tmp_path: Path) -> None:
     path = tmp_path / "beam.csv"
     path.write_text(LEVELS, "utf-8-sig")
-    table = DirectivityTable.from_csv(path, rear="hold", name="mine")
+    table = AxialDirectivity.from_csv(path, rear="hold", name="mine")
     assert table.frequencies.tolist() == [30e3, 40e3]
     assert table.angles_degrees.tolist() == [0, 45, 90]
     assert table.name == "mine"
     gain = table.gain(np.cos(np.radians([0.0, 45.0, 90.0])), 40e3, 343.0)
     np.testing.assert_allclose(20 * np.log10(gain), [0, -6, -20], atol=1e-9)
     path.write_text(LEVELS.replace(", ", "\t").replace(".5", ",5"))
-    np.testing.assert_array_equal(DirectivityTable.from_csv(path, rear="hold").values, table.values)
+    np.testing.assert_array_equal(AxialDirectivity.from_csv(path, rear="hold").values, table.values)
     path.write_text(LEVELS.replace("angle,", ",").replace("-2.5, -6", "0.75, -0.5"))
-    linear = DirectivityTable.from_csv(path, scale="linear", rear="hold")
+    linear = AxialDirectivity.from_csv(path, scale="linear", rear="hold")
     assert linear.values[1].tolist() == [0.75, -0.5]
 
 
 def test_phases_come_from_a_second_file(tmp_path: Path) -> None:
     (tmp_path / "level.csv").write_text(LEVELS)
     (tmp_path / "phase.csv").write_text(PHASES)
-    table = DirectivityTable.from_csv(tmp_path / "level.csv", tmp_path / "phase.csv", rear="hold")
+    table = AxialDirectivity.from_csv(tmp_path / "level.csv", tmp_path / "phase.csv", rear="hold")
     assert table.is_complex
     gain = table.gain(np.cos(np.radians([45.0, 90.0])), np.array([30e3, 40e3]), 343.0)
     expected = 10 ** (np.array([-2.5, -20.0]) / 20) * np.exp(1j * np.radians([-10.5, 180.0]))
     np.testing.assert_allclose(gain, expected, atol=1e-12)
     (tmp_path / "phase.csv").write_text(PHASES.replace("45", "50"))
     with pytest.raises(clsim.InputError, match="has others") as error:
-        DirectivityTable.from_csv(tmp_path / "level.csv", tmp_path / "phase.csv", rear="hold")
+        AxialDirectivity.from_csv(tmp_path / "level.csv", tmp_path / "phase.csv", rear="hold")
     assert error.value.field == "phases_path"
 
 
@@ -74,7 +74,7 @@ def test_text_files_that_are_no_table_name_the_line(tmp_path: Path, text: str, m
     path = tmp_path / "beam.csv"
     path.write_text(text)
     with pytest.raises(clsim.InputError) as error:
-        DirectivityTable.from_csv(path)
+        AxialDirectivity.from_csv(path)
     assert error.value.field == "path"
     assert message in error.value.problem
     assert str(path) in error.value.problem
@@ -88,7 +88,7 @@ def test_values_in_files_are_checked_like_any_others(tmp_path: Path) -> None:
     ):  # fmt: skip
         path.write_text(LEVELS.replace(old, new, 1))
         with pytest.raises(clsim.InputError) as error:
-            DirectivityTable.from_csv(path, rear="hold")
+            AxialDirectivity.from_csv(path, rear="hold")
         assert error.value.field == field
 
 
@@ -96,7 +96,7 @@ def test_values_in_files_are_checked_like_any_others(tmp_path: Path) -> None:
 def test_numpy_and_matlab_files(tmp_path: Path, arrays: dict[str, np.ndarray], kind: str) -> None:
     path = tmp_path / f"beam.{kind}"
     write = np.savez if kind == "npz" else lambda at, **named: scipy.io.savemat(at, named)
-    read = DirectivityTable.from_npz if kind == "npz" else DirectivityTable.from_mat
+    read = AxialDirectivity.from_npz if kind == "npz" else AxialDirectivity.from_mat
     write(path, **arrays)
     np.testing.assert_array_equal(read(path).values, arrays["values"])
     write(path, theta=arrays["angles"], f=arrays["frequencies"], H=arrays["values"])
@@ -143,7 +143,7 @@ def test_a_struct_as_laboratories_store_it(tmp_path: Path, transposed: bool) -> 
     if transposed:
         laboratory(tmp_path / "beam.mat", X=gain)
     with pytest.warns(clsim.ClsimWarning, match=r"from -5° to 185°; .* within 0.0017 of"):
-        table = DirectivityTable.from_mat(tmp_path / "beam.mat", **STRUCT)
+        table = AxialDirectivity.from_mat(tmp_path / "beam.mat", **STRUCT)
     np.testing.assert_allclose(table.angles_degrees, np.arange(0.0, 181.0, 5.0), atol=1e-9)
     np.testing.assert_array_equal(table.values, gain[1:-1])
 
@@ -151,14 +151,14 @@ def test_a_struct_as_laboratories_store_it(tmp_path: Path, transposed: bool) -> 
 def test_angles_beside_the_axis_make_its_values(tmp_path: Path) -> None:
     laboratory(tmp_path / "beam.mat", offset=2.5)
     with pytest.warns(clsim.ClsimWarning, match=r"from -2.5° to 187.5°"):
-        table = DirectivityTable.from_mat(tmp_path / "beam.mat", **STRUCT)
+        table = AxialDirectivity.from_mat(tmp_path / "beam.mat", **STRUCT)
     assert table.angles_degrees[[0, 1, -2, -1]].tolist() == [0.0, 2.5, 177.5, 180.0]
     np.testing.assert_allclose(np.abs(table.values[[0, -1]]), [[2.1] * 118, [0.1] * 118], atol=1e-4)
 
 
 def test_levels_beyond_the_axis_are_told_in_db() -> None:
     with pytest.warns(clsim.ClsimWarning, match=r"from -10° to 180°.* within 1.5 dB"):
-        table = DirectivityTable([-10, 0, 10, 180], [1e3], [[-2.0], [0.0], [-0.5], [-20.0]], scale="db")
+        table = AxialDirectivity([-10, 0, 10, 180], [1e3], [[-2.0], [0.0], [-0.5], [-20.0]], scale="db")
     assert table.values.ravel().tolist() == [0.0, -0.5, -20.0]
 
 
@@ -175,14 +175,14 @@ def test_levels_beyond_the_axis_are_told_in_db() -> None:
 def test_structs_that_lack_something(tmp_path: Path, asked: dict, field: str, message: str) -> None:
     laboratory(tmp_path / "beam.mat")
     with pytest.raises(clsim.InputError) as error:
-        DirectivityTable.from_mat(tmp_path / "beam.mat", **(STRUCT | asked), scale="linear")
+        AxialDirectivity.from_mat(tmp_path / "beam.mat", **(STRUCT | asked), scale="linear")
     assert error.value.field == field
     assert message in error.value.problem
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"PK\x03\x04" + bytes(100), b"MATLAB" + bytes(300), b"angle,1\n0,0\n"])
 def test_files_that_are_not_what_they_claim(tmp_path: Path, content: bytes) -> None:
-    for kind, read in (("npz", DirectivityTable.from_npz), ("mat", DirectivityTable.from_mat)):
+    for kind, read in (("npz", AxialDirectivity.from_npz), ("mat", AxialDirectivity.from_mat)):
         path = tmp_path / f"beam.{kind}"
         path.write_bytes(content)
         with pytest.raises(clsim.InputError, match="must be a") as error:
@@ -190,13 +190,13 @@ def test_files_that_are_not_what_they_claim(tmp_path: Path, content: bytes) -> N
         assert error.value.field == "path"
     (tmp_path / "beam.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(clsim.InputError, match="must be a text file"):
-        DirectivityTable.from_csv(tmp_path / "beam.csv")
+        AxialDirectivity.from_csv(tmp_path / "beam.csv")
 
 
 def test_files_cut_short(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     np.savez(tmp_path / "whole.npz", **arrays)
     scipy.io.savemat(tmp_path / "whole.mat", arrays)
-    for kind, read in (("npz", DirectivityTable.from_npz), ("mat", DirectivityTable.from_mat)):
+    for kind, read in (("npz", AxialDirectivity.from_npz), ("mat", AxialDirectivity.from_mat)):
         whole = (tmp_path / f"whole.{kind}").read_bytes()
         for share in (0.1, 0.5, 0.9, 0.99):
             (tmp_path / f"cut.{kind}").write_bytes(whole[: int(share * len(whole))])
@@ -210,7 +210,7 @@ def test_objects_and_single_arrays_are_no_table(tmp_path: Path, arrays: dict[str
     np.save(tmp_path / "array.npy", arrays["values"])
     for name in ("objects.npz", "array.npy"):
         with pytest.raises(clsim.InputError, match=r"must be a \.npz file"):
-            DirectivityTable.from_npz(tmp_path / name)
+            AxialDirectivity.from_npz(tmp_path / name)
 
 
 def test_matlab_s_newer_format_says_what_to_do(tmp_path: Path) -> None:
@@ -218,11 +218,11 @@ def test_matlab_s_newer_format_says_what_to_do(tmp_path: Path) -> None:
     header = b"MATLAB 7.3 MAT-file".ljust(124, b" ") + b"\x00\x02IM"
     (tmp_path / "new.mat").write_bytes(header.ljust(512, b"\x00") + b"\x89HDF\r\n\x1a\n")
     with pytest.raises(clsim.InputError, match="-v7") as error:
-        DirectivityTable.from_mat(tmp_path / "new.mat")
+        AxialDirectivity.from_mat(tmp_path / "new.mat")
     assert error.value.field == "path"
 
 
-@pytest.mark.parametrize("read", [DirectivityTable.from_csv, DirectivityTable.from_npz, DirectivityTable.from_mat])
+@pytest.mark.parametrize("read", [AxialDirectivity.from_csv, AxialDirectivity.from_npz, AxialDirectivity.from_mat])
 def test_missing_files_and_folders(tmp_path: Path, read) -> None:
     for path in (tmp_path / "missing.csv", tmp_path):
         with pytest.raises(clsim.InputError, match="cannot be read") as error:

@@ -152,9 +152,9 @@ def test_levels_of_a_picture() -> None:
     beam = Beam("", clsim.named_directivity("MA40S4S"), np.array([40e3, 80e3]), 343.0)
     expected = 20 * np.log10(np.abs(beam.directivity.gain(np.cos(angles)[:, None], beam.frequencies, 343.0)))
     np.testing.assert_allclose(beam_levels(beam, angles), np.maximum(expected, -40.0), atol=1e-9)
-    silent = Beam("", clsim.Cardioid(), np.array([1e3]), 343.0)
+    silent = Beam("", clsim.FirstOrder(), np.array([1e3]), 343.0)
     assert beam_levels(silent, np.array([np.pi]))[0, 0] == -40.0
-    loud = Beam("", clsim.DirectivityTable([0, 180], [1e3], [[4.0], [2.0]]), np.array([1e3]), 343.0)
+    loud = Beam("", clsim.AxialDirectivity([0, 180], [1e3], [[4.0], [2.0]]), np.array([1e3]), 343.0)
     np.testing.assert_allclose(beam_levels(loud, np.array([0.0, np.pi]))[:, 0], [0.0, -6.0206], atol=1e-4)
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import j1
 
 import clsim
-from clsim import DirectivityTable
+from clsim import AxialDirectivity
 from clsim.acoustics.acoustic_centre import fit_delay
 
 SPEED = 343.0
@@ -24,7 +24,7 @@ def piston_ahead(angle, frequency, radius=0.0047, ahead=0.01, delay=0.0):
 def table_of(step, frequencies, last=180.0, options=None, **pattern):
     angles = np.arange(0.0, last + 1e-9, step)
     values = piston_ahead(np.radians(angles)[:, None], np.asarray(frequencies), **pattern)
-    return DirectivityTable(angles, frequencies, values, **(options or {}))
+    return AxialDirectivity(angles, frequencies, values, **(options or {}))
 
 
 def level(gain):
@@ -36,7 +36,7 @@ def test_the_table_s_own_points_come_back():
     table = table_of(5.0, frequencies, radius=0.01, ahead=0.03)
     gain = table.gain(np.cos(np.radians(table.angles_degrees))[:, None], frequencies, SPEED)
     np.testing.assert_allclose(gain, table.values, atol=1e-12)
-    db = DirectivityTable.from_db([0, 10, 45, 180], [1e3, 2e3], [[0, 0], [-1, -3], [-3, -20], [-40, -60]])
+    db = AxialDirectivity.from_db([0, 10, 45, 180], [1e3, 2e3], [[0, 0], [-1, -3], [-3, -20], [-40, -60]])
     gain = db.gain(np.cos(np.radians(db.angles_degrees))[:, None], db.frequencies, SPEED)
     np.testing.assert_allclose(level(gain), db.values, atol=1e-9)
 
@@ -108,7 +108,7 @@ def test_fit_delay_in_three_dimensions(rng):
 def test_levels_in_db_do_not_overshoot():
     angles = np.array([0.0, 5, 10, 60, 65, 90, 120, 180])
     rows = np.array([0.0, 0, -20, -20, -3, -30, -30, -31])
-    table = DirectivityTable.from_db(angles, [40e3, 41e3, 60e3], rows[:, None] + [0.0, -1.0, -40.0])
+    table = AxialDirectivity.from_db(angles, [40e3, 41e3, 60e3], rows[:, None] + [0.0, -1.0, -40.0])
     assert not table.is_complex
     got = level(table.gain(np.cos(FINE), 40e3, SPEED))
     cell = np.clip(np.searchsorted(np.radians(angles), FINE, side="right") - 1, 0, len(angles) - 2)
@@ -124,7 +124,7 @@ def test_it_is_smooth_over_the_axis_and_where_the_rear_begins(rear, options):
     angles = np.arange(0.0, (180.0 if rear is None else 90.0) + 1, 15.0)
     values = piston_ahead(np.radians(angles)[:, None], np.array([40e3]), 0.003, 0.002)
     values = level(values) if options else values
-    table = DirectivityTable(angles, [40e3], values, rear=rear, **options)
+    table = AxialDirectivity(angles, [40e3], values, rear=rear, **options)
 
     def slope(at, step):
         a, b = (table.gain(np.cos(at + s), 40e3, SPEED) for s in (0.0, step))
@@ -149,27 +149,27 @@ def test_the_rear_is_what_was_asked_for():
     assert np.abs(nothing.gain(np.cos(np.radians([100.0, 130.0, 180.0])), 40e3, SPEED)).max() < 1e-12
     half = nothing.gain(np.cos(np.radians(95.0)), 40e3, SPEED)
     assert half == pytest.approx(0.5 * piston_ahead(np.pi / 2, 40e3), rel=1e-9)
-    narrow = DirectivityTable([0, 60], [40e3], [[1.0], [0.5]], rear="hold")
+    narrow = AxialDirectivity([0, 60], [40e3], [[1.0], [0.5]], rear="hold")
     assert narrow.gain(np.array([0.0, -1.0]), 40e3, SPEED).tolist() == pytest.approx([0.5, 0.5])
 
 
 def test_two_sides():
     angles = np.arange(-90.0, 91.0, 30.0)
     same = np.cos(np.radians(angles))[:, None] + 0.1
-    assert len(DirectivityTable(angles, [1e3], same, rear="hold").angles_degrees) == 4
+    assert len(AxialDirectivity(angles, [1e3], same, rear="hold").angles_degrees) == 4
     other = same.copy()
     other[:3] *= 0.5
     with pytest.raises(clsim.InputError, match="side="):
-        DirectivityTable(angles, [1e3], other, rear="hold")
+        AxialDirectivity(angles, [1e3], other, rear="hold")
     for side, factor in (("positive", 1.0), ("negative", 0.5), ("mean", 0.75)):
-        table = DirectivityTable(angles, [1e3], other, rear="hold", side=side)
+        table = AxialDirectivity(angles, [1e3], other, rear="hold", side=side)
         assert table.gain(0.5, 1e3, SPEED) == pytest.approx(0.6 * factor)
     whole = np.arange(-180.0, 181.0, 45.0)
-    assert DirectivityTable(whole, [1e3], np.ones((9, 1))).gain(-1.0, 1e3, SPEED) == 1.0
+    assert AxialDirectivity(whole, [1e3], np.ones((9, 1))).gain(-1.0, 1e3, SPEED) == 1.0
     levels = np.zeros((9, 1))
     levels[0] = -0.5
     with pytest.raises(clsim.InputError, match=r"±180° by up to 0.5 dB"):
-        DirectivityTable(whole, [1e3], levels, scale="db")
+        AxialDirectivity(whole, [1e3], levels, scale="db")
 
 
 def test_frequencies_outside_are_refused_or_held():
@@ -196,19 +196,19 @@ def test_relative_to_the_axis():
     response = (1.0 + 0.3 * np.sin(f / 1e3)) * np.exp(-2j * np.pi * f * 3e-3)  # 1 m of air among it
     angles = np.arange(0.0, 181.0, 5.0)
     beam = piston_ahead(np.radians(angles)[:, None], f)
-    table = DirectivityTable(angles, f, beam * response, relative_to_axis=True)
+    table = AxialDirectivity(angles, f, beam * response, relative_to_axis=True)
     np.testing.assert_allclose(table.gain(1.0, f, SPEED), 1.0, atol=1e-12)
     np.testing.assert_allclose(table.values, beam / beam[0], atol=1e-9)
-    db = DirectivityTable([0, 180], [1e3], [[-20.0], [-30.0]], scale="db", relative_to_axis=True)
+    db = AxialDirectivity([0, 180], [1e3], [[-20.0], [-30.0]], scale="db", relative_to_axis=True)
     assert db.gain(-1.0, 1e3, SPEED) == pytest.approx(10**-0.5)
     with pytest.raises(clsim.InputError) as error:
-        DirectivityTable([0, 180], [1e3], [[0.0], [1.0]], relative_to_axis=True)
+        AxialDirectivity([0, 180], [1e3], [[0.0], [1.0]], relative_to_axis=True)
     assert error.value.field == "relative_to_axis"
 
 
 def test_signed_real_values_stay_real_and_go_through_zero():
     angles = np.arange(0.0, 181.0, 10.0)
-    table = DirectivityTable(angles, [1e3], np.cos(np.radians(angles))[:, None])
+    table = AxialDirectivity(angles, [1e3], np.cos(np.radians(angles))[:, None])
     assert not table.is_complex
     gain = table.gain(np.cos(FINE), 1e3, SPEED)
     assert gain.dtype == np.float64
@@ -224,7 +224,7 @@ def test_shapes_broadcast():
     assert both.shape == (1025,)
     assert both[512] == pytest.approx(table.gain(np.cos(FINE[512]), 35e3, SPEED), rel=1e-12)
     assert np.isnan(table.gain(np.nan, 35e3, SPEED))
-    assert isinstance(table, clsim.scene.directivity.patterns.Directivity)
+    assert isinstance(table, clsim.scene.directivity.patterns.AxialPattern)
 
 
 def test_large_tables_are_fast(rng):
@@ -232,7 +232,7 @@ def test_large_tables_are_fast(rng):
     values = piston_ahead(np.radians(angles)[:, None], frequencies, 0.01, 0.03)
     values = values + 1e-3 * rng.normal(size=values.shape)
     begun = time.perf_counter()
-    table = DirectivityTable(angles, frequencies, values)
+    table = AxialDirectivity(angles, frequencies, values)
     assert time.perf_counter() - begun < 5.0  # 0.3 s on a busy machine
     at = np.linspace(20e3, 85e3, 24)
     spent = []
@@ -285,20 +285,20 @@ GOOD = {"angles_degrees": [0, 90, 180], "frequencies": [1e3, 2e3], "values": np.
 )
 def test_bad_values_are_refused_by_name(change, field, message):
     with pytest.raises(clsim.InputError) as error:
-        DirectivityTable(**(GOOD | change))
+        AxialDirectivity(**(GOOD | change))
     assert error.value.field == field
     assert message in error.value.problem
 
 
 def test_phases_must_have_the_shape_of_levels():
     with pytest.raises(clsim.InputError) as error:
-        DirectivityTable.from_db([0, 180], [1e3], [[0.0], [-3.0]], [[0.0]])
+        AxialDirectivity.from_db([0, 180], [1e3], [[0.0], [-3.0]], [[0.0]])
     assert error.value.field == "phases_degrees"
 
 
 def test_no_phase_at_0_hz() -> None:
     """Held below its lowest frequency, a table becomes real towards 0 Hz; above half of it nothing changes."""
-    table = DirectivityTable([0.0, 180.0], [1e3, 2e3], [[1j, 1j], [0.5j + 0.5, 0.5j + 0.5]], outside="hold")
+    table = AxialDirectivity([0.0, 180.0], [1e3, 2e3], [[1j, 1j], [0.5j + 0.5, 0.5j + 0.5]], outside="hold")
     gain = table.gain(1.0, np.array([1e3, 600.0, 500.0]), 343.0)
     turn = np.exp(-2j * np.pi * np.array([1e3, 600.0, 500.0]) * table.delay.sum())
     np.testing.assert_allclose(gain / turn, gain[0] / turn[0], atol=1e-12)

@@ -88,7 +88,7 @@ def test_pieces_begin_at_whole_chunks() -> None:
     tone = clsim.Signal.tone(40e3, duration=0.3, sampling_rate=RATE)
     source = clsim.Source("s", tone, clsim.Trajectory.fixed((2, 2, 2)))
     scene = clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("r", PLACE)])
-    plan = clsim.plan_render(scene, clsim.find_paths(scene, 0), RATE, engine="reference", chunk=SEGMENT)
+    plan = clsim.plan_render(clsim.find_paths(scene, 0), RATE, engine="reference", chunk=SEGMENT)
     pieces = list(clsim.render_chunks(plan))
     later = list(clsim.render_chunks(plan, first=SEGMENT))
     assert [start for start, _ in later] == [start for start, _ in pieces[1:]]

@@ -91,7 +91,7 @@ def check(path: Path, number: int) -> None:
         return
     file = load_scene(path)
     paths = clsim.find_paths(file.scene, **file.paths)
-    plan = clsim.plan_render(file.scene, paths, **file.render | {"engine": "reference", "duration": 1e-3})
+    plan = clsim.plan_render(paths, **file.render | {"engine": "reference", "duration": 1e-3})
     for _, samples in clsim.render_chunks(plan):
         assert np.isfinite(samples).all()
 

@@ -9,7 +9,7 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.output.table import read_table, write_table, write_truth
+from clsim.output.table import read_table, write_ground_truth, write_table
 from clsim.output.view import viewed
 from clsim.study.member import _add_paths, _add_truth
 
@@ -71,9 +71,9 @@ def test_parquet_has_the_names_of_the_table(table, tmp_path: Path) -> None:
 
 
 def test_every_door_has_the_truth_under_its_own_names(paths: clsim.PathSet, table, tmp_path: Path) -> None:
-    truth = clsim.direct_truth(paths, TIMES)
+    truth = clsim.direct_path(paths, TIMES)
     assert {f.name for f in fields(truth)} == {"times", *OF_TRUTH}
-    write_truth(paths, TIMES, "retarded", tmp_path / "truth.npz")
+    write_ground_truth(paths, TIMES, "retarded", tmp_path / "truth.npz")
     xarray = pytest.importorskip("xarray")
     member = xarray.Dataset()
     _add_truth(member, paths, TIMES, "retarded")
@@ -90,7 +90,7 @@ def test_every_door_has_the_truth_under_its_own_names(paths: clsim.PathSet, tabl
         for name in ("delay", "doppler_factor"):
             np.testing.assert_array_equal(getattr(truth, name)[0, r][heard], getattr(table, name)[row][heard])
     np.testing.assert_allclose(
-        truth.radial_speed, paths.scene.air.sound_speed * (1.0 - truth.doppler_factor), rtol=0, atol=1e-12
+        truth.radial_speed, paths.scene.air.speed_of_sound * (1.0 - truth.doppler_factor), rtol=0, atol=1e-12
     )
     assert not truth.line_of_sight.all()
 

@@ -11,7 +11,7 @@ import pytest
 import soundfile
 
 import clsim
-from clsim import DirectivityTable, InputError, MeshRoom, Signal, Trajectory
+from clsim import AxialDirectivity, InputError, MeshRoom, Signal, Trajectory
 from clsim.files.input_files import check_file, read_file, read_toml
 from clsim.scene.receiver_array import positions_from_file
 from clsim.scene_file import load_scene
@@ -21,10 +21,10 @@ READERS = {
     "poses.csv": lambda path: Trajectory.from_file(path, "csv"),
     "room.obj": lambda path: MeshRoom.from_file(path, materials=clsim.Material.from_reflection(0.9)),
     "room.stl": lambda path: MeshRoom.from_file(path, materials=clsim.Material.from_reflection(0.9)),
-    "beam.csv": DirectivityTable.from_csv,
-    "beam.npz": DirectivityTable.from_npz,
-    "beam.mat": DirectivityTable.from_mat,
-    "beam.sofa": clsim.SphericalTable.from_sofa,
+    "beam.csv": AxialDirectivity.from_csv,
+    "beam.npz": AxialDirectivity.from_npz,
+    "beam.mat": AxialDirectivity.from_mat,
+    "beam.sofa": clsim.SphericalDirectivity.from_sofa,
     "places.txt": positions_from_file,
     "sound.wav": Signal.from_wav,
 }
@@ -107,7 +107,7 @@ def test_archives_that_unpack_to_too_much_are_not_unpacked(tmp_path: Path) -> No
         archive.writestr("values.npy", b"")
         archive.filelist[0].file_size = 2**29  # what the archive will say
     with pytest.raises(InputError, match=r"path: cannot be read: .*: it unpacks to 512 MiB"):
-        DirectivityTable.from_npz(path)
+        AxialDirectivity.from_npz(path)
     path.rename(tmp_path / "room.zip")
     with pytest.raises(InputError, match=r"must be of a known format .* but ends with '\.zip'"):
         READERS["room.stl"](tmp_path / "room.zip")
@@ -146,7 +146,7 @@ def test_a_file_that_ends_the_process_which_reads_it_is_refused(tmp_path: Path, 
     with pytest.raises(
         InputError, match=r"path: must be a MATLAB file, but is not: .* \(reading it ends the process\)"
     ):
-        DirectivityTable.from_mat(path)
+        AxialDirectivity.from_mat(path)
 
 
 def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> No
     path = tmp_path / "beam.mat"
     savemat(path, {"values": np.zeros((1000, 40_000), np.uint8)}, do_compression=True)  # told as if of float64
     with pytest.raises(InputError, match=r"must be a MATLAB file, but is not: .* it holds more than"):
-        DirectivityTable.from_mat(path)
+        AxialDirectivity.from_mat(path)
 
 
 @pytest.mark.parametrize(

@@ -13,15 +13,18 @@ import clsim
 
 PACKAGE = Path(clsim.__file__).parent
 LAYERS = [
-    ("errors", "arrays", "input_files"),
+    ("errors", "arrays"),
+    ("files", "numerics"),
     ("acoustics",),
     ("scene",),
     ("opencl",),
     ("paths",),
+    ("tracks",),
+    ("recording", "impulse_responses"),
     ("render",),
-    ("recording", "room_responses"),
     ("output",),
     ("scene_file",),
+    ("workflow",),
     ("study",),
     ("commands",),
     ("cli",),

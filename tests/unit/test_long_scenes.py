@@ -13,14 +13,14 @@ import pytest
 import clsim
 from clsim.cli import main
 from clsim.commands import run as run_command
-from clsim.paths.trajectory_tables import movers
+from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.render.memory import within_memory
 from clsim.render.plan import plan_render
 from clsim.scene.motion.instants import Instants
 from clsim.scene.motion.motion import Motion
 from clsim.scene.places import first_approach, first_refused, nearest_within
 from clsim.scene.room.contact import first_contact
-from clsim.tracks.pruning import without_quiet
+from clsim.tracks.pruning import pruned
 from clsim.tracks.tracks import SceneTracks, track
 
 SIZE = (8.0, 6.0, 3.0)
@@ -28,7 +28,7 @@ ROOM = clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.9))
 MESH = clsim.MeshRoom.joined([ROOM])
 SHORT = clsim.Signal.tone(40e3, duration=0.001, sampling_rate=192e3, fade=0.0005)
 DAYS = 1e6  # s
-MOST_LOOKS = 20_000  # instants of all motions together
+MOST_EVALUATIONS = 20_000  # instants of all motions together
 
 SCENE = """
 format = 1
@@ -56,13 +56,13 @@ def scene_of(
 @contextmanager
 def few_looks(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Fail where motions are asked for more instants than what moves can need."""
-    looks = 0
+    evaluations = 0
 
     def counted(function: Any) -> Any:
         def count(self: Motion, t: Any) -> Any:
-            nonlocal looks
-            looks += np.size(t)
-            assert looks <= MOST_LOOKS
+            nonlocal evaluations
+            evaluations += np.size(t)
+            assert evaluations <= MOST_EVALUATIONS
             return function(self, t)
 
         return count
@@ -192,7 +192,7 @@ def test_bounds_of_the_speed_hold_and_close_in(kind: int, rng: np.random.Generat
 def test_many_receivers_are_looked_at_together(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SceneTracks, "delay_range", lambda *_: pytest.fail("a pair was looked at by itself"))
     scene = scene_of(clsim.Trajectory.line((4, 3, 1.5), (5, 3, 1.5), 1.0), receivers=100)
-    plan = plan_render(scene, clsim.find_paths(scene, 1), 192e3, duration=0.01)
+    plan = plan_render(clsim.find_paths(scene, 1), 192e3, duration=0.01)
     assert plan.memory_bytes > 0
 
 
@@ -237,7 +237,7 @@ def test_a_path_table_is_made_in_pieces() -> None:
     times = np.linspace(0.0, 100.0, 200_000)
     with little_memory(2.2 * 72 * len(times)):
         table = paths.table(times)
-        clsim.direct_truth(paths, times)
+        clsim.direct_path(paths, times)
     np.testing.assert_array_equal(table.delay[0, 70_000:70_003], paths.table(times[70_000:70_003]).delay[0])
 
 
@@ -264,8 +264,8 @@ def test_errors_name_what_asks_for_memory() -> None:
     scene = scene_of(STILL, clsim.Signal.tone(40e3, 1e6, 192e3))
     paths = clsim.find_paths(scene, 0)
     with pytest.raises(clsim.InputError, match=r"duration: must ask for less memory: a whole recording .* 732422 MiB"):
-        clsim.render(scene, paths, 192e3)
-    plan = plan_render(scene, paths, 192e3, chunk=10**12)
+        clsim.render(paths, 192e3)
+    plan = plan_render(paths, 192e3, chunk=10**12)
     assert plan.largest_field == "render.chunk"
     with pytest.raises(clsim.InputError, match=r"render.chunk: must ask for less memory: rendering needs about .* the"):
         within_memory(plan.largest_field, "rendering", plan.memory_bytes).__enter__()
@@ -279,18 +279,18 @@ def test_errors_name_what_asks_for_memory() -> None:
 def test_motions_in_a_mesh_are_tabled_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsim.paths.trajectory_tables._MOST_KNOTS", 5000)
     resting = clsim.Trajectory.line((1, 1, 1), (1, 1, 1), 1e9)
-    assert len(movers(resting, [STILL, resting]).knots) == 3
+    assert len(trajectory_tables(resting, [STILL, resting]).knots) == 3
     long = clsim.Trajectory.circle((4, 3, 1.5), 1.0, period=1.0, duration=1e7)
     with pytest.raises(
         clsim.InputError, match=r"receivers\[1\].trajectory: must be known within 0.001 m from 5000 places"
     ):
-        movers(STILL, [STILL, long])
+        trajectory_tables(STILL, [STILL, long])
 
 
 def test_quiet_paths_at_rest_are_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     tracks = track(clsim.find_paths(scene_of(STILL), 2))
-    short = without_quiet(tracks, -20.0, 1.0)
+    short = pruned(tracks, -20.0, 1.0)
     with few_looks(monkeypatch):
-        long = without_quiet(tracks, -20.0, DAYS)
+        long = pruned(tracks, -20.0, DAYS)
     assert "left out" in long[1]
     assert long[1] == short[1]

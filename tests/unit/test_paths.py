@@ -76,7 +76,7 @@ def test_without_absorption_a_gain_is_spreading_and_walls_alone(scene: clsim.Sce
     paths = clsim.find_paths(bare, 2)
     table = paths.table([0.0])
     factors = np.append(scene.room.reflections(40e3), 1.0)[table.walls].prod(axis=1)
-    distance = bare.air.sound_speed * table.delay[:, 0]
+    distance = bare.air.speed_of_sound * table.delay[:, 0]
     np.testing.assert_allclose(table.gain[:, 0], factors / distance, rtol=1e-12)
     frequencies = np.array([1e3, 40e3, 90e3])
     for rows, group in paths.groups():  # and at every frequency

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim import SphericalTable
+from clsim import SphericalDirectivity
 
 sofar = pytest.importorskip("sofar")
 
@@ -46,7 +46,7 @@ def transfer_functions(path: Path, **changes) -> Path:
 
 
 def test_front_left_and_up_are_ours(tmp_path: Path) -> None:
-    table = SphericalTable.from_sofa(transfer_functions(tmp_path / "a.sofa"), name="a")
+    table = SphericalDirectivity.from_sofa(transfer_functions(tmp_path / "a.sofa"), name="a")
     assert table.band == (10e3, 20e3)
     towards = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     np.testing.assert_allclose(
@@ -70,7 +70,7 @@ def test_cartesian_positions_and_a_turned_moved_source(tmp_path: Path) -> None:
         ListenerView=np.array([[-1.0, 0, 0]]), ReceiverPosition=(world - centre) @ listener,
         ReceiverPosition_Type="cartesian", ReceiverPosition_Units="metre",
     )  # fmt: skip
-    table = SphericalTable.from_sofa(path)
+    table = SphericalDirectivity.from_sofa(path)
     np.testing.assert_allclose(table.directions, unit(grid()), atol=1e-12)
     np.testing.assert_allclose(table.values, pattern(unit(grid())), atol=1e-12)
 
@@ -78,9 +78,9 @@ def test_cartesian_positions_and_a_turned_moved_source(tmp_path: Path) -> None:
 def test_one_of_several_measurements(tmp_path: Path) -> None:
     values = np.stack([pattern(unit(grid())), 2.0 * pattern(unit(grid()))])
     path = transfer_functions(tmp_path / "two.sofa", Data_Real=values.real, Data_Imag=values.imag)
-    np.testing.assert_allclose(SphericalTable.from_sofa(path, measurement=1).values, values[1])
+    np.testing.assert_allclose(SphericalDirectivity.from_sofa(path, measurement=1).values, values[1])
     with pytest.raises(clsim.InputError, match="from 0 to 1, but is 2") as error:
-        SphericalTable.from_sofa(path, measurement=2)
+        SphericalDirectivity.from_sofa(path, measurement=2)
     assert error.value.field == "measurement"
 
 
@@ -89,7 +89,7 @@ def test_one_frequency_and_options(tmp_path: Path) -> None:
     path = transfer_functions(
         tmp_path / "one.sofa", N=np.array([10e3]), Data_Real=values.real[None], Data_Imag=values.imag[None]
     )
-    table = SphericalTable.from_sofa(path, outside="hold", relative_to_axis=True)
+    table = SphericalDirectivity.from_sofa(path, outside="hold", relative_to_axis=True)
     assert table.band == (0.0, np.inf)
     assert table.gain_towards([1, 0, 0], 12e3, SPEED) == pytest.approx(1.0, abs=1e-4)
 
@@ -109,7 +109,7 @@ def test_impulse_responses_become_their_spectrum(tmp_path: Path, rng) -> None:
     sofa.Data_IR, sofa.Data_SamplingRate = samples[None], rate
     sofa.Data_Delay = np.arange(count)[None].astype(float)
     sofar.write_sofa(str(tmp_path / "ir.sofa"), sofa)
-    table = SphericalTable.from_sofa(tmp_path / "ir.sofa")
+    table = SphericalDirectivity.from_sofa(tmp_path / "ir.sofa")
     assert table.frequencies[[0, -1]].tolist() == [0.0, 96e3]
     turn = -2j * np.pi * table.frequencies / rate
     at = np.arange(count)[:, None]
@@ -118,7 +118,7 @@ def test_impulse_responses_become_their_spectrum(tmp_path: Path, rng) -> None:
     netcdf = pytest.importorskip("netCDF4")
     with netcdf.Dataset(tmp_path / "ir.sofa", "a") as file:  # a convention that sofar does not know
         file.SOFAConventions = "FreeFieldDirectivityIR"
-    np.testing.assert_array_equal(SphericalTable.from_sofa(tmp_path / "ir.sofa").values, table.values)
+    np.testing.assert_array_equal(SphericalDirectivity.from_sofa(tmp_path / "ir.sofa").values, table.values)
 
 
 def test_between_the_bins_of_an_impulse_response(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_between_the_bins_of_an_impulse_response(tmp_path: Path) -> None:
     sofa.SourcePosition_Units = "metre"
     sofa.Data_IR, sofa.Data_SamplingRate, sofa.Data_Delay = samples[None], rate, np.zeros((1, count))
     sofar.write_sofa(str(tmp_path / "ir.sofa"), sofa)
-    table = SphericalTable.from_sofa(tmp_path / "ir.sofa", relative_to_axis=True)
+    table = SphericalDirectivity.from_sofa(tmp_path / "ir.sofa", relative_to_axis=True)
     towards = unit(np.array([[37.0, 21.0], [100.0, -63.0], [181.0, 4.0]]))
     for f in (20_123.0, 40_456.0, 60_789.0):
         expected = np.exp(2j * np.pi * f / SPEED * 0.008 * (towards[:, 0] - 1.0))
@@ -146,14 +146,14 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     for content in (b"", b"hello" * 100, b"\x89HDF\r\n\x1a\n" + bytes(200)):
         path.write_bytes(content)
         with pytest.raises(clsim.InputError, match="must be a SOFA file") as error:
-            SphericalTable.from_sofa(path)
+            SphericalDirectivity.from_sofa(path)
         assert error.value.field == "path"
     for missing in (tmp_path / "missing.sofa", tmp_path / "folder.sofa"):
         (tmp_path / "folder.sofa").mkdir(exist_ok=True)
         with pytest.raises(clsim.InputError, match="cannot be read"):
-            SphericalTable.from_sofa(missing)
+            SphericalDirectivity.from_sofa(missing)
     with pytest.raises(clsim.InputError, match=r"must end in \.sofa"):
-        SphericalTable.from_sofa(tmp_path / "beam.csv")
+        SphericalDirectivity.from_sofa(tmp_path / "beam.csv")
 
 
 def test_files_cut_short(tmp_path: Path) -> None:
@@ -161,14 +161,14 @@ def test_files_cut_short(tmp_path: Path) -> None:
     for share in (0.2, 0.6, 0.95):
         (tmp_path / "cut.sofa").write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(clsim.InputError):
-            SphericalTable.from_sofa(tmp_path / "cut.sofa")
+            SphericalDirectivity.from_sofa(tmp_path / "cut.sofa")
 
 
 def test_other_conventions_and_odd_geometry(tmp_path: Path) -> None:
     sofa = sofar.Sofa("SimpleFreeFieldHRIR")
     sofar.write_sofa(str(tmp_path / "hrir.sofa"), sofa)
     with pytest.raises(clsim.InputError, match=r"FreeFieldDirectivityTF.*'SimpleFreeFieldHRIR'"):
-        SphericalTable.from_sofa(tmp_path / "hrir.sofa")
+        SphericalDirectivity.from_sofa(tmp_path / "hrir.sofa")
     positions = np.column_stack([grid(), np.full(len(grid()), 2.0)])
     positions[3, 2] = 2.5
     for changes, message in (
@@ -179,11 +179,11 @@ def test_other_conventions_and_odd_geometry(tmp_path: Path) -> None:
         ({"Data_Real": np.full((1, len(grid()), 3), np.nan)}, "must be finite"),
     ):
         with pytest.raises(clsim.InputError, match=message):
-            SphericalTable.from_sofa(transfer_functions(tmp_path / "odd.sofa", **changes))
+            SphericalDirectivity.from_sofa(transfer_functions(tmp_path / "odd.sofa", **changes))
 
 
 def test_without_the_package_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = transfer_functions(tmp_path / "a.sofa")
     monkeypatch.setitem(sys.modules, "sofar", None)
     with pytest.raises(clsim.InputError, match=r"pip install 'clsim\[sofa\]'"):
-        SphericalTable.from_sofa(path)
+        SphericalDirectivity.from_sofa(path)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim import SphericalTable
+from clsim import SphericalDirectivity
 from clsim.numerics.quaternions import rotate
 from clsim.numerics.sphere import GridOnSphere, largest_hole, merged
-from clsim.scene.directivity.patterns import Directivity, SphericalDirectivity
+from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern
 
 SPEED = 343.0
 PLACES = np.array([[0.012, 0.004, -0.003], [-0.004, 0.006, 0.009]])  # m, of two unequal sources
@@ -49,7 +49,7 @@ SETS = {
 @pytest.mark.parametrize("name", SETS)
 def test_the_table_s_own_directions_come_back(name: str) -> None:
     f = np.array([10e3, 20e3, 40e3])
-    table = SphericalTable(SETS[name], f, pattern(SETS[name], f))
+    table = SphericalDirectivity(SETS[name], f, pattern(SETS[name], f))
     assert table.is_complex
     gain = table.gain_towards(SETS[name][:, None], f, SPEED)
     np.testing.assert_allclose(gain, pattern(SETS[name], f), atol=1e-9)
@@ -65,7 +65,7 @@ def test_the_table_s_own_directions_come_back(name: str) -> None:
 )  # fmt: skip
 def test_between_directions_it_is_the_pattern(name: str, frequency: float, allowed: float, rng) -> None:
     f = np.array([frequency])
-    table = SphericalTable(SETS[name], f, pattern(SETS[name], f))
+    table = SphericalDirectivity(SETS[name], f, pattern(SETS[name], f))
     towards = anywhere(rng)
     expected = pattern(towards, f)[:, 0]
     error = table.gain_towards(towards, frequency, SPEED) - expected
@@ -74,7 +74,7 @@ def test_between_directions_it_is_the_pattern(name: str, frequency: float, allow
 
 def test_between_frequencies_it_is_the_pattern(rng) -> None:
     f, towards = np.arange(10e3, 30.1e3, 1e3), anywhere(rng, 500)
-    table = SphericalTable(SETS["fine grid"], f, pattern(SETS["fine grid"], f))
+    table = SphericalDirectivity(SETS["fine grid"], f, pattern(SETS["fine grid"], f))
     between = np.arange(12.5e3, 28e3, 1e3)
     error = table.gain_towards(towards[:, None], between, SPEED) - pattern(towards, between)
     assert 20 * np.log10(np.abs(error).max()) < -60
@@ -83,7 +83,7 @@ def test_between_frequencies_it_is_the_pattern(rng) -> None:
 @pytest.mark.parametrize("name", SETS)
 def test_real_values_stay_real(name: str, rng) -> None:
     directions = SETS[name]
-    table = SphericalTable(directions, [1e3], 0.5 + 0.5 * directions[:, 1:2])  # loud towards +y, to the left
+    table = SphericalDirectivity(directions, [1e3], 0.5 + 0.5 * directions[:, 1:2])  # loud towards +y, to the left
     assert not table.is_complex
     gain = table.gain_towards(np.array([[0, 1, 0], [0, -1, 0], [1, 0, 0]]), 1e3, SPEED)
     assert gain.dtype == np.float64
@@ -93,7 +93,7 @@ def test_real_values_stay_real(name: str, rng) -> None:
 def test_poles_are_no_seam(rng) -> None:
     f = np.array([20e3])
     for name in ("grid", "grid without poles"):
-        table = SphericalTable(SETS[name], f, pattern(SETS[name], f))
+        table = SphericalDirectivity(SETS[name], f, pattern(SETS[name], f))
         for pole in (1.0, -1.0):
             tilt = np.linspace(-0.02, 0.02, 41)  # a great circle over the pole
             towards = np.column_stack([np.sin(tilt) * 0.6, np.sin(tilt) * 0.8, pole * np.cos(tilt)])
@@ -106,8 +106,8 @@ def test_a_turned_table_is_the_table_turned(rng) -> None:
     turn = np.array([0.1, -0.3, 0.5, 0.8])
     turn /= np.linalg.norm(turn)
     f, points = np.array([10e3]), SETS["spiral"]
-    table = SphericalTable(points, f, pattern(points, f))
-    turned = SphericalTable(rotate(turn, points), f, pattern(points, f))
+    table = SphericalDirectivity(points, f, pattern(points, f))
+    turned = SphericalDirectivity(rotate(turn, points), f, pattern(points, f))
     towards = anywhere(rng, 200)
     np.testing.assert_allclose(
         turned.gain_towards(rotate(turn, towards), 10e3, SPEED), table.gain_towards(towards, 10e3, SPEED), atol=1e-8
@@ -132,7 +132,7 @@ def test_directions_given_twice_are_averaged() -> None:
     points = np.vstack([spiral(50), spiral(50)[3:4]])
     values = np.ones((51, 1))
     values[50] = 3.0
-    table = SphericalTable(points, [1e3], values)
+    table = SphericalDirectivity(points, [1e3], values)
     assert len(table.directions) == 50
     assert table.gain_towards(points[3], 1e3, SPEED) == pytest.approx(2.0)
 
@@ -141,7 +141,7 @@ def test_relative_to_the_axis(rng) -> None:
     f = np.linspace(10e3, 20e3, 41)
     points = SETS["spiral"]
     through_air = np.exp(-2j * np.pi * f * 3e-3)
-    table = SphericalTable(points, f, pattern(points, f) * through_air, relative_to_axis=True)
+    table = SphericalDirectivity(points, f, pattern(points, f) * through_air, relative_to_axis=True)
     np.testing.assert_allclose(table.gain_towards([1, 0, 0], f, SPEED), 1.0, atol=1e-6)
     towards = anywhere(rng, 100)
     expected = pattern(towards, f) / pattern(np.array([[1.0, 0, 0]]), f)
@@ -150,10 +150,10 @@ def test_relative_to_the_axis(rng) -> None:
 
 def test_frequencies_and_shapes() -> None:
     f = np.array([10e3, 20e3])
-    table = SphericalTable(SETS["few"], f, pattern(SETS["few"], f))
+    table = SphericalDirectivity(SETS["few"], f, pattern(SETS["few"], f))
     assert table.band == (10e3, 20e3)
-    assert isinstance(table, SphericalDirectivity)
-    assert not isinstance(table, Directivity)
+    assert isinstance(table, DirectionalPattern)
+    assert not isinstance(table, AxialPattern)
     assert table.gain_towards([1, 0, 0], 15e3, SPEED).shape == ()
     assert table.gain_towards(np.ones((4, 5, 1, 3)), f, SPEED).shape == (4, 5, 2)
     assert table.gain_towards([1, 0, 0], np.full((2, 3), 15e3), SPEED).shape == (2, 3)
@@ -161,7 +161,7 @@ def test_frequencies_and_shapes() -> None:
     np.testing.assert_allclose(pairs, np.diag(pattern(SETS["few"][:2], f)), atol=1e-9)
     with pytest.raises(clsim.InputError, match="outside"):
         table.gain_towards([1, 0, 0], 21e3, SPEED)
-    held = SphericalTable(SETS["few"], f, pattern(SETS["few"], f), outside="hold")
+    held = SphericalDirectivity(SETS["few"], f, pattern(SETS["few"], f), outside="hold")
     assert np.abs(held.gain_towards([1, 0, 0], 30e3, SPEED)) == pytest.approx(
         np.abs(held.gain_towards([1, 0, 0], 20e3, SPEED))
     )
@@ -195,6 +195,6 @@ UPPER = spiral(200)[:100]
 )
 def test_bad_values_are_refused_by_name(directions, frequencies, values, field: str, message: str) -> None:
     with pytest.raises(clsim.InputError) as error:
-        SphericalTable(directions, frequencies, values)
+        SphericalDirectivity(directions, frequencies, values)
     assert error.value.field == field
     assert message in error.value.problem

@@ -42,14 +42,14 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
     # What the store holds is what the scene gives.
     scene = clsim.scene_file.load_scene(folder / "scene.toml")
     paths = clsim.find_paths(scene.scene, max_order=2)
-    wanted = clsim.render(scene.scene, paths, 192e3)
+    wanted = clsim.render(paths, 192e3)
     with clsim.open_store(folder / "out" / "study.zarr" / "m000002") as member:
         # Within rounding: a worker has fewer threads, on which linear algebra makes other last digits of filters.
         np.testing.assert_allclose(
             member.sound.values, wanted.pressure, rtol=0, atol=1e-6 * np.abs(wanted.pressure).max()
         )
         assert loudness[2] == pytest.approx(np.sqrt(np.mean(wanted.pressure[0].astype(float) ** 2)), rel=1e-5)
-        table, truth = paths.table(member.times.values), clsim.direct_truth(paths, member.times.values)
+        table, truth = paths.table(member.times.values), clsim.direct_path(paths, member.times.values)
         for name in ("delay", "doppler_factor", "line_of_sight", "radial_speed", "times"):
             np.testing.assert_array_equal(member[name].values, getattr(truth, name))
         for name in COLUMNS:

@@ -42,8 +42,8 @@ class MadeTeam:
         self.stored: set[int] = set()
 
     def workers(self) -> dict[str, int]:
-        self.there = {name: max(0, looks - 1) for name, looks in self.there.items()}
-        up = [name for name, looks in self.there.items() if not looks]
+        self.there = {name: max(0, evaluations - 1) for name, evaluations in self.there.items()}
+        up = [name for name, evaluations in self.there.items() if not evaluations]
         for name in self._outside(up):
             self._die(name)
         return {name: self._threads for name in up if name in self.there}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.trajectory_tables import Balls
+    from clsim.paths.trajectory_tables import BoundingSpheres
     from clsim.scene.room.walls import Walls
 
 _PAIRS = 200_000  # of beam and next wall looked at at a time
@@ -71,7 +71,7 @@ class BeamTree:
         The room.
     centre, radius : ndarray (3,), float
         Ball that holds the source, m.
-    receivers : Balls
+    receivers : BoundingSpheres
         Where the receivers are.
     limit : int
         Beams after which the search is given up.
@@ -84,7 +84,7 @@ class BeamTree:
         Of the work that is done, 0 to 1, estimated.
     """
 
-    def __init__(self, walls: Walls, centre: Floats, radius: float, receivers: Balls, limit: int) -> None:
+    def __init__(self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres, limit: int) -> None:
         self._walls, self._receivers, self._limit = walls, receivers, limit
         self._centre, self._radius = centre, radius + _SLACK * walls.size
         widths = np.diff(walls.first_hull)

@@ -8,14 +8,14 @@ import numpy as np
 
 from clsim.errors import DeviceError, InputError
 from clsim.opencl.device import find_device, opened, upload, work
-from clsim.paths.specular.intervals import GRAZE, MOST_LOOKS, SMALLEST_MOVE, Intervals, Question, merged
+from clsim.paths.specular.intervals import GRAZE, MOST_EVALUATIONS, SMALLEST_MOVE, Intervals, VisibilityQuery, merged
 from clsim.scene.room.walls import INSIDE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _PATHS = 16_384  # searched at a time
-_LOOKS = 2**19  # evaluations in one launch
+_EVALUATIONS = 2**19  # evaluations in one launch
 _DEPTH = 96  # spans that can wait: two for each of 45 times that the run is halved, and a few
 _INTERVAL = np.dtype([("begin", "f8"), ("end", "f8"), ("path", "i4"), ("unused", "i4")])
 
@@ -36,13 +36,13 @@ class DeviceSearch:
         If there is no device, or it fails.
     """
 
-    def __init__(self, question: Question, device: Any = None) -> None:
+    def __init__(self, query: VisibilityQuery, device: Any = None) -> None:
         import pyopencl as cl
 
-        self._question = question
+        self._query = query
         context, self._compiler = opened(device or find_device(None)[1])
         self._queue = cl.CommandQueue(context)
-        walls, ends = question.walls, question.movers
+        walls, ends = query.walls, query.trajectory_tables
         plane = np.concatenate([walls.normal, walls.offset[:, None]], axis=1)
         ball = np.concatenate([walls.centre, walls.radius[:, None]], axis=1)
         whole = (walls.plane, walls.first_edge, walls.first_piece, walls.first_line, walls.first_twin)
@@ -58,7 +58,7 @@ class DeviceSearch:
         self._ends = (
             self._upload(ends.places), self._upload(ends.scales), self._upload(ends.knots), self._upload(ends.speeds),
             self._upload(ends.mounts),
-            np.float64(question.speed_of_sound),
+            np.float64(query.speed_of_sound),
         )  # fmt: skip
 
     def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
@@ -74,14 +74,14 @@ class DeviceSearch:
             raise DeviceError(f"the device failed while paths were validated: {error}") from error
         path = np.concatenate([p["path"].astype(np.int64) + first for first, p, _ in parts])
         begin, end = (np.concatenate([p[name] for _, p, _ in parts]) for name in ("begin", "end"))
-        return merged(path, begin, end, sum(looks for _, _, looks in parts))
+        return merged(path, begin, end, sum(evaluations for _, _, evaluations in parts))
 
     def _search(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> tuple[NDArray[Any], int]:
         """Search some paths in launches of bounded length; return their intervals and the evaluations."""
         import pyopencl as cl
 
-        question, context, flags = self._question, self._queue.context, cl.mem_flags
-        states = self._beginning(question.first[receiver], question.last[receiver])
+        query, context, flags = self._query, self._queue.context, cl.mem_flags
+        states = self._beginning(query.first[receiver], query.last[receiver])
         constants = {"ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": 12, "RETARDED": 1, "STILL": 0}
         kernel = self._compiler.kernel("intervals", constants)
         columns = (np.append(sequence.ravel(), 0), receiver)
@@ -90,14 +90,14 @@ class DeviceSearch:
         active = np.flatnonzero(states["depth"]).astype(np.int32)
         parts = []
         while len(active):
-            budget = max(16, _LOOKS // len(active))
+            budget = max(16, _EVALUATIONS // len(active))
             room = (budget + 1) * len(active)
             found = cl.Buffer(context, flags.READ_WRITE, _INTERVAL.itemsize * room)
             count = self._upload(np.zeros(1, dtype=np.int32))
             kernel(
                 self._queue, *work(len(active), group=16), *self._room, *self._ends, *rows,
-                self._upload(active), np.int32(len(active)), np.float64(question.resolution),
-                np.float64(SMALLEST_MOVE * question.walls.size), np.float64(GRAZE * question.walls.size),
+                self._upload(active), np.int32(len(active)), np.float64(query.resolution),
+                np.float64(SMALLEST_MOVE * query.walls.size), np.float64(GRAZE * query.walls.size),
                 np.int32(budget), on_device, found, count,
             )  # fmt: skip
             made = np.empty(1, dtype=np.int32)
@@ -110,12 +110,12 @@ class DeviceSearch:
             self._refuse_endless(states["looks"], sequence)
         return np.concatenate(parts) if parts else np.empty(0, dtype=_INTERVAL), int(states["looks"].sum())
 
-    def _refuse_endless(self, looks: NDArray[np.int32], sequence: NDArray[np.int32]) -> None:
-        worst = int(np.argmax(looks))
-        if looks[worst] > MOST_LOOKS:
+    def _refuse_endless(self, evaluations: NDArray[np.int32], sequence: NDArray[np.int32]) -> None:
+        worst = int(np.argmax(evaluations))
+        if evaluations[worst] > MOST_EVALUATIONS:
             raise InputError(
                 "resolution",
-                f"must let every path be settled within {MOST_LOOKS} evaluations, but the path by the walls "
+                f"must let every path be settled within {MOST_EVALUATIONS} evaluations, but the path by the walls "
                 f"{sequence[worst].tolist()} needs more; it runs along an edge: move an end, or ask less finely",
             )
 

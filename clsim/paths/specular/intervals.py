@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.specular.visibility import Reach, mirrored, path_status
-from clsim.paths.trajectory_tables import NUDGES, Movers
+from clsim.paths.trajectory_tables import PERTURBATIONS, TrajectoryTables
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
 GRAZE = 1e-6  # of the room's size; paths that pass an edge nearer than this run along it
 GRAZE_TIME = 1e-3  # s; spans shorter than this of such a path are one, if both ends agree with the middle
-MOST_LOOKS = 3_000_000  # evaluations of one path
+MOST_EVALUATIONS = 3_000_000  # evaluations of one path
 _CHUNK = 20_000  # spans looked at at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Question:
+class VisibilityQuery:
     """What is asked of a search: the room, its ends, and how finely.
 
     Attributes
     ----------
     walls : Walls
         The room.
-    movers : Movers
+    movers : TrajectoryTables
         The source and the receivers.
     speed_of_sound : float
         m/s.
@@ -46,21 +46,21 @@ class Question:
     """
 
     walls: Walls
-    movers: Movers
+    trajectory_tables: TrajectoryTables
     speed_of_sound: float
     first: Floats
     last: Floats
     resolution: float
 
-    def during(self, begin: float, end: float) -> Question:
+    def during(self, begin: float, end: float) -> VisibilityQuery:
         """Return the same question for a part of the time."""
         first, last = np.maximum(self.first, begin), np.minimum(self.last, end)
         return replace(self, first=first, last=last)
 
     @property
-    def stretch(self) -> Floats:
+    def time_dilation(self) -> Floats:
         """How much faster emission times can pass than times of reception, (receivers,)."""
-        mach = self.movers.scales[:, 2] / self.speed_of_sound
+        mach = self.trajectory_tables.scales[:, 2] / self.speed_of_sound
         return np.asarray((1.0 + mach[1:]) / (1.0 - mach[0]))
 
 
@@ -81,10 +81,10 @@ class Intervals:
     path: NDArray[np.int64]
     begin: Floats
     end: Floats
-    looks: int
+    evaluations: int
 
 
-def find_intervals(question: Question, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
+def find_intervals(query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
     """Return the intervals in which paths are valid.
 
     Parameters
@@ -96,10 +96,10 @@ def find_intervals(question: Question, sequence: NDArray[np.int32], receiver: ND
     receiver : ndarray (n,) int
         Receiver of each path.
     """
-    path = np.flatnonzero(question.first[receiver] < question.last[receiver])
-    stack = [(path, question.first[receiver[path]], question.last[receiver[path]])]
+    path = np.flatnonzero(query.first[receiver] < query.last[receiver])
+    stack = [(path, query.first[receiver[path]], query.last[receiver[path]])]
     found: list[tuple[Any, Any, Any]] = [(path[:0], np.empty(0), np.empty(0))]
-    looks = 0
+    evaluations = 0
     while stack:
         path, begin, end = stack.pop()
         if len(path) > _CHUNK:
@@ -107,15 +107,15 @@ def find_intervals(question: Question, sequence: NDArray[np.int32], receiver: ND
             path, begin, end = path[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
         half = 0.5 * (end - begin)
         middle = begin + half
-        valid, clear, reach = look(question, sequence[path], receiver[path], middle, half)
-        looks += len(path)
-        done = (clear > reach) | (2.0 * half <= question.resolution) | (reach < SMALLEST_MOVE * question.walls.size)
-        grazing = np.flatnonzero(~done & (clear < GRAZE * question.walls.size) & (half <= 0.5 * GRAZE_TIME))
+        valid, clear, reach = evaluate(query, sequence[path], receiver[path], middle, half)
+        evaluations += len(path)
+        done = (clear > reach) | (2.0 * half <= query.resolution) | (reach < SMALLEST_MOVE * query.walls.size)
+        grazing = np.flatnonzero(~done & (clear < GRAZE * query.walls.size) & (half <= 0.5 * GRAZE_TIME))
         for instant in (begin, end):
             still = np.zeros(len(grazing))
-            seen, _, _ = look(question, sequence[path[grazing]], receiver[path[grazing]], instant[grazing], still)
+            seen, _, _ = evaluate(query, sequence[path[grazing]], receiver[path[grazing]], instant[grazing], still)
             grazing = grazing[seen == valid[grazing]]
-            looks += len(still)
+            evaluations += len(still)
         done[grazing] = True
         good = done & valid
         found.append((path[good], begin[good], end[good]))
@@ -123,7 +123,7 @@ def find_intervals(question: Question, sequence: NDArray[np.int32], receiver: ND
         path, begin, end = path[split], begin[split], end[split]
         middle, half, valid = middle[split], half[split], valid[split]
         share = 0.999 * clear[split] / np.maximum(reach[split], 1e-300)
-        share[(share < 0.05) | (share * half < 0.5 * question.resolution)] = 0.0
+        share[(share < 0.05) | (share * half < 0.5 * query.resolution)] = 0.0
         first, last = middle - share * half, middle + share * half
         known = valid & (last > first)
         found.append((path[known], first[known], last[known]))
@@ -132,33 +132,33 @@ def find_intervals(question: Question, sequence: NDArray[np.int32], receiver: ND
         if real.any():
             stack.append((rest[0][real], rest[1][real], rest[2][real]))
     paths, begins, ends = (np.concatenate([f[i] for f in found]) for i in range(3))
-    return merged(paths, begins, ends, looks)
+    return merged(paths, begins, ends, evaluations)
 
 
-def look(
-    question: Question, sequence: NDArray[np.int32], receiver: NDArray[np.int64], time: Floats, half: Floats
+def evaluate(
+    query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64], time: Floats, half: Floats
 ) -> tuple[NDArray[np.bool_], Floats, Floats]:
     """Return validity, clearance and how far the ends can move within `half` of a time, each (n,)."""
-    walls, ends, c = question.walls, question.movers, question.speed_of_sound
+    walls, ends, c = query.walls, query.trajectory_tables, query.speed_of_sound
     row, source = receiver + 1, np.zeros(len(receiver), dtype=np.int64)
     at = ends.position(row, time)
     image = at
     for k in range(sequence.shape[1] - 1, -1, -1):
         image = mirrored(walls, sequence[:, k], image)
     emitted = time - ends.delay(image, time, c)
-    late = question.stretch[receiver]
+    late = query.time_dilation[receiver]
     reach = Reach(
         half * late * ends.speed_over(source, emitted - late * half, emitted + late * half),
         half * ends.speed_over(row, time - half, time + half),
         ends.mounts[source, :3],
         ends.mounts[row, :3],
     )
-    origin = ends.lifted(source, ends.position(source, emitted) + NUDGES[0])
-    valid, clear = path_status(walls, sequence, origin, ends.lifted(row, at + NUDGES[1]), reach)
+    origin = ends.lifted(source, ends.position(source, emitted) + PERTURBATIONS[0])
+    valid, clear = path_status(walls, sequence, origin, ends.lifted(row, at + PERTURBATIONS[1]), reach)
     return valid, clear, reach.most
 
 
-def merged(path: NDArray[np.int64], begin: Floats, end: Floats, looks: int) -> Intervals:
+def merged(path: NDArray[np.int64], begin: Floats, end: Floats, evaluations: int) -> Intervals:
     """Sort intervals and join those that touch."""
     order = np.lexsort((begin, path))
     path, begin, end = path[order], begin[order], end[order]
@@ -166,4 +166,4 @@ def merged(path: NDArray[np.int64], begin: Floats, end: Floats, looks: int) -> I
     first[1:] = (path[1:] != path[:-1]) | (begin[1:] != end[:-1])
     starts = np.flatnonzero(first)
     ends = np.append(starts[1:], len(path))[: len(starts)] - 1
-    return Intervals(path[starts], begin[starts], end[ends], looks)
+    return Intervals(path[starts], begin[starts], end[ends], evaluations)

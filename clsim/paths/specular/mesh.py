@@ -14,9 +14,9 @@ from clsim.errors import ClsimWarning, DeviceError, InputError
 from clsim.opencl.device import find_device
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
-from clsim.paths.specular.intervals import Question, find_intervals
+from clsim.paths.specular.intervals import VisibilityQuery, find_intervals
 from clsim.paths.specular.ray_shooting import ShotRays
-from clsim.paths.trajectory_tables import Balls, movers
+from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
 from clsim.scene.flush import find_mount
 from clsim.scene.room.mesh import MeshRoom
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.specular.intervals import Intervals
-    from clsim.paths.trajectory_tables import Movers
+    from clsim.paths.trajectory_tables import TrajectoryTables
     from clsim.scene.motion.motion import Motion
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene, Source
@@ -99,11 +99,11 @@ class MeshSearch:
         DeviceError
             If the device fails.
         """
-        room, c = scene.room, scene.air.sound_speed
+        room, c = scene.room, scene.air.speed_of_sound
         assert isinstance(room, MeshRoom)
         trajectories = [r.trajectory for r in scene.receivers]
         mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
-        ends = movers(source.trajectory, trajectories, mounts)
+        ends = trajectory_tables(source.trajectory, trajectories, mounts)
         longest = (self.max_order + 1) * _diameter(room, ends) / c
         last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
         fastest = float(ends.scales[0, 2])
@@ -114,31 +114,31 @@ class MeshSearch:
                 f"only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
             )
         resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
-        question = Question(room.walls, ends, c, np.zeros(len(last)), last, resolution)
+        query = VisibilityQuery(room.walls, ends, c, np.zeros(len(last)), last, resolution)
         shoot = self._shoots(room.walls, ends)
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
         while cells:
             begin, end = cells.pop()
-            receivers = ends.receiver_balls(begin, end)
+            receivers = ends.receiver_spheres(begin, end)
             centre, radius = ends.ball(0, begin - longest, end)
             finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
             if shoot:
                 finder = ShotRays(room, source.trajectory, receivers, mounts[0])
             part = partial(report, progress, begin / last.max(), end / last.max())
             try:
-                parts.append(self._heard(question.during(begin, end), finder, source.name, part))
+                parts.append(self._heard(query.during(begin, end), finder, source.name, part))
             except TooManyBeamsError as error:
                 if radius < _SMALLEST_CELL * room.walls.size:
                     raise InputError("max_order", str(error)) from error
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
         return _sorted(parts, last)
 
-    def _shoots(self, walls: Walls, ends: Movers) -> bool:
+    def _shoots(self, walls: Walls, ends: TrajectoryTables) -> bool:
         """Return whether to shoot rays: asked for, or where a tree would be far too large."""
         if self.finder == "auto":
             centre, radius = ends.ball(0)
-            tree = BeamTree(walls, centre, min(radius, _SMALLEST_CELL * walls.size), Balls.none(), BEAM_LIMIT)
+            tree = BeamTree(walls, centre, min(radius, _SMALLEST_CELL * walls.size), BoundingSpheres.none(), BEAM_LIMIT)
             beams = tree.estimate(self.max_order)
             if beams <= BEAM_LIMIT:
                 return False
@@ -154,9 +154,9 @@ class MeshSearch:
         )
         return True
 
-    def _heard(self, question: Question, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
+    def _heard(self, query: VisibilityQuery, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
-        search = _searcher(question, self.engine, self.device)
+        search = _searcher(query, self.engine, self.device)
         parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
         for batch, waiting in _batches(finder.candidates(self.max_order)):
             sequence, receiver = batch.sequence[batch.row], batch.receiver
@@ -197,20 +197,20 @@ def report(progress: Progress, first: float, last: float, share: float) -> None:
     progress(first + share * (last - first))
 
 
-def _searcher(question: Question, engine: str, device: str | None) -> Search:
+def _searcher(query: VisibilityQuery, engine: str, device: str | None) -> Search:
     """Return what finds intervals: a device with float64, or NumPy."""
     if engine == "opencl":
         try:
             info, chosen = find_device(device)
             if info.fp64:
-                return DeviceSearch(question, chosen).find
+                return DeviceSearch(query, chosen).find
             reason = f"{info.name} has no float64"
         except DeviceError:
             if device is not None:
                 raise
             reason = "there is no OpenCL device"
         warnings.warn(f"{reason}: paths are validated by NumPy, which is slow", ClsimWarning, stacklevel=5)
-    return partial(find_intervals, question)
+    return partial(find_intervals, query)
 
 
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:
@@ -241,7 +241,7 @@ def _last(source: Motion, longest: float, receiver: Motion) -> float:
     return max(last, 1e-3)
 
 
-def _diameter(room: MeshRoom, ends: Movers) -> float:
+def _diameter(room: MeshRoom, ends: TrajectoryTables) -> float:
     """Return a bound on the length of a leg, m."""
     balls = [ends.ball(row) for row in range(len(ends.places))]
     low = np.minimum(room.extent[0], np.min([c - r for c, r in balls], axis=0))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.trajectory_tables import Balls
+    from clsim.paths.trajectory_tables import BoundingSpheres
     from clsim.scene.flush import Mount
     from clsim.scene.motion.motion import Motion
     from clsim.scene.room.mesh import MeshRoom
@@ -39,7 +39,7 @@ class ShotRays:
         The room.
     source : Motion
         Where rays start.
-    receivers : Balls
+    receivers : BoundingSpheres
         Each of which every sequence is a candidate for.
     mount : Mount, optional
         The wall that the source sits in: rays start in front of it.
@@ -55,7 +55,7 @@ class ShotRays:
         If embreex is not installed.
     """
 
-    def __init__(self, room: MeshRoom, source: Motion, receivers: Balls, mount: Mount | None = None) -> None:
+    def __init__(self, room: MeshRoom, source: Motion, receivers: BoundingSpheres, mount: Mount | None = None) -> None:
         self._room, self._receivers = room, receivers
         self._positions = _positions(source)
         if mount is not None:
@@ -115,7 +115,7 @@ class ShotRays:
 
 def _positions(source: Motion) -> Floats:
     """Return positions along a trajectory, some decimetres apart, (n, 3) m."""
-    if source.at_rest:
+    if source.is_static:
         return np.atleast_2d(source.position(0.0))
     instants = Instants(0.0, source.end, min(_RATE, _MOST / source.end))
     places = source.position(instants.times(np.arange(instants.count)))

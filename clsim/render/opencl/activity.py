@@ -15,7 +15,7 @@ _SPARSE = 0.5  # share of cells that sound, below which it pays to look
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sounding:
+class Activity:
     """Cells of `CELL` samples of branch signals in which any of them is not zero.
 
     Attributes
@@ -26,9 +26,9 @@ class Sounding:
 
     cells: NDArray[np.bool_]
 
-    def __or__(self, other: Sounding) -> Sounding:
+    def __or__(self, other: Activity) -> Activity:
         """Return where either sounds."""
-        return Sounding(self.cells | other.cells)
+        return Activity(self.cells | other.cells)
 
     @property
     def pays(self) -> bool:
@@ -49,7 +49,7 @@ class Sounding:
         return np.asarray(np.maximum.accumulate(index))
 
 
-def sounding(heard: NDArray[np.int64], count: int, before: int, after: int) -> Sounding:
+def sounding(heard: NDArray[np.int64], count: int, before: int, after: int) -> Activity:
     """Return which cells of branches sound.
 
     Parameters
@@ -65,4 +65,4 @@ def sounding(heard: NDArray[np.int64], count: int, before: int, after: int) -> S
     # A sample at i is heard by branches from i - after - before to i.
     begun = np.bincount(np.clip((heard - before - after) // CELL, 0, cells), minlength=cells + 1)
     ended = np.bincount(np.clip(heard // CELL + 1, 0, cells), minlength=cells + 1)
-    return Sounding(np.cumsum(begun - ended)[:-1] > 0)
+    return Activity(np.cumsum(begun - ended)[:-1] > 0)

@@ -10,9 +10,9 @@ import numpy as np
 
 from clsim.opencl.device import work
 from clsim.render.baseband import WIDEST_GROUP
-from clsim.render.envelope import EnvelopeEmission
+from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.engine import OpenclEngine, Run
-from clsim.render.opencl.fades import find_edges
+from clsim.render.opencl.fades import find_fades
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -79,7 +79,7 @@ class _BasebandRun(Run):
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, begin = self._engine, segment * self._plan.segment
-        self._render_edges(nodes, segment, end, block, first_block)
+        self._render_fades(nodes, segment, end, block, first_block)
         lanes = engine._layout.lanes
         vectors = min(block, WIDEST_GROUP) // lanes if lanes > 1 else 1
         spans = (end - begin) // (vectors * lanes)
@@ -94,44 +94,44 @@ class _BasebandRun(Run):
             *launch.envelope, nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
 
-    def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+    def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
         engine, begin = self._engine, segment * self._plan.segment
-        edges = find_edges(self._bounds, self._slots, self._start + begin, block, -(-(end - begin) // block))
-        if edges is None:
+        fades = find_fades(self._bounds, self._slots, self._start + begin, block, -(-(end - begin) // block))
+        if fades is None:
             return
         launch, ramp = self._launch(nodes, begin, block, first_block), self._bounds.ramp
-        slot = engine._upload(edges.slot)
-        columns = (edges.start, edges.end, edges.first, edges.row, edges.at)
+        slot = engine._upload(fades.slot)
+        columns = (fades.start, fades.end, fades.first, fades.row, fades.at)
         kernel = engine._compiler.kernel("baseband_edges", launch.constants | {"LANES": 1})
         kernel(
-            engine._queue, *work(block, len(edges.row), group=math.gcd(block, 32)), *launch.branches,
+            engine._queue, *work(block, len(fades.row), group=math.gcd(block, 32)), *launch.branches,
             np.float32(1.0 / ramp if ramp else 0.0), slot, *(engine._upload(column) for column in columns),
             *launch.envelope, np.int32(end - begin), np.int32(nodes.spans is not None),
             nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
-        self._mute(nodes, slot, engine._upload(edges.block + np.int32(first_block)))
+        self._mute(nodes, slot, engine._upload(fades.block + np.int32(first_block)))
 
     def _launch(self, nodes: Any, begin: int, block: int, first_block: int) -> _Launch:
-        emission = self._plan.emissions[self._source]
-        assert isinstance(emission, EnvelopeEmission)
+        filters = self._plan.source_filters[self._source]
+        assert isinstance(filters, EnvelopeFilters)
         constants = {
             "LANES": self._engine._layout.lanes,
             "DELAY_TERMS": self._plan.delay_terms,
             "FUNCTIONS": self._functions,
-            "GROUP": emission.bank.group,
+            "GROUP": filters.bank.group,
         }
-        turn = round(emission.mixer.turn * 2**64) % 2**64
+        turn = round(filters.mixer.turn * 2**64) % 2**64
         return _Launch(
             constants,
             (
                 self._branches.rows, np.int32(self._branches.stride),
-                self._engine._upload(emission.rows.astype(np.int32)),
+                self._engine._upload(filters.rows.astype(np.int32)),
                 np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics,
                 np.int32(self._slots.count), np.int32(block), np.int32(first_block),
             ),
             (
                 self._pressure, np.int32(self._length), np.int32(begin), np.uint64(turn),
-                np.float32(2.0 * emission.cycles),
+                np.float32(2.0 * filters.cycles),
             ),
         )  # fmt: skip

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Active:
+class ActivePaths:
     """The paths of one group that are heard for a while.
 
     Attributes
@@ -33,16 +33,16 @@ class Active:
     low: Floats
     high: Floats
 
-    def during(self, plan: Plan, first: int, last: int) -> Active:
+    def during(self, plan: Plan, first: int, last: int) -> ActivePaths:
         """Return those heard within samples `first` to `last`."""
         group, ramp = plan.tracks.groups[self.index], 0.5 * plan.tracks.transition
         begin, end = first / plan.sampling_rate, last / plan.sampling_rate
         heard = (group.start[self.rows] - ramp <= end) & (group.end[self.rows] + ramp >= begin)
-        return Active(self.index, self.rows[heard], self.low[heard], self.high[heard])
+        return ActivePaths(self.index, self.rows[heard], self.low[heard], self.high[heard])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Slots:
+class PathBatch:
     """Paths in the order in which the device walks them.
 
     Attributes
@@ -65,7 +65,7 @@ class Slots:
     receiver: NDArray[np.int32]
     first_slot: NDArray[np.int32]
     path: NDArray[np.int64]
-    filling: NDArray[np.bool_]
+    padding: NDArray[np.bool_]
     shortest: float
     longest: float
 
@@ -79,22 +79,22 @@ class Slots:
         return slice(int(self.first_slot[i]), int(self.first_slot[i + 1]))
 
 
-def fill_slots(plan: Plan, active: list[Active], batch: int) -> Slots:
+def fill_batch(plan: Plan, active: list[ActivePaths], batch: int) -> PathBatch:
     """Return the slots of some groups' active paths, sorted by the middle of their delays."""
-    path, filling, first = [], [], [0]
+    path, padding, first = [], [], [0]
     for group in active:
         order = group.rows[np.argsort(group.low + group.high, kind="stable")]
         extra = -len(order) % batch
         path.append(np.concatenate([order, np.full(extra, order[-1])]))
-        filling.append(np.arange(len(order) + extra) >= len(order))
+        padding.append(np.arange(len(order) + extra) >= len(order))
         first.append(first[-1] + len(order) + extra)
     receivers = [plan.tracks.groups[group.index].receiver for group in active]
-    return Slots(
+    return PathBatch(
         tuple(group.index for group in active),
         np.array(receivers, dtype=np.int32),
         np.array(first, dtype=np.int32),
         np.concatenate(path),
-        np.concatenate(filling),
+        np.concatenate(padding),
         min(float(group.low.min()) for group in active),
         max(float(group.high.max()) for group in active),
     )

@@ -21,7 +21,7 @@ def block_polynomials(
     gain: Floats,
     block: int,
     sampling_rate: float,
-    late: float,
+    delay_samples: float,
     oversampling: int = 1,
     terms: int = 4,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
@@ -53,10 +53,10 @@ def block_polynomials(
         Lowest power first: `terms` for the delay in samples, then four for the gains, K at a time.
     """
     if terms == 8:
-        delay_terms = _septic(delay * sampling_rate + late, rate * (0.5 * block))
+        delay_terms = _septic(delay * sampling_rate + delay_samples, rate * (0.5 * block))
     else:
         per_second, half = oversampling * sampling_rate, 0.5 * oversampling * block
-        p0, p1 = delay[:, 1:-2] * per_second + late, delay[:, 2:-1] * per_second + late
+        p0, p1 = delay[:, 1:-2] * per_second + delay_samples, delay[:, 2:-1] * per_second + delay_samples
         e0, e1 = rate[:, 1:-2] * half, rate[:, 2:-1] * half
         delay_terms = _centred(p0, p1, e0, e1)
     g0, g1, g2, g3 = _nodes(gain)
@@ -87,21 +87,21 @@ def block_error(
     mid-block from the quintic through the middle nodes and all four rates is taken, times its ratio to the cubic's,
     where that is below 1: as if the terms went on falling like this. Motion without higher derivatives gains nothing.
     """
-    late = np.abs(np.diff(rate, 3, axis=1)) * block_time / 384.0
+    delay_samples = np.abs(np.diff(rate, 3, axis=1)) * block_time / 384.0
     if terms == 8:
         (d0, d1, d2, d3), (e0, e1, e2, e3) = _nodes(delay), _nodes(rate * (0.5 * block_time))
         quintic = 0.5 * (d1 + d2) + 17.0 / 64.0 * (e1 - e2) - (e0 - e3) / 192.0
         septic = (243.0 * (d1 + d2) + 13.0 * (d0 + d3) - 162.0 * (e2 - e1) - 6.0 * (e3 - e0)) / 512.0
         rest = np.abs(septic - quintic)
-        late = rest * np.minimum(rest / np.maximum(late, 1e-20), 1.0)
+        delay_samples = rest * np.minimum(rest / np.maximum(delay_samples, 1e-20), 1.0)
     else:
         cubed = 0.125 * block_time * (rate[:, 1:-2] + rate[:, 2:-1]) - 0.25 * np.diff(delay, axis=1)[:, 1:-1]
-        late = late + np.abs(cubed) * part**3
+        delay_samples = delay_samples + np.abs(cubed) * part**3
     change = (0.03 * _fourth(gain) if terms == 8 else 0.02 * np.abs(np.diff(gain, 3, axis=2))).sum(axis=0)
     if terms == 4:
         g0, g1, g2, g3 = _nodes(gain)
         change = np.hypot(change, 0.0625 * part**2 * np.abs((g3 - g2) - (g1 - g0)).sum(axis=0))
-    return np.asarray(np.hypot(angular_frequency * late * np.abs(gain[:, :, 1:-2]).sum(axis=0), change))
+    return np.asarray(np.hypot(angular_frequency * delay_samples * np.abs(gain[:, :, 1:-2]).sum(axis=0), change))
 
 
 def _nodes(values: Floats) -> list[Floats]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.device import upload, work
-from clsim.render.opencl.activity import CELL, Sounding, sounding
-from clsim.render.opencl.batches import Active
+from clsim.render.opencl.activity import CELL, Activity, sounding
+from clsim.render.opencl.batches import ActivePaths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class Feed:
     """What of a signal can be heard in a chunk, and by which delays."""
 
     source: int
-    active: list[Active]
+    active: list[ActivePaths]
     places: NDArray[np.int32]  # (n,), what sounds
     values: NDArray[np.float32]  # (functions, parts, n)
     before: int  # samples from the first place to that at which branch signals begin
@@ -37,7 +37,7 @@ class Feed:
     first: int  # of these, at which they begin
     least: int  # of these, of delay
     most: int
-    found: Sounding | None  # where it is worth leaving out what is silent
+    found: Activity | None  # where it is worth leaving out what is silent
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Branches:
     first: int  # of their own samples, at which the rows begin
     least: int  # of these
     most: int
-    sounding: Sounding | None  # where it is worth leaving out what is silent
+    sounding: Activity | None  # where it is worth leaving out what is silent
 
 
 class BranchSignals:
@@ -59,7 +59,7 @@ class BranchSignals:
         self._plan, self._queue, self._compiler, self._scratch = plan, queue, compiler, scratch
         self._lanes, self._parts = lanes, parts
         self._emitted: tuple[tuple[int, int], int, Any] | None = None  # rows and samples, and where they are not zero
-        self._written: tuple[tuple[int, int], Sounding] | None = None  # branches kept in memory, silent elsewhere
+        self._written: tuple[tuple[int, int], Activity] | None = None  # branches kept in memory, silent elsewhere
         self._ahead: tuple[tuple[int, int, int] | None, Feed | None] = None, None  # prepared: source, start, length
 
     def whole_blocks(self, start: int, stop: int) -> int:
@@ -76,40 +76,40 @@ class BranchSignals:
         """Prepare what comes after a source's chunk while the device is at work."""
         plan = self._plan
         self._queue.flush()
-        source, start = (source + 1, start) if source + 1 < len(plan.emissions) else (0, start + plan.chunk)
+        source, start = (source + 1, start) if source + 1 < len(plan.source_filters) else (0, start + plan.chunk)
         stop = min(start + plan.chunk, plan.samples)
         following = source, start, self.whole_blocks(start, stop)
         if start < stop and self._ahead[0] != following:
             self._ahead = following, self._feed(*following)
 
-    def _active(self, source: int, start: int, length: int) -> list[Active]:
+    def _active(self, source: int, start: int, length: int) -> list[ActivePaths]:
         """Return the paths of a source that are heard within a chunk."""
         plan, found = self._plan, []
         for i, group in enumerate(plan.tracks.groups):
-            if group.source == source and i not in plan.at_rest.groups:
+            if group.source == source and i not in plan.static_pairs.groups:
                 rate = plan.sampling_rate
                 # Nodes lie up to a block before and two after what is rendered.
                 begin, end = start - plan.blocks[0], start + length + 2 * plan.blocks[0]
                 low, high = plan.tracks.delay_range(i, begin / rate, end / rate)
-                found.append(Active(i, np.arange(len(group)), low, high).during(plan, start, start + length))
+                found.append(ActivePaths(i, np.arange(len(group)), low, high).during(plan, start, start + length))
         return [group for group in found if len(group.rows)]
 
     def _feed(self, source: int, start: int, length: int) -> Feed | None:
         """Return what of a signal can be heard in a chunk; None if it is silent."""
-        emission, rate = self._plan.emissions[source], self._plan.sampling_rate
+        filters, rate = self._plan.source_filters[source], self._plan.sampling_rate
         active = self._active(source, start, length)
         if not active:
             return None
-        times = emission.oversampling
-        late = emission.start * rate
-        least = times * (int(np.floor(min(group.low.min() for group in active) * rate + late)) - _MARGIN)
-        most = times * (int(np.ceil(max(group.high.max() for group in active) * rate + late)) + _MARGIN)
+        times = filters.oversampling
+        delay_samples = filters.start * rate
+        least = times * (int(np.floor(min(group.low.min() for group in active) * rate + delay_samples)) - _MARGIN)
+        most = times * (int(np.ceil(max(group.high.max() for group in active) * rate + delay_samples)) + _MARGIN)
         needed = times * length + most - least
         step = max(64, 1 << needed.bit_length() - 5)  # little, but so much that chunk after chunk has the same width
         width = -(-needed // step) * step
         first = times * start - most
-        before, after = (max(side(bank) for bank in emission.banks) for side in (_taps_before, _taps_after))
-        places, values = emission.sounding(first - before, first + width + after)
+        before, after = (max(side(bank) for bank in filters.banks) for side in (_taps_before, _taps_after))
+        places, values = filters.sounding(first - before, first + width + after)
         if not len(places):
             return None
         found = sounding(places, width, before, after)
@@ -121,23 +121,23 @@ class BranchSignals:
 
     def made(self, feed: Feed, skips_silence: bool) -> Branches:
         """Filter what can be heard of a signal, all of it or what sounds of it."""
-        emission = self._plan.emissions[feed.source]
+        filters = self._plan.source_filters[feed.source]
         found = feed.found if skips_silence else None
         # Whole pages apart, rows would fight for the same cache lines.
-        stride = feed.width + 16 * emission.oversampling
-        out, following = self._rows(self._parts * int(emission.rows[-1]), stride, found)
+        stride = feed.width + 16 * filters.oversampling
+        out, following = self._rows(self._parts * int(filters.rows[-1]), stride, found)
         emitted, samples = self._emit(feed)
         channel = 8 * self._lanes
-        for (k, bank), part in itertools.product(enumerate(emission.banks), range(self._parts)):
+        for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
             rows, taps = bank.taps.shape
             constants = {"LANES": self._lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(found is not None)}
-            constants["OVERSAMPLING"] = emission.oversampling
+            constants["OVERSAMPLING"] = filters.oversampling
             kernel = self._compiler.kernel("branches", constants)
             kernel(
                 self._queue, *work(feed.width // channel, rows), emitted,
                 np.int32((k * self._parts + part) * samples + feed.before - _taps_before(bank)),
                 self._upload(bank.taps.astype(np.float32)), np.int32(feed.width), np.int32(stride),
-                np.int32(self._parts * emission.rows[k] + part * rows), out,
+                np.int32(self._parts * filters.rows[k] + part * rows), out,
                 following,
             )  # fmt: skip
         return Branches(out, stride, feed.first, feed.least, feed.most, found)
@@ -162,7 +162,7 @@ class BranchSignals:
         emit(*self._emitted[1:], self._upload(feed.values), clear=False)
         return out, samples
 
-    def _rows(self, count: int, stride: int, found: Sounding | None) -> tuple[Any, Any]:
+    def _rows(self, count: int, stride: int, found: Activity | None) -> tuple[Any, Any]:
         """Return memory for branch signals, and where they are to be written: where they sound, or did before."""
         import pyopencl as cl
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.numerics.quaternions import rotate
 from clsim.opencl.device import Scratch, upload, work
-from clsim.paths.arrivals import MACH_EXPONENT, PathGroup
+from clsim.paths.arrivals import MACH_EXPONENT, PairPaths
 from clsim.paths.response import Responses
 from clsim.paths.trajectory_cubics import knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.device import Compiler
-    from clsim.render.opencl.activity import Sounding
-    from clsim.render.opencl.batches import Slots
+    from clsim.render.opencl.activity import Activity
+    from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
     from clsim.scene.scene import Receiver, Scene
     from clsim.tracks.basis import Basis
@@ -50,7 +50,7 @@ class _Chunk:
     """What one source and a batch of receivers need over a chunk, on the device."""
 
     source: int
-    slots: Slots
+    slots: PathBatch
     start: int  # sample
     images: tuple[Any, ...]
     bounds: Boundaries
@@ -69,14 +69,16 @@ class DeviceTracks:
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
         self._knot_rates = []
-        for source, emission in zip(scene.sources, plan.emissions, strict=True):
+        for source, filters in zip(scene.sources, plan.source_filters, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
-            tolerance = 10 ** (plan.motion_error_db / 20) * scene.air.sound_speed / (2.0 * math.pi * emission.swiftness)
+            tolerance = (
+                10 ** (plan.motion_error_db / 20) * scene.air.speed_of_sound / (2.0 * math.pi * filters.swiftness)
+            )
             self._knot_rates.append(
-                knot_rate(source, min(emission.signal.duration + source.start, plan.duration), tolerance)
+                knot_rate(source, min(filters.signal.duration + source.start, plan.duration), tolerance)
             )
         self._surroundings = [
-            _Surroundings(scene, i, emission.basis, self._upload) for i, emission in enumerate(plan.emissions)
+            _Surroundings(scene, i, filters.basis, self._upload) for i, filters in enumerate(plan.source_filters)
         ]
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._at_rest = {
@@ -91,11 +93,11 @@ class DeviceTracks:
     def prepare(
         self,
         source: int,
-        slots: Slots,
+        slots: PathBatch,
         bounds: Boundaries,
         start: int,
         length: int,
-        sounding: Sounding | None,
+        sounding: Activity | None,
         first: int,
     ) -> _Chunk:
         """Upload images and motion for one source and a batch of receivers over a stretch of samples.
@@ -107,8 +109,8 @@ class DeviceTracks:
         rows = np.concatenate(
             [self._tracks.path_rows[g][slots.path[slots.of_group(i)]] for i, g in enumerate(slots.groups)]
         )
-        paths = PathGroup(source, -1, all_paths.image_matrix[rows], all_paths.image_offset[rows], all_paths.walls[rows])
-        reflection = np.where(slots.filling[:, None, None], 0.0, around.reflection(paths)).astype(np.float32)
+        paths = PairPaths(source, -1, all_paths.image_matrix[rows], all_paths.image_offset[rows], all_paths.walls[rows])
+        reflection = np.where(slots.padding[:, None, None], 0.0, around.reflection(paths)).astype(np.float32)
         receiver_of = np.repeat(np.arange(len(slots.groups), dtype=np.int32), np.diff(slots.first_slot))
         rate = plan.sampling_rate
         longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
@@ -131,7 +133,7 @@ class DeviceTracks:
         return _Chunk(source, slots, start, images, bounds, anchors, motion, cells, first)
 
     def _anchors(
-        self, source: int, slots: Slots, images: tuple[Any, ...], motion: tuple[Any, ...], start: int, ends: int
+        self, source: int, slots: PathBatch, images: tuple[Any, ...], motion: tuple[Any, ...], start: int, ends: int
     ) -> Any:
         """Solve the delays at the ends of segments, from which those between are predicted."""
         import pyopencl as cl
@@ -144,7 +146,7 @@ class DeviceTracks:
             self._queue, *work(slots.count, ends), *images[:3],
             self._upload(self._receivers_at(slots, times)), np.int32(ends), *motion,
             np.float64(start / rate), np.float64(segment / rate),
-            np.float64(self._tracks.scene.air.sound_speed), out,
+            np.float64(self._tracks.scene.air.speed_of_sound), out,
         )  # fmt: skip
         return out
 
@@ -155,10 +157,10 @@ class DeviceTracks:
         import pyopencl as cl
 
         plan, scene, slots = self._plan, self._tracks.scene, chunk.slots
-        emission = plan.emissions[chunk.source]
-        rate, c = plan.sampling_rate, scene.air.sound_speed
+        filters = plan.source_filters[chunk.source]
+        rate, c = plan.sampling_rate, scene.air.speed_of_sound
         walks = -(-blocks * block // plan.segment)
-        terms = plan.delay_terms + 4 * len(emission.basis)
+        terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * slots.count)
         cubics = self._scratch.take(("cubics", block), 4 * (terms * blocks * slots.count + 8))
         found = np.empty((walks, slots.count, 4), dtype=np.float32)
@@ -166,7 +168,7 @@ class DeviceTracks:
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
         receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
         around = self._surroundings[chunk.source]
-        spread = emission.filter_half / rate  # by which the functions' filters are longer than what is emitted
+        spread = filters.filter_half / rate  # by which the functions' filters are longer than what is emitted
         spans, cells = None, (delay, delay, np.int32(0))
         if chunk.sounding is not None:
             spans, cells = self._scratch.take(("spans", block), 4 * blocks * slots.count), chunk.sounding
@@ -178,9 +180,9 @@ class DeviceTracks:
             *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
             np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // plan.segment), *chunk.knots,
             np.float64(start / rate), np.float64(rate), np.float64(c),
-            *around.basis, np.float64(emission.late),
-            np.float64(emission.start - spread), np.float64(emission.start + emission.signal.duration + spread),
-            np.float32(2.0 * math.pi * emission.swiftness), *around.tables,
+            *around.basis, np.float64(filters.delay_samples),
+            np.float64(filters.start - spread), np.float64(filters.start + filters.signal.duration + spread),
+            np.float32(2.0 * math.pi * filters.swiftness), *around.tables,
             self._upload(around.beam_of[slots.receiver]),
             np.int32(blocks), delay, cubics, found_there, unheld_there, *cells, np.float64(start - chunk.first),
             np.float64(self._max_rates[chunk.source]), delay if spans is None else spans,
@@ -216,11 +218,11 @@ class DeviceTracks:
             "TOGETHER": self._together,
             "GROUP": self._plan.group(source, block),
             "FINE": int(self._plan.is_fine(block)),
-            "OVERSAMPLING": self._plan.emissions[source].oversampling,
+            "OVERSAMPLING": self._plan.source_filters[source].oversampling,
             "CELL": CELL,
             "WALK": self._plan.segment // block,
             "DELAY_TERMS": self._plan.delay_terms,
-            "FUNCTIONS": len(self._plan.emissions[source].basis),
+            "FUNCTIONS": len(self._plan.source_filters[source].basis),
             "NODES": around.count,
             "PARTS": around.parts,
             "CELLS": CELLS,
@@ -231,7 +233,7 @@ class DeviceTracks:
             "ANGULAR": around.angular,
         }
 
-    def _receivers_at(self, slots: Slots, times: Floats) -> Floats:
+    def _receivers_at(self, slots: PathBatch, times: Floats) -> Floats:
         """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes, 14).
 
         Where all receivers are at rest, a single node is enough.
@@ -248,10 +250,10 @@ class DeviceTracks:
 
 def _receiver_at(receiver: Receiver, times: Floats) -> Floats:
     """Return position, velocity, axes and clock of a receiver, (times, 14)."""
-    ahead = receiver.clock_ahead(times)
+    ahead = receiver.clock_error(times)
     true = times + ahead
     axes = [rotate(receiver.orientation(true), axis) for axis in np.eye(3)[:2]]
-    clock = [ahead[:, None], np.full((len(times), 1), receiver.pace)]
+    clock = [ahead[:, None], np.full((len(times), 1), receiver.clock_rate)]
     return np.concatenate(
         [receiver.trajectory.position(true), receiver.trajectory.velocity(true), *axes, *clock], axis=1
     )
@@ -261,7 +263,7 @@ class _Surroundings:
     """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``gain.h``."""
 
     def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
-        c = scene.air.sound_speed
+        c = scene.air.speed_of_sound
         self.count, self.parts = len(basis.nodes), basis.parts
         self._responses = Responses(scene, basis.nodes)
         padding = -len(basis) % 8 if len(basis) > 1 else 0  # of gains, which stand side by side
@@ -286,7 +288,7 @@ class _Surroundings:
         self.tables = tuple(put(np.concatenate([*part, nothing])) for part in (walls, [source_beam], tables))
         self.angular = 0
 
-    def most_bounces(self, groups: Iterable[PathGroup]) -> None:
+    def most_bounces(self, groups: Iterable[PairPaths]) -> None:
         """Make room for the most walls that depend on the angle that any path of some groups meets."""
         met = self._responses.angular
         self.angular = max((int(met[g.walls].sum(axis=1).max(initial=0)) for g in groups), default=0)
@@ -296,12 +298,12 @@ class _Surroundings:
         count = max(self.angular, 1)
         return np.full((count, slots), -1, dtype=np.int32), np.zeros((count, 3, slots), dtype=np.float32)
 
-    def reflection(self, group: PathGroup) -> Floats:
+    def reflection(self, group: PairPaths) -> Floats:
         """Return what the walls that are the same at every angle do to each path, (P, parts, nodes)."""
         product = self._responses.walls(group)
         return np.stack([product.real, product.imag][: self.parts], axis=1)
 
-    def bounces(self, group: PathGroup) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    def bounces(self, group: PairPaths) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return material and normal of every bounce that depends on the angle, those of each path first."""
         wall_of, normal = self.no_bounces(len(group.walls))
         filled = np.zeros(len(group.walls), dtype=np.int64)

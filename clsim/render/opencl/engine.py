@@ -11,10 +11,10 @@ import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError
 from clsim.opencl.device import Scratch, find_device, opened, upload, work
-from clsim.render.opencl.batches import Active, Slots, fill_slots
+from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
 from clsim.render.opencl.device_nodes import DeviceTracks
-from clsim.render.opencl.fades import boundaries, find_edges
+from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
 from clsim.render.plan import NODE_BUDGET, Plan
 from clsim.tracks.tracks import SceneTracks
@@ -91,8 +91,8 @@ class OpenclEngine:
             plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts
         )
         self.skips_silence = True
-        self._unheld = np.zeros(len(plan.emissions))  # largest part of what is heard that no function holds
-        self._coarse = [(0.0, 0.0)] * len(plan.emissions)  # largest error of the shortest blocks, and when, s
+        self._unheld = np.zeros(len(plan.source_filters))  # largest part of what is heard that no function holds
+        self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._tracks: DeviceTracks | HostTracks
         if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
             self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler, self._layout.nodes)
@@ -113,12 +113,12 @@ class OpenclEngine:
 
     def warn(self) -> None:
         """Warn where responses came along that the functions of frequency hold worse than asked."""
-        for i, emission in enumerate(self._plan.emissions):
+        for i, filters in enumerate(self._plan.source_filters):
             reached = 20.0 * math.log10(max(float(self._unheld[i]), 1e-15))
-            if reached > emission.basis.asked_db + 1.0 > -math.inf:
+            if reached > filters.basis.asked_db + 1.0 > -math.inf:
                 _warn(
                     f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
-                    f"{emission.basis.asked_db:g} dB asked for; ask for a smaller response_error_db"
+                    f"{filters.basis.asked_db:g} dB asked for; ask for a smaller response_error_db"
                 )
             wrong, time = self._coarse[i]
             wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
@@ -148,7 +148,7 @@ class OpenclEngine:
         pressure = np.empty((self.parts * plan.receiver_count, length), dtype=np.float32)
         on_device = self._scratch.take("pressure", pressure.nbytes)
         cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)
-        for source in range(len(plan.emissions)):
+        for source in range(len(plan.source_filters)):
             feed = self.branch_signals.take(source, start, length)
             if feed is None:
                 continue
@@ -164,7 +164,7 @@ class OpenclEngine:
                 node = bytes_per_node(plan, source)
                 per_segment = node * (plan.segment // plan.shortest_block)
                 for some in _batches([group for group in here if len(group.rows)], per_segment):
-                    slots = fill_slots(plan, some, BATCH)
+                    slots = fill_batch(plan, some, BATCH)
                     self.run(self, source, slots, branches, on_device, length, start, first, last).render()
         cl.enqueue_copy(self._queue, pressure, on_device)
         return pressure[:, : stop - start]
@@ -180,7 +180,7 @@ class Run:
         self,
         engine: OpenclEngine,
         source: int,
-        slots: Slots,
+        slots: PathBatch,
         branches: Branches,
         pressure: Any,
         length: int,
@@ -199,7 +199,7 @@ class Run:
             source, slots, self._bounds, start + begin, end - begin, branches.sounding, branches.first
         )
         self._tolerance = 10 ** (self._plan.motion_error_db / 20)
-        self._functions = len(self._plan.emissions[source].basis)
+        self._functions = len(self._plan.source_filters[source].basis)
 
     def render(self) -> None:
         """Add what is heard to the pressure on the device."""
@@ -239,9 +239,9 @@ class Run:
 
     def _check(self, shortest: float, longest: float) -> None:
         """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
-        emission = self._plan.emissions[self._source]
-        rate = emission.oversampling * self._plan.sampling_rate
-        low, high = ((delay + emission.start) * rate for delay in (shortest, longest))
+        filters = self._plan.source_filters[self._source]
+        rate = filters.oversampling * self._plan.sampling_rate
+        low, high = ((delay + filters.start) * rate for delay in (shortest, longest))
         if not (low > self._branches.least + 1 and high < self._branches.most - 1):
             raise ClsimError(
                 f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
@@ -249,17 +249,17 @@ class Run:
             )
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
-        engine, emission = self._engine, self._plan.emissions[self._source]
-        self._render_edges(nodes, segment, end, block, first_block)
+        engine, filters = self._engine, self._plan.source_filters[self._source]
+        self._render_fades(nodes, segment, end, block, first_block)
         group, fine = self._plan.group(self._source, block), self._plan.is_fine(block)
         constants = engine._layout.constants(
-            group, sparse=nodes.spans is not None, fine=fine, oversampling=emission.oversampling
+            group, sparse=nodes.spans is not None, fine=fine, oversampling=filters.oversampling
         )
         spans = nodes.delay if nodes.spans is None else nodes.spans
         begin = segment * self._plan.segment
         groups = (end - begin) // group
         size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
-        counts = [len(bank.taps) for bank in emission.banks]
+        counts = [len(bank.taps) for bank in filters.banks]
         together = _TOGETHER if nodes.spans is not None else 1
         for k in range(0, len(counts), together):
             here = counts[k : k + together]
@@ -268,31 +268,31 @@ class Run:
             kernel = engine._compiler.kernel("render", constants | functions)
             kernel(
                 engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
-                np.int32(emission.rows[k]), np.int32(self._functions), np.int32(k),
+                np.int32(filters.rows[k]), np.int32(self._functions), np.int32(k),
                 np.int32(self._lead(begin)), nodes.delay, nodes.cubics, self._first_slot,
                 np.int32(self._slots.count), np.int32(block // group), np.int32(first_block),
                 np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
             )  # fmt: skip
 
-    def _render_edges(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+    def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
         engine, slots, begin = self._engine, self._slots, segment * self._plan.segment
-        edges = find_edges(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
-        if edges is None:
+        fades = find_fades(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
+        if fades is None:
             return
-        per_ramp, rows = self._bounds.ramp, self._plan.emissions[self._source].rows.astype(np.int32)
-        slot, at = engine._upload(edges.slot), engine._upload(edges.block + np.int32(first_block))
-        oversampling = self._plan.emissions[self._source].oversampling
+        per_ramp, rows = self._bounds.ramp, self._plan.source_filters[self._source].rows.astype(np.int32)
+        slot, at = engine._upload(fades.slot), engine._upload(fades.block + np.int32(first_block))
+        oversampling = self._plan.source_filters[self._source].oversampling
         kernel = engine._compiler.kernel(
             "edges", {"SPARSE": int(nodes.spans is not None), "OVERSAMPLING": oversampling}
         )
         kernel(
-            engine._queue, *work(block, len(edges.row), group=math.gcd(block, 32)), self._branches.rows,
+            engine._queue, *work(block, len(fades.row), group=math.gcd(block, 32)), self._branches.rows,
             np.int32(self._branches.stride),
             np.int32(self._functions), engine._upload(rows), np.int32(self._lead(begin)),
             nodes.delay, nodes.cubics, np.int32(slots.count), np.int32(block), np.int32(first_block),
             np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
-            *(engine._upload(column) for column in (edges.start, edges.end, edges.first, edges.row, edges.at)),
+            *(engine._upload(column) for column in (fades.start, fades.end, fades.first, fades.row, fades.at)),
             self._pressure, np.int32(self._length), np.int32(begin), np.int32(end - begin),
             nodes.delay if nodes.spans is None else nodes.spans,
         )  # fmt: skip
@@ -300,7 +300,7 @@ class Run:
 
     def _lead(self, begin: int) -> int:
         """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
-        return self._start + begin - self._branches.first // self._plan.emissions[self._source].oversampling
+        return self._start + begin - self._branches.first // self._plan.source_filters[self._source].oversampling
 
     def _mute(self, nodes: Any, slot: Any, at: Any) -> None:
         """Take paths, by slot and block, out of the polynomials."""
@@ -319,19 +319,19 @@ def _warn(message: str) -> None:
 
 def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the maximal ranges of equal values."""
-    edges = (np.flatnonzero(np.diff(values)) + 1).tolist()
-    return list(zip([0, *edges], [*edges, len(values)], strict=True))
+    fades = (np.flatnonzero(np.diff(values)) + 1).tolist()
+    return list(zip([0, *fades], [*fades, len(values)], strict=True))
 
 
 def bytes_per_node(plan: Plan, source: int) -> int:
     """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain."""
-    return 4 + 4 * plan.delay_terms + 16 * len(plan.emissions[source].basis)
+    return 4 + 4 * plan.delay_terms + 16 * len(plan.source_filters[source].basis)
 
 
-def _batches(active: list[Active], per_segment: int) -> list[list[Active]]:
+def _batches(active: list[ActivePaths], per_segment: int) -> list[list[ActivePaths]]:
     """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path."""
     most = max(BATCH, NODE_BUDGET // per_segment)
-    batches: list[list[Active]] = []
+    batches: list[list[ActivePaths]] = []
     count = most
     for group in active:
         slots = -(-len(group.rows) // BATCH) * BATCH

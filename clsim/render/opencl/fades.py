@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.render.opencl.batches import Slots
+    from clsim.render.opencl.batches import PathBatch
     from clsim.render.plan import Plan
 
 
@@ -45,7 +45,7 @@ class Boundaries:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class Fades:
     """Slots and blocks that are heard with a weight, grouped by receiver and block.
 
     Attributes
@@ -71,7 +71,7 @@ class Edges:
     at: NDArray[np.int32]
 
 
-def boundaries(plan: Plan, slots: Slots) -> Boundaries:
+def boundaries(plan: Plan, slots: PathBatch) -> Boundaries:
     """Return when the paths of slots are heard."""
     rate, transition = plan.sampling_rate, plan.tracks.transition
     groups = [plan.tracks.groups[i] for i in slots.groups]
@@ -79,13 +79,13 @@ def boundaries(plan: Plan, slots: Slots) -> Boundaries:
     start = np.concatenate([g.start[r] for g, r in zip(groups, rows, strict=True)])
     end = np.concatenate([g.end[r] for g, r in zip(groups, rows, strict=True)])
     first, last = heard_samples(start, end, transition, rate)
-    first[slots.filling], last[slots.filling] = 0, 0
+    first[slots.padding], last[slots.padding] = 0, 0
     if transition == 0.0:  # a gate opens and closes between samples
         return Boundaries(first.astype(np.float64), last.astype(np.float64), first, last, 0.0)
     return Boundaries(start * rate, end * rate, first, last, transition * rate)
 
 
-def find_edges(bounds: Boundaries, slots: Slots, start: int, block: int, blocks: int) -> Edges | None:
+def find_fades(bounds: Boundaries, slots: PathBatch, start: int, block: int, blocks: int) -> Fades | None:
     """Return the edges within some blocks from a sample on; None if there are none."""
     found = []
     for place in (bounds.start, bounds.end):
@@ -97,7 +97,7 @@ def find_edges(bounds: Boundaries, slots: Slots, start: int, block: int, blocks:
             high = np.where(place - start == high * block, low - 1, high)  # a gate between blocks needs nothing
         high = np.minimum(high, blocks - 1)
         low = np.maximum(low, 0)
-        count = np.where(slots.filling, 0, np.maximum(high - low + 1, 0))
+        count = np.where(slots.padding, 0, np.maximum(high - low + 1, 0))
         which = np.repeat(np.arange(slots.count), count)
         found.append((which, low[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)))
     slot, at = (np.concatenate([f[i] for f in found]) for i in range(2))
@@ -114,7 +114,7 @@ def find_edges(bounds: Boundaries, slots: Slots, start: int, block: int, blocks:
     def here(place: Floats) -> NDArray[Any]:
         return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
 
-    return Edges(
+    return Fades(
         slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
         np.append(new, len(slot)).astype(np.int32), slots.receiver[group[new]], at[new].astype(np.int32),
     )  # fmt: skip

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.render.opencl.activity import Sounding
-    from clsim.render.opencl.batches import Slots
+    from clsim.render.opencl.activity import Activity
+    from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
 
 
@@ -45,19 +45,19 @@ class HostTracks:
     def prepare(
         self,
         source: int,
-        slots: Slots,
+        slots: PathBatch,
         bounds: Boundaries,
         start: int,
         length: int,
-        sounding: Sounding | None,
+        sounding: Activity | None,
         first: int,
-    ) -> tuple[int, Slots, Boundaries]:
+    ) -> tuple[int, PathBatch, Boundaries]:
         """Return what `nodes` needs; nothing is left out here."""
         return source, slots, bounds
 
     def nodes(
         self,
-        state: tuple[int, Slots, Boundaries],
+        state: tuple[int, PathBatch, Boundaries],
         start: int,
         block: int,
         blocks: int,
@@ -65,10 +65,10 @@ class HostTracks:
     ) -> HostNodes:
         """Make the polynomials of `blocks` blocks from a sample on; the host has no time for anything else."""
         source, slots, bounds = state
-        plan, emission = self._plan, self._plan.emissions[source]
+        plan, filters = self._plan, self._plan.source_filters[source]
         rate = plan.sampling_rate
         whole = np.empty((blocks, slots.count), dtype=np.int32)
-        cubics = np.empty((blocks, plan.delay_terms + 4 * len(emission.basis), slots.count), dtype=np.float32)
+        cubics = np.empty((blocks, plan.delay_terms + 4 * len(filters.basis), slots.count), dtype=np.float32)
         error = np.zeros(-(-blocks * block // plan.segment))
         shortest, longest = math.inf, -math.inf
         times = node_times(start, block, blocks, rate)
@@ -76,13 +76,13 @@ class HostTracks:
         begins = block * np.arange(blocks)
         for i, index in enumerate(slots.groups):
             here = slots.of_group(i)
-            delay, change, gain = plan.tracks.evaluate(index, times, emission.basis, slots.path[here])
+            delay, change, gain = plan.tracks.evaluate(index, times, filters.basis, slots.path[here])
             whole[:, here], made = block_polynomials(
-                delay, change, gain, block, rate, emission.late, emission.oversampling, plan.delay_terms
+                delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, plan.delay_terms
             )
-            sized = gain * emission.basis.strengths[:, None, None]
+            sized = gain * filters.basis.strengths[:, None, None]
             part = 0.0 if plan.is_fine(block) else plan.group(source, block) / block
-            swiftness = 2.0 * math.pi * emission.swiftness
+            swiftness = 2.0 * math.pi * filters.swiftness
             wrong = block_error(delay, change, sized, swiftness, block / rate, part, plan.delay_terms)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
             terms = plan.delay_terms

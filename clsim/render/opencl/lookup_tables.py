@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.paths.response import beam_gain, known
-from clsim.scene.directivity.patterns import Omni, SphericalDirectivity
+from clsim.paths.response import directivity_gain, known
+from clsim.scene.directivity.patterns import DirectionalPattern, Omni
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.scene.directivity.patterns import AnyDirectivity
+    from clsim.scene.directivity.patterns import Directivity
     from clsim.scene.material.material import Material
 
 CELLS = 1024  # of a table over an angle; its cubics are within 1e-9 for a piston of ka = 10
@@ -24,15 +24,15 @@ _MARGIN = 14  # points beyond an edge that the spline is made of, where 0.27 ** 
 NONE, AXIAL, SPHERICAL = 0, 1, 2  # as in gain.h
 
 
-def beam_kind(directivities: Sequence[AnyDirectivity]) -> int:
+def beam_kind(directivities: Sequence[Directivity]) -> int:
     """Return the kind of table that holds all of some directivities."""
-    if any(isinstance(d, SphericalDirectivity) for d in directivities):
+    if any(isinstance(d, DirectionalPattern) for d in directivities):
         return SPHERICAL
     return NONE if all(isinstance(d, Omni) for d in directivities) else AXIAL
 
 
 def beam_table(
-    directivity: AnyDirectivity, kind: int, frequencies: Floats, speed_of_sound: float, parts: int
+    directivity: Directivity, kind: int, frequencies: Floats, speed_of_sound: float, parts: int
 ) -> NDArray[np.float32]:
     """Return the table of a directivity, flat; see ``gain.h`` for its layout.
 
@@ -53,9 +53,9 @@ def beam_table(
         return np.zeros(0, dtype=np.float32)
     if kind == SPHERICAL:
         return _sphere(
-            lambda towards: beam_gain(directivity, towards, frequencies, speed_of_sound), len(frequencies), parts
+            lambda towards: directivity_gain(directivity, towards, frequencies, speed_of_sound), len(frequencies), parts
         )
-    assert not isinstance(directivity, SphericalDirectivity)
+    assert not isinstance(directivity, DirectionalPattern)
     frequencies = known(frequencies, directivity)
     half = CELLS // 2  # two splines: the gain of a piston bends at 90 degrees
     cosine = np.linspace(-1.0, 1.0, CELLS + 1)

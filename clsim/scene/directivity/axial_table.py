@@ -38,7 +38,7 @@ _FALL = math.radians(10.0)  # over which rear="zero" falls to nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DirectivityTable:
+class AxialDirectivity:
     """A gain by angle from the axis and by frequency, the same all round the axis.
 
     Parameters
@@ -83,7 +83,7 @@ class DirectivityTable:
 
     Examples
     --------
-    >>> beam = DirectivityTable([0, 45, 90], [40e3], [[0.0], [-6.0], [-20.0]], scale="db", rear="hold")
+    >>> beam = AxialDirectivity([0, 45, 90], [40e3], [[0.0], [-6.0], [-20.0]], scale="db", rear="hold")
     >>> gain = beam.gain(np.cos(np.radians([0.0, 45.0, 150.0])), 40e3, 343.0)
     >>> (20 * np.log10(gain)).round(6).tolist()
     [0.0, -6.0, -20.0]
@@ -188,7 +188,7 @@ class DirectivityTable:
         magnitudes_db: ArrayLike,
         phases_degrees: ArrayLike | None = None,
         **options: Any,
-    ) -> DirectivityTable:
+    ) -> AxialDirectivity:
         """Return the table of magnitudes (a, f) in dB and, if given, phases (a, f) in degrees.
 
         Parameters
@@ -209,7 +209,7 @@ class DirectivityTable:
 
         Examples
         --------
-        >>> beam = DirectivityTable.from_db([0, 180], [1e3], [[0.0], [-6.0206]], [[0.0], [90.0]])
+        >>> beam = AxialDirectivity.from_db([0, 180], [1e3], [[0.0], [-6.0206]], [[0.0], [90.0]])
         >>> beam.gain(-1.0, 1e3, 343.0).imag.round(4).tolist()
         0.5
         """
@@ -228,7 +228,7 @@ class DirectivityTable:
         phases_path: str | PathLike[str] | None = None,
         scale: str = "db",
         **options: Any,
-    ) -> DirectivityTable:
+    ) -> AxialDirectivity:
         """Return the table of a text file: frequencies in its first row, angles in its first column.
 
         Parameters
@@ -272,7 +272,7 @@ class DirectivityTable:
         values: str = "values",
         angle_unit: str = "degree",
         **options: Any,
-    ) -> DirectivityTable:
+    ) -> AxialDirectivity:
         """Return the table of a NumPy file with three arrays.
 
         Parameters
@@ -307,7 +307,7 @@ class DirectivityTable:
         angle_unit: str = "degree",
         variable: str | None = None,
         **options: Any,
-    ) -> DirectivityTable:
+    ) -> AxialDirectivity:
         """Return the table of a MATLAB file with three variables, or a struct of three fields; see `from_npz`.
 
         Parameters
@@ -370,7 +370,7 @@ def _scale_of(values: Any, scale: str | None) -> str:
 
 
 @lru_cache(maxsize=32)
-def _pieces(table: DirectivityTable, frequencies: bytes) -> NDArray[Any]:
+def _pieces(table: AxialDirectivity, frequencies: bytes) -> NDArray[Any]:
     """Return cubics between the table's angles (4, a - 1, u) at frequencies (u,) given as bytes."""
     from scipy.interpolate import CubicSpline, PchipInterpolator
 

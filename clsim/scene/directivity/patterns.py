@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from clsim.acoustics.directivity import cardioid_gain, piston_gain
+from clsim.acoustics.directivity import first_order_gain, piston_gain
 from clsim.arrays import Floats, as_choice, as_number
-from clsim.scene.directivity.axial_table import DirectivityTable
+from clsim.scene.directivity.axial_table import AxialDirectivity
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -28,7 +28,7 @@ _EVERYWHERE = (0.0, math.inf)
 
 
 @runtime_checkable
-class Directivity(Protocol):
+class AxialPattern(Protocol):
     """Anything with a gain by the angle from its axis."""
 
     @property
@@ -68,7 +68,7 @@ class Directivity(Protocol):
 
 
 @runtime_checkable
-class SphericalDirectivity(Protocol):
+class DirectionalPattern(Protocol):
     """Anything with a gain by direction that differs round its axis."""
 
     @property
@@ -107,7 +107,7 @@ class SphericalDirectivity(Protocol):
         ...
 
 
-AnyDirectivity = Directivity | SphericalDirectivity
+Directivity = AxialPattern | DirectionalPattern
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class Omni:
 
 
 @dataclass(frozen=True, slots=True)
-class Cardioid:
+class FirstOrder:
     """A first-order pattern, ``weight + (1 - weight) cos θ``.
 
     Parameters
@@ -145,7 +145,7 @@ class Cardioid:
 
     Examples
     --------
-    >>> Cardioid(0.5).gain(np.array([1.0, 0.0, -1.0]), 1e3, 343.0).tolist()
+    >>> FirstOrder(0.5).gain(np.array([1.0, 0.0, -1.0]), 1e3, 343.0).tolist()
     [1.0, 0.5, 0.0]
     """
 
@@ -159,7 +159,7 @@ class Cardioid:
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return the gain, the same at every frequency; see `Directivity.gain`."""
-        return cardioid_gain(cosine, self.weight)
+        return first_order_gain(cosine, self.weight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ class Piston:
         return piston_gain(cosine, frequency, self.radius, speed_of_sound)
 
 
-def named_directivity(name: str, outside: str | None = None) -> Directivity:
+def named_directivity(name: str, outside: str | None = None) -> AxialPattern:
     """Return the directivity of a transducer by its name.
 
     Parameters
@@ -215,7 +215,7 @@ def named_directivity(name: str, outside: str | None = None) -> Directivity:
     Returns
     -------
     Directivity
-        A `Piston` or a `DirectivityTable`.
+        A `Piston` or a `AxialDirectivity`.
 
     Raises
     ------
@@ -234,6 +234,6 @@ def named_directivity(name: str, outside: str | None = None) -> Directivity:
         as_choice("outside", outside, ("hold",))
     if as_choice("name", name, DIRECTIVITY_NAMES) in _NAMED_RADIUS:
         return Piston(_NAMED_RADIUS[name])
-    return DirectivityTable.from_db(
+    return AxialDirectivity.from_db(
         _NICERA_ANGLES, [_NICERA_FREQUENCY], _NICERA_DB[:, None], rear="hold", outside=outside, name=name
     )

@@ -38,7 +38,7 @@ class _Joined(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SphericalTable:
+class SphericalDirectivity:
     """A gain by direction and by frequency.
 
     Parameters
@@ -73,7 +73,7 @@ class SphericalTable:
     Examples
     --------
     >>> octahedron = np.vstack([np.eye(3), -np.eye(3)])
-    >>> table = SphericalTable(octahedron, [1e3], 0.5 + 0.5 * octahedron[:, :1])
+    >>> table = SphericalDirectivity(octahedron, [1e3], 0.5 + 0.5 * octahedron[:, :1])
     >>> table.gain_towards(octahedron, 1e3, 343.0).round(6).tolist()
     [1.0, 0.5, 0.5, 0.0, 0.5, 0.5]
     """
@@ -111,7 +111,7 @@ class SphericalTable:
                 f"must be at most {_MOST_SCATTERED} unless they are an equiangular grid, but are {len(directions)}",
             )
         if self.relative_to_axis:
-            whole = SphericalTable(directions, frequencies, values)
+            whole = SphericalDirectivity(directions, frequencies, values)
             axis = whole.gain_towards(_AXIS, frequencies, 1.0)  # a table does not ask for the speed of sound
             values = over_axis(values, axis, frequencies)
         delay = np.zeros(4)
@@ -152,7 +152,7 @@ class SphericalTable:
         return np.asarray(gain * np.exp(-2j * np.pi * f * (self.delay[0] + towards @ self.delay[1:])))
 
     @classmethod
-    def from_sofa(cls, path: str | PathLike[str], measurement: int = 0, **options: Any) -> SphericalTable:
+    def from_sofa(cls, path: str | PathLike[str], measurement: int = 0, **options: Any) -> SphericalDirectivity:
         """Return the directivity in a SOFA file (AES69), through the package ``sofar`` (``pip install 'clsim[sofa]'``).
 
         Parameters
@@ -181,7 +181,7 @@ class SphericalTable:
 
 
 @lru_cache(maxsize=32)
-def _joined(table: SphericalTable, frequencies: bytes) -> _Joined:
+def _joined(table: SphericalDirectivity, frequencies: bytes) -> _Joined:
     """Return the function of direction at frequencies (u,) given as bytes; its results are (n, u)."""
     turn = 2j * np.pi * (table.delay[0] + table.directions @ table.delay[1:])[:, None]
     rest = table.values * np.exp(turn * table.frequencies)

@@ -67,7 +67,7 @@ class Motion:
         return self.turning is not None
 
     @property
-    def at_rest(self) -> bool:
+    def is_static(self) -> bool:
         """Whether it never moves; it may turn."""
         return is_still(self.curve)
 

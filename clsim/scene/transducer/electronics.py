@@ -142,7 +142,7 @@ class Electronics:
         """Whether the receiver's clock is not the scene's."""
         return self.clock_ppm != 0.0 or self.clock_offset != 0.0
 
-    def clock_ahead(self, times: Floats) -> Floats:
+    def clock_error(self, times: Floats) -> Floats:
         """Return how much later than told by the receiver's clock its samples are taken (n,), s."""
         return 1e-6 * self.clock_ppm * times + self.clock_offset
 
