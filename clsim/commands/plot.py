@@ -14,7 +14,7 @@ from clsim.files.ownership import NewFile
 from clsim.output.beam_plots import Beam, air_picture, beams_picture
 from clsim.scene.air import Air
 from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, named_directivity
-from clsim.scene.scene import Source
+from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
 from clsim.workflow.pipeline import read_files

@@ -26,7 +26,8 @@ from clsim.tracks.transition import DEFAULT_TRANSITION
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from clsim.scene.scene import Receiver, Scene
+    from clsim.scene.ends import Receiver
+    from clsim.scene.scene import Scene
 
 ENGINES = ("opencl", "reference")
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from clsim.render.interpolator import Interpolator
     from clsim.render.plan import Plan
     from clsim.render.source_filters import SourceFilters
-    from clsim.scene.scene import Receiver, Source
+    from clsim.scene.ends import Receiver, Source
     from clsim.tracks.tracks import Tracks
 
 _WIDEST = 0.95  # of Nyquist

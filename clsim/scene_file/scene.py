@@ -18,8 +18,9 @@ from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.source_filters import DEFAULT_RESPONSE_ERROR_DB
 from clsim.scene.air import Air
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
-from clsim.scene.scene import Receiver, Scene, Source
+from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
