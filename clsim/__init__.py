@@ -20,7 +20,8 @@ from clsim.render.plan import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
-from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston, named_directivity
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
+from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.material.material import Material
@@ -31,7 +32,7 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer, named_transducer
+from clsim.scene.transducer.transducer import Transducer
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
 
@@ -40,11 +41,13 @@ __version__ = "0.2.0"
 __all__ = [
     "Air",
     "AxialDirectivity",
+    "AxisymmetricDirectivity",
     "Bandlimited",
     "Baseband",
     "ClsimError",
     "ClsimWarning",
     "DeviceError",
+    "Directivity",
     "Electronics",
     "FirstOrder",
     "ImpulseResponses",
@@ -70,8 +73,6 @@ __all__ = [
     "find_paths",
     "grid_positions",
     "impulse_responses",
-    "named_directivity",
-    "named_transducer",
     "open_store",
     "plan_render",
     "positions_from_file",

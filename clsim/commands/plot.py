@@ -13,7 +13,7 @@ from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.output.beam_plots import Beam, air_picture, beams_picture
 from clsim.scene.air import Air
-from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, named_directivity
+from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
@@ -68,11 +68,11 @@ def _beams(options: argparse.Namespace) -> tuple[list[Beam], list[Path]]:
     return [beam], [] if options.table is None else [options.table]
 
 
-def _read(options: argparse.Namespace) -> AxialPattern | DirectionalPattern:
+def _read(options: argparse.Namespace) -> Directivity:
     """Return the directivity of a name or of a table's file."""
     if options.name is not None:
         try:
-            return named_directivity(options.name, outside="hold" if options.hold else None)
+            return Directivity.named(options.name, outside="hold" if options.hold else None)
         except InputError as error:
             raise InputError(f"--{error.field}", error.problem) from error
     path, outside = str(options.table), "hold" if options.hold else None
@@ -117,7 +117,7 @@ def _heard_frequencies(scene: Scene) -> Floats:
     return np.asarray(kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST_CURVES)).round().astype(int)])
 
 
-def _usual_frequencies(directivity: AxialPattern | DirectionalPattern) -> Floats:
+def _usual_frequencies(directivity: Directivity) -> Floats:
     """Return frequencies spread over a beam's band, Hz."""
     low, high = directivity.band
     if math.isinf(high):
