@@ -12,7 +12,7 @@ import numpy as np
 
 from clsim.arrays import as_number
 from clsim.errors import ClsimWarning, InputError
-from clsim.paths.coverage import check_known
+from clsim.paths.coverage import check_band_coverage
 from clsim.paths.response import is_complex
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_above, shares
@@ -364,7 +364,7 @@ def basis_of(
     if not len(sound.energy):  # silence needs nothing
         return flat_basis(signal.centre_frequency)
     told = shares(signal.energy_spectrum(), _MAIN_SHARE)
-    check_known(tracks.scene, [index], *told, f"the signal of source {index}")
+    check_band_coverage(tracks.scene, [index], *told, f"the signal of source {index}")
     if static:
         return flat_basis(signal.centre_frequency)
     floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db

@@ -42,7 +42,7 @@ class _FormulaSpeed(float):
 
 @dataclass(frozen=True, slots=True, init=False)
 class Air:
-    """Still air of one temperature, humidity and pressure.
+    """Air at rest, of one temperature, humidity and pressure.
 
     Parameters
     ----------

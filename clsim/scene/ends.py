@@ -127,11 +127,11 @@ class Receiver:
 
     @property
     def clock_rate(self) -> float:
-        """True seconds per second told by the receiver's clock."""
+        """True seconds per second of the receiver's clock."""
         return 1.0 if self.electronics is None else 1.0 + 1e-6 * self.electronics.clock_ppm
 
     def clock_error(self, times: Floats) -> Floats:
-        """Return how much later than told by the receiver's clock its samples are taken (n,), s."""
+        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken."""
         return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
     @property

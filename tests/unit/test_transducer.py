@@ -82,7 +82,7 @@ def test_complex_table_gives_back_the_impulse_response(rng: np.random.Generator)
 
 def test_outside_of_a_table_is_refused_or_extended_by_name() -> None:
     table = [36e3, 40e3, 44e3], [0.2, 0.6, 0.2]
-    with pytest.raises(InputError, match="transducer: must be known over the band of the signal"):
+    with pytest.raises(InputError, match="transducer: must cover the band of the signal"):
         Transducer.from_table(*table).drive(BURST)
     zero, hold = (Transducer.from_table(*table, outside=name) for name in ("zero", "hold"))
     np.testing.assert_allclose(np.abs(zero.response([36e3, 40e3, 44e3], RATE)), [0.2, 0.6, 0.2], rtol=0.01)
@@ -177,5 +177,5 @@ def test_bad_input_names_the_field(field: str) -> None:
 def test_a_receivers_table_must_cover_what_is_emitted() -> None:
     source = clsim.Source("s", Signal.tone(40e3, 0.1, RATE, fade=0.01), clsim.Trajectory.fixed((1, 1, 1)))
     ear = clsim.Receiver("r", clsim.Trajectory.fixed((2, 1, 1)), transducer=TABLE([10e3, 30e3], [1.0, 1.0]))
-    with pytest.raises(InputError, match=r"receivers\[0\]\.transducer: must be known over the band of what 's' emits"):
+    with pytest.raises(InputError, match=r"receivers\[0\]\.transducer: must cover the band of what 's' emits"):
         clsim.Scene(clsim.Shoebox((4, 3, 2), clsim.Material.from_reflection(0.5)), clsim.Air(), [source], [ear])

@@ -98,14 +98,14 @@ class Transducer:
         return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
 
     def check_covers(self, band: tuple[float, float], what: str) -> None:
-        """Raise an InputError if the band (low, high) in Hz of `what` goes beyond what is known of the response."""
+        """Raise an InputError if the band (low, high) in Hz of `what` is not covered by the response."""
         low, high = self.model.band
         if band[0] < low or band[1] > high:
             extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
             raise InputError(
                 "transducer",
-                f"must be known over the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
-                f"but is known from {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}",
+                f"must cover the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
+                f"but covers {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}",
             )
 
     @classmethod
