@@ -100,9 +100,8 @@ def band_filters(
             worst = 0.5 * (low + high + points[int(np.argmax((left * importance).max(axis=0)))] * (high - low))
             best, least = BandFilters(_taps(even, odd), 20.0 * math.log10(max(reached, 1e-15)), worst), reached
         half = min(math.ceil((1.7 if reached > _FAR * allowed else 1.3) * half), max(LONGEST // 2, half + 1))
-    return replace(
-        best, taps=np.pad(best.taps, ((0, 0), (abs(delay_samples) + delay_samples, abs(delay_samples) - delay_samples)))
-    )
+    size = abs(delay_samples)
+    return replace(best, taps=np.pad(best.taps, ((0, 0), (size + delay_samples, size - delay_samples))))
 
 
 def _polynomials(coefficients: Floats | Complexes, x: Floats) -> Floats | Complexes:

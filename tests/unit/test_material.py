@@ -292,7 +292,7 @@ def test_an_impulse_response_that_sends_back_too_much_is_refused_or_clipped_with
     expected = 0.6 - 0.5 * np.exp(-2j * np.pi * 5e3 / 192e3)
     assert quiet.reflection_at(5e3) == pytest.approx(expected, rel=1e-12)
     for outside in (500.0, 20e3):
-        with pytest.raises(InputError, match="must be from 1000 to 10000 Hz, where"):
+        with pytest.raises(InputError, match="must be from 1000 to 10000 Hz, which"):
             quiet.reflection_at(outside)
     held = Material.from_impulse_response([0.6, -0.5], 192e3, band=(1e3, 10e3), outside="hold")
     assert held.reflection_at(20e3) == held.reflection_at(10e3)

@@ -53,7 +53,7 @@ class Signal:
 
     @property
     def centre_frequency(self) -> float:
-        """Frequency at which air, walls and directivities are evaluated, Hz: the carrier, the mean, or the centroid of energy."""
+        """Frequency, Hz, that stands for the band: the carrier, the mean, or the centroid of energy."""
         centre = self.waveform.centre_frequency
         return 0.25 * self.sampling_rate if centre is None else centre
 
