@@ -104,7 +104,7 @@ def test_a_moving_source_as_it_comes(acoular: Any, engine: str, motion: str) -> 
     """clsim's own amplitude is the geometric mean of Acoular's two, whose samples are taken at the same times."""
     scene, up = scene_of(motions()[motion]), 512
     paths = clsim.find_paths(scene, max_order=0)
-    mine = clsim.render(scene, paths, RATE, duration=DURATION, engine=engine).pressure.astype(float)
+    mine = clsim.render(paths, RATE, duration=DURATION, engine=engine).pressure.astype(float)
     static, convective = (their_sound(acoular, scene, up, convective=c) for c in (False, True))
     check(paths, mine, np.sign(static) * np.sqrt(static * convective), "wave-equation", up)
 
@@ -115,7 +115,7 @@ def test_amplitudes_of_a_moving_source(acoular: Any, motion: str) -> None:
     scene, up = scene_of(motions()[motion]), 512
     paths = clsim.find_paths(scene, max_order=0)
     for amplitude, convective in (("static", False), ("convective", True)):
-        found = clsim.render(scene, paths, RATE, duration=DURATION, engine="reference", amplitude=amplitude)
+        found = clsim.render(paths, RATE, duration=DURATION, engine="reference", amplitude=amplitude)
         theirs = their_sound(acoular, scene, up, convective=convective)
         check(paths, found.pressure.astype(float), theirs, amplitude, up)
 
@@ -124,6 +124,6 @@ def test_finer_samples_come_nearer(acoular: Any) -> None:
     """What is left between the two is Acoular's choice of samples, and falls with it from -43 to -67 dB."""
     scene = scene_of(motions()["line"])
     paths = clsim.find_paths(scene, max_order=0)
-    found = clsim.render(scene, paths, RATE, duration=DURATION, engine="reference", amplitude="static")
+    found = clsim.render(paths, RATE, duration=DURATION, engine="reference", amplitude="static")
     for up in (16, 64, 256):
         check(paths, found.pressure.astype(float), their_sound(acoular, scene, up, convective=False), "static", up)

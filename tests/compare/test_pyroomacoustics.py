@@ -145,7 +145,7 @@ def test_impulse_response_of_a_shoebox(constants: Any, taken: Filter) -> None:
     paths, room = shoebox_paths(), their_shoebox()
     room.compute_rir()
     theirs = np.asarray(room.rir[0][0])
-    mine = clsim.impulse_responses(paths.scene, paths, RATE, lead="keep")
+    mine = clsim.impulse_responses(paths, RATE, lead="keep")
 
     size = 4096
     frequencies = np.fft.rfftfreq(size)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.output.responses import write_responses
+from clsim.output.response_files import write_responses
 
 sofar = pytest.importorskip("sofar", reason="sofar is not installed, with which clsim writes SOFA")
 
@@ -74,7 +74,7 @@ def responses() -> clsim.ImpulseResponses:
     ears = [clsim.Receiver(f"r{i}", clsim.Trajectory.fixed(at)) for i, at in enumerate(RECEIVERS)]
     room = clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.9))
     scene = clsim.Scene(room, clsim.Air(speed_of_sound=SPEED, absorption=False), sources, ears)
-    return clsim.impulse_responses(scene, clsim.find_paths(scene, max_order=0), RATE, lead="keep")
+    return clsim.impulse_responses(clsim.find_paths(scene, max_order=0), RATE, lead="keep")
 
 
 @pytest.mark.parametrize("reader", [by_sofar, by_netcdf])
