@@ -17,6 +17,7 @@ from clsim.output.stores import StoredSound, check_store, sound_store
 from clsim.output.table import check_table, write_ground_truth, write_table
 from clsim.render.memory import within_memory
 from clsim.scene_file import completed_scene, load_scene
+from clsim.version import __version__
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import path_table, planned, read_files
@@ -82,12 +83,10 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
 
 def _stored(paths: PathSet, plan: Plan, text: str) -> StoredSound:
     """Return what a store says of the sound."""
-    import clsim
-
     positions = np.concatenate([r.trajectory.position(np.zeros(1)) for r in paths.scene.receivers])
     return StoredSound(
         plan.tracks.receiver_names, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk, text,
-        clsim.__version__, plan.carrier,
+        __version__, plan.carrier,
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, StoredSound, consolidate, texts
 from clsim.paths.ground_truth import direct_path
 from clsim.study.file import TAKEN, Member, Study
+from clsim.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -240,7 +241,6 @@ def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, st
 
 def _described(file: SceneFile, recording: Recording, study: Study, member: Member) -> Any:
     """Return what a group says of a member beside its results."""
-    import clsim
     from clsim.scene_file import completed_scene
 
     scene, samples = file.scene, recording.samples.shape[1]
@@ -248,7 +248,7 @@ def _described(file: SceneFile, recording: Recording, study: Study, member: Memb
     text = completed_scene(file, study.base, duration=samples / recording.sampling_rate)
     stored = StoredSound(
         recording.receiver_names, recording.units, positions, recording.sampling_rate, samples, samples, text,
-        clsim.__version__, recording.carrier,
+        __version__, recording.carrier,
     )  # fmt: skip
     content = stored.coordinates()
     content.attrs |= {"parameters": json.dumps(member.parameters), "sound": stored.sound_attributes}
@@ -347,6 +347,4 @@ def discard(group: Path) -> None:
 
 def root_attributes() -> dict[str, Any]:
     """Return what stands at the root of a study's store."""
-    import clsim
-
-    return {"clsim_store_format": STORE_FORMAT, "clsim_version": clsim.__version__}
+    return {"clsim_store_format": STORE_FORMAT, "clsim_version": __version__}
