@@ -226,8 +226,8 @@ def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, st
         content["sound"] = (("receiver", "time"), recording.samples, content.attrs.pop("sound"))
     content.attrs.pop("sound", None)
     times = _instants(study.table_rate, recording)
-    if "truth" in study.keep:
-        _add_truth(content, paths, times, file.render["motion"])
+    if "ground_truth" in study.keep:
+        _add_ground_truth(content, paths, times, file.render["motion"])
     if "paths" in study.keep:
         _add_paths(content, paths, times, file)
     if study.metrics:
@@ -260,15 +260,15 @@ def _instants(rate: float, recording: Recording) -> Any:
     return np.arange(count) / rate
 
 
-def _add_truth(content: Any, paths: PathSet, times: Any, motion: str) -> None:
-    truth = direct_path(paths, times, motion)
+def _add_ground_truth(content: Any, paths: PathSet, times: Any, motion: str) -> None:
+    found = direct_path(paths, times, motion)
     over = ("source", "receiver", "times")
-    content.coords["times"] = ("times", truth.times, _OF_RECEPTION)
+    content.coords["times"] = ("times", found.times, _OF_RECEPTION)
     content.coords["source"] = texts(s.name for s in paths.scene.sources)
-    content["delay"] = (over, truth.delay, {"units": "s"})
-    content["doppler_factor"] = (over, truth.doppler_factor)
-    content["line_of_sight"] = (over, truth.line_of_sight)
-    content["radial_speed"] = (over, truth.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
+    content["delay"] = (over, found.delay, {"units": "s"})
+    content["doppler_factor"] = (over, found.doppler_factor)
+    content["line_of_sight"] = (over, found.line_of_sight)
+    content["radial_speed"] = (over, found.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
 
 
 def _add_paths(content: Any, paths: PathSet, times: Any, file: SceneFile) -> None:

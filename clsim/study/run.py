@@ -82,7 +82,7 @@ def run_study(
     -----
     Processes are started anew, so scripts call this behind ``if __name__ == "__main__":``. A worker that dies is
     replaced, and what it was at is done by another; a member whose workers go on dying fails, and no other one with it.
-    The store holds the truth: a member counts as finished when its group is there, and groups appear whole.
+    What the store holds counts: a member counts as finished when its group is there, and groups appear whole.
     """
     _check_packages()
     from clsim.study.dispatch import Dispatch
