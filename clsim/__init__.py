@@ -33,8 +33,7 @@ from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer, named_transducer
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
-
-__version__ = "0.2.0"
+from clsim.version import __version__ as __version__
 
 __all__ = [
     "Air",

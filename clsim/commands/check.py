@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.commands.arguments import add_scene
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.report import diagnose, diagnose_ends
 from clsim.scene_file import load_scene
@@ -15,6 +16,11 @@ if TYPE_CHECKING:
     import argparse
 
     from clsim.paths.path_set import PathSet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_scene(parser)
 
 
 def execute(options: argparse.Namespace) -> int:

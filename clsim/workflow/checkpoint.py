@@ -15,6 +15,7 @@ from clsim.opencl.device import find_device
 from clsim.render.receiver_chain import ReceiverChain
 from clsim.render.render import render_chunks
 from clsim.scene_file import referenced_files
+from clsim.version import __version__
 from clsim.workflow.console import progress
 
 if TYPE_CHECKING:
@@ -101,8 +102,6 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
     """
     import scipy
 
-    import clsim
-
     device = "none"
     if plan.engine == "opencl":
         info, _ = find_device(plan.device)
@@ -124,7 +123,7 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
         "contents": {os.path.relpath(path, file.base): _digest(path) for path in referenced_files(file)},
         "device": device,
         "options": options,
-        "versions": {"clsim": clsim.__version__, "numpy": np.__version__, "scipy": scipy.__version__},
+        "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "paths": found.hexdigest(),
         "filters": designed.hexdigest(),
     }

@@ -311,7 +311,7 @@ def study_text(seed: int, number: int, named: str) -> bytes:
     ]
     chosen = random.permutation(len(vary))[: int(random.integers(1, 4))]
     content: dict[str, Any] = {
-        "format": 1, "scene": named, "keep": pick(random, [["recording"], ["truth", "paths"], ["metrics"]], [5, 2, 1]),
+        "format": 1, "scene": named, "keep": pick(random, [["recording"], ["ground_truth", "paths"], ["metrics"]], [5, 2, 1]),
         "seed": 3, "draws": 2, "table_rate": 100.0, "vary": [vary[i] for i in chosen],
     }  # fmt: skip
     if not any("random" in entry for entry in content["vary"]):

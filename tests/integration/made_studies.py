@@ -50,7 +50,7 @@ STUDY = """
 format = 1
 scene = "scene.toml"
 metrics = "judge:level"
-keep = ["recording", "truth", "paths", "metrics"]
+keep = ["recording", "ground_truth", "paths", "metrics"]
 [[vary]]
 field = "paths.max_order"
 name = "order"

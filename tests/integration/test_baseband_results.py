@@ -90,7 +90,7 @@ def test_stores_hold_the_same_envelopes(scene: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(plain.sound.values, wanted)
     pictures = [(tmp_path / kind / "right_spectrogram.png").read_bytes() for kind in KINDS]
     assert pictures[0] == pictures[1] == pictures[2]
-    truth = np.load(tmp_path / "wav" / "truth.npz")
+    truth = np.load(tmp_path / "wav" / "ground_truth.npz")
     assert truth["delay"].shape[:2] == (1, 2)
 
 
@@ -138,7 +138,7 @@ STUDY = """
 format = 1
 scene = "scene.toml"
 metrics = "judge:doppler"
-keep = ["recording", "truth", "metrics"]
+keep = ["recording", "ground_truth", "metrics"]
 [[vary]]
 field = "render.baseband.bandwidth"
 name = "width"

@@ -50,7 +50,7 @@ def test_run_writes_all_it_promises(scene: Path, tmp_path: Path, capsys, device)
     printed = capsys.readouterr()
     names = {
         "ber_left.wav", "right.wav", "paths.npz", "ber_left_spectrogram.png", "right_spectrogram.png",
-        "ber_left_echogram.png", "right_echogram.png", "truth.npz", "scene.completed.toml", "clsim.json",
+        "ber_left_echogram.png", "right_echogram.png", "ground_truth.npz", "scene.completed.toml", "clsim.json",
     }  # fmt: skip
     assert {p.name for p in out.iterdir()} == names
     assert {Path(line).name for line in printed.out.split()} == names - {"clsim.json"}
@@ -136,9 +136,9 @@ def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
 
 
 def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, capsys, monkeypatch, device) -> None:
-    import clsim.workflow.checkpoint as unfinished
+    from clsim.workflow import checkpoint
 
-    render = unfinished.render_chunks
+    render = checkpoint.render_chunks
 
     def interrupted(*arguments, **options):
         for number, piece in enumerate(render(*arguments, **options)):
@@ -146,7 +146,7 @@ def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, 
                 os.kill(os.getpid(), signal.SIGINT)
             yield piece
 
-    monkeypatch.setattr(unfinished, "render_chunks", interrupted)
+    monkeypatch.setattr(checkpoint, "render_chunks", interrupted)
     scene.write_text((SCENE % "0.5").replace("[render]\n", "[render]\nchunk = 18432\n"), "utf-8")
     out = tmp_path / "out"
     assert main(["run", str(scene), "-o", str(out)]) == 130

@@ -73,7 +73,7 @@ class Cases:
             assert self.killer.run(self.arguments("begin", kind, before, scene), before) == 0, self.killer.log
         shutil.copytree(before, out)
         if operation == "repair":
-            for path in (out / "truth.npz", out / "right.wav", out / "recording.h5"):
+            for path in (out / "ground_truth.npz", out / "right.wav", out / "recording.h5"):
                 path.unlink(missing_ok=True)
             shutil.rmtree(out / "recording.zarr", ignore_errors=True)
 

@@ -103,7 +103,7 @@ def put_second_name_at_work(folder: Path) -> None:
 
 
 FOREIGN = [
-    "out/left.wav", "out/right.wav/notes.txt", "out/paths.npz", "out/truth.npz", "out/clsim.json", "out/.partial",
+    "out/left.wav", "out/right.wav/notes.txt", "out/paths.npz", "out/ground_truth.npz", "out/clsim.json", "out/.partial",
     "out/scene.completed.toml", "out/.partial/notes.txt", "out/.partial/left.wav", "out/.partial/lock",
     "out/.partial/contents.json", "out/.partial/journal.npz", "out",
 ]  # fmt: skip
@@ -212,7 +212,16 @@ def paths_over_sound(folder: Path) -> list[str]:
 def plot_over_table(folder: Path) -> list[str]:
     (folder / "beam.csv").write_text("angle,1000,2000\n0,0,0\n90,-6,-9\n180,-12,-20\n")
     os.link(folder / "beam.csv", folder / "beam.png")
-    return ["plot", "beam", "--table", str(folder / "beam.csv"), "--rear", "hold", "-o", str(folder / "beam.png")]
+    return [
+        "plot",
+        "directivity",
+        "--table",
+        str(folder / "beam.csv"),
+        "--rear",
+        "hold",
+        "-o",
+        str(folder / "beam.png"),
+    ]
 
 
 INPUTS = [
@@ -270,16 +279,16 @@ def test_single_files_are_not_written_over_unasked(name: str, tmp_path: Path, ca
 
 
 def test_what_comes_into_the_way_while_rendering_stays(tmp_path: Path, capsys, monkeypatch) -> None:
-    import clsim.workflow.checkpoint as unfinished
+    from clsim.workflow import checkpoint
 
     scene, out = write_scene(tmp_path / "s.toml"), tmp_path / "out"
-    render = unfinished.render_chunks
+    render = checkpoint.render_chunks
 
     def meanwhile(*arguments, **options):
         (out / "right.wav").write_text("mine")
         return render(*arguments, **options)
 
-    monkeypatch.setattr(unfinished, "render_chunks", meanwhile)
+    monkeypatch.setattr(checkpoint, "render_chunks", meanwhile)
     assert run(scene, out) == 2
     assert "clsim did not write" in capsys.readouterr().err
     assert (out / "right.wav").read_text() == "mine"
@@ -338,7 +347,7 @@ def test_force_puts_results_in_the_place_of_ours_and_of_no_others(done: Path, ca
     write_scene(done / "s.toml", name="other")
     assert run(done / "s.toml", out, "--force") == 0
     assert capsys.readouterr().err.count("was changed since it was written") == 1
-    names = {"clsim.json", "left.wav", "other.wav", "paths.npz", "truth.npz", "scene.completed.toml"}
+    names = {"clsim.json", "left.wav", "other.wav", "paths.npz", "ground_truth.npz", "scene.completed.toml"}
     assert {p.name for p in out.iterdir()} == names | {"notes.txt", "right.wav", "left.wav.changed"}
     assert {(out / name).read_text() for name in ("notes.txt", "right.wav", "left.wav.changed")} == {"mine"}
     assert set(json.loads((out / "clsim.json").read_text())["files"]) == names - {"clsim.json"}
@@ -363,12 +372,12 @@ def test_resume_makes_what_is_missing_and_nothing_else(done: Path, finished: Pat
 def test_resume_makes_cut_and_changed_results_again_and_keeps_them_beside(done: Path, finished: Path, capsys) -> None:
     out = done / "out"
     os.truncate(out / "left.wav", 100)
-    (out / "truth.npz").write_text("mine")
+    (out / "ground_truth.npz").write_text("mine")
     assert run(done / "s.toml", out, "--resume") == 0
     assert capsys.readouterr().err.count("kept as") == 2
     assert (out / "left.wav.changed").stat().st_size == 100
-    assert (out / "truth.npz.changed").read_text() == "mine"
-    for name in ("left.wav", "truth.npz"):
+    assert (out / "ground_truth.npz.changed").read_text() == "mine"
+    for name in ("left.wav", "ground_truth.npz"):
         assert (out / name).read_bytes() == (finished / "out" / name).read_bytes()
 
 
@@ -420,15 +429,15 @@ def test_pictures_and_tables_that_fail_cost_no_sound(tmp_path: Path, capsys, mon
     def broken(*_: object, **__: object) -> None:
         raise ValueError("no font")
 
-    monkeypatch.setattr("clsim.commands.run.spectrogram", broken)
-    monkeypatch.setattr("clsim.commands.run.echogram", broken)
+    monkeypatch.setattr("clsim.commands.run.spectrogram_picture", broken)
+    monkeypatch.setattr("clsim.commands.run.echogram_picture", broken)
     monkeypatch.setattr("clsim.commands.run.write_table", broken)
     with pytest.raises(ValueError, match="no font"):
         main(["run", str(scene), "-o", str(out)])
     assert soundfile.info(out / "left.wav").frames > 300
     monkeypatch.undo()
-    monkeypatch.setattr("clsim.commands.run.spectrogram", broken)
-    monkeypatch.setattr("clsim.commands.run.echogram", broken)
+    monkeypatch.setattr("clsim.commands.run.spectrogram_picture", broken)
+    monkeypatch.setattr("clsim.commands.run.echogram_picture", broken)
     assert main(["run", str(scene), "-o", str(out), "--resume"]) == 0
     err = capsys.readouterr().err
     assert "left_spectrogram.png could not be drawn: no font" in err

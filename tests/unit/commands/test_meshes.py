@@ -156,7 +156,7 @@ def test_run_of_a_mesh_can_be_repeated_from_its_results(mesh_scene: Path, tmp_pa
     out = tmp_path / "out" / "deep"
     assert main(["run", str(mesh_scene), "-o", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {
-        "mic.wav", "paths.npz", "truth.npz", "mic_spectrogram.png", "mic_echogram.png", "mic_paths.png", "clsim.json",
+        "mic.wav", "paths.npz", "ground_truth.npz", "mic_spectrogram.png", "mic_echogram.png", "mic_paths.png", "clsim.json",
         "scene.completed.toml",
     }  # fmt: skip
     completed = tomllib.loads((out / "scene.completed.toml").read_text("utf-8"))
@@ -368,7 +368,7 @@ def test_run_draws_how_paths_come_and_go(corner_scene: Path, tmp_path: Path, cap
     names = {p.name for p in out.iterdir()}
     assert {
         "corner.wav",
-        "truth.npz",
+        "ground_truth.npz",
         "corner_spectrogram.png",
         "corner_echogram.png",
         "corner_paths.png",

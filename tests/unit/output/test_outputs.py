@@ -11,7 +11,7 @@ import soundfile
 import clsim
 from clsim.files.atomic import atomic_path
 from clsim.files.wav import WavWriter
-from clsim.output.plots import echogram, envelope, spectrogram
+from clsim.output.plots import echogram_picture, envelope_picture, spectrogram_picture
 from clsim.output.table import read_table, write_table
 from clsim.paths.path_table import PathTable
 
@@ -113,7 +113,7 @@ def test_table_without_paths_is_written(tmp_path, table: PathTable) -> None:
     empty = replace(table, **{name: getattr(table, name)[:0] for name in rows})
     write_table(empty, tmp_path / "t.npz")
     assert read_table(tmp_path / "t.npz").delay.shape == (0, 3)
-    echogram(empty, 0, 0, tmp_path / "e.png")
+    echogram_picture(empty, 0, 0, tmp_path / "e.png")
     parquet = pytest.importorskip("pyarrow.parquet")
     write_table(empty, tmp_path / "t.parquet")
     write_table(table, tmp_path / "full.parquet")
@@ -124,15 +124,15 @@ def test_table_without_paths_is_written(tmp_path, table: PathTable) -> None:
 
 def test_pictures_are_drawn(tmp_path, table: PathTable) -> None:
     tone = np.sin(2 * np.pi * 40e3 * np.arange(20_000) / 192e3)
-    spectrogram(tone, 192e3, tmp_path / "s.png", title="tone", band=(38e3, 42e3))
-    echogram(table, 0, 1, tmp_path / "e.png")
-    envelope(tone, 192e3, tmp_path / "h.png", title="tone", arrivals=[(0.01, "direct", True)])
+    spectrogram_picture(tone, 192e3, tmp_path / "s.png", title="tone", band=(38e3, 42e3))
+    echogram_picture(table, 0, 1, tmp_path / "e.png")
+    envelope_picture(tone, 192e3, tmp_path / "h.png", title="tone", arrivals=[(0.01, "direct", True)])
     for name in ("s", "e", "h"):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_silence_is_drawn(tmp_path) -> None:
-    spectrogram(np.zeros(3), 48e3, tmp_path / "s.png", title="silence")
+    spectrogram_picture(np.zeros(3), 48e3, tmp_path / "s.png", title="silence")
     assert (tmp_path / "s.png").exists()
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsim.output.spectrogram import levels
+from clsim.output.spectrogram import spectrogram
 
 RATE = 192e3
 
@@ -18,7 +18,7 @@ def centres(raster) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("band", [(39e3, 41e3), (0.0, 96e3)])
 def test_a_sine_has_its_level_at_its_frequency(band: tuple[float, float]) -> None:
     tone = np.sqrt(2.0) * np.sin(2 * np.pi * 40.4e3 * np.arange(100_000) / RATE)
-    raster = levels(tone, RATE, band)
+    raster = spectrogram(tone, RATE, band)
     # 1 Pa rms. Between two bins a Hann window loses up to 1.43 dB; it never gains but by its own other half, -90 dB.
     peaks = raster.level.max(axis=0)
     assert np.all(peaks < 20 * np.log10(1.0 / 20e-6) + 0.01)
@@ -31,7 +31,7 @@ def test_a_sine_has_its_level_at_its_frequency(band: tuple[float, float]) -> Non
 def test_white_noise_has_its_density(rng: np.random.Generator) -> None:
     noise = rng.normal(size=400_000)
     segment = 1024
-    raster = levels(noise, RATE, (10e3, 20e3), segment)
+    raster = spectrogram(noise, RATE, (10e3, 20e3), segment)
     power = np.mean(10 ** (raster.level / 10)) * (20e-6) ** 2
     # Variance 1 over 96 kHz, in a window's noise bandwidth of 1.5 bins of 187.5 Hz.
     # 400 000 / 1024 * 53 independent values: a deviation of 1 %.
@@ -41,7 +41,7 @@ def test_white_noise_has_its_density(rng: np.random.Generator) -> None:
 def test_a_click_is_in_its_column() -> None:
     sound = np.zeros(200_000)
     sound[150_000] = 1.0
-    raster = levels(sound, RATE, (0.0, 96e3), 512)
+    raster = spectrogram(sound, RATE, (0.0, 96e3), 512)
     _, times = centres(raster)
     # The click lies within the windows, 512 samples long, of its columns alone.
     power = 10 ** (raster.level.max(axis=0).astype(np.float64) / 10)
@@ -67,7 +67,7 @@ class Long:
 @pytest.mark.parametrize(("duration", "band"), [(600.0, (0.0, 96e3)), (30.0, (39.9e3, 40.1e3)), (5.0, (40e3, 40e3))])
 def test_long_sound_is_read_in_pieces(duration: float, band: tuple[float, float]) -> None:
     sound = Long(duration)
-    raster = levels(sound, RATE, band)
+    raster = spectrogram(sound, RATE, band)
     assert raster.level.shape[0] <= 600
     assert raster.level.shape[1] <= 1200
     assert 0 < sound.largest <= 65536
@@ -75,5 +75,5 @@ def test_long_sound_is_read_in_pieces(duration: float, band: tuple[float, float]
 
 @pytest.mark.parametrize("count", [1, 3, 130])
 def test_short_sound(count: int) -> None:
-    raster = levels(np.ones(count), RATE, (0.0, 96e3))
+    raster = spectrogram(np.ones(count), RATE, (0.0, 96e3))
     assert np.all(np.isfinite(raster.level))

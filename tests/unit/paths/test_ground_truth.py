@@ -11,7 +11,7 @@ import clsim
 from clsim.cli import main
 from clsim.output.table import read_table, write_ground_truth, write_table
 from clsim.output.view import viewed
-from clsim.study.member import _add_paths, _add_truth
+from clsim.study.member import _add_ground_truth, _add_paths
 
 TIMES = np.array([0.0, 0.04, 0.1])
 OF_PATHS = ("source", "receiver", "order", "walls", "direct")
@@ -73,12 +73,12 @@ def test_parquet_has_the_names_of_the_table(table, tmp_path: Path) -> None:
 def test_every_door_has_the_truth_under_its_own_names(paths: clsim.PathSet, table, tmp_path: Path) -> None:
     truth = clsim.direct_path(paths, TIMES)
     assert {f.name for f in fields(truth)} == {"times", *OF_TRUTH}
-    write_ground_truth(paths, TIMES, "retarded", tmp_path / "truth.npz")
+    write_ground_truth(paths, TIMES, "retarded", tmp_path / "ground_truth.npz")
     xarray = pytest.importorskip("xarray")
     member = xarray.Dataset()
-    _add_truth(member, paths, TIMES, "retarded")
+    _add_ground_truth(member, paths, TIMES, "retarded")
     assert set(member.variables) == {"times", "source", *OF_TRUTH}
-    with np.load(tmp_path / "truth.npz") as file:
+    with np.load(tmp_path / "ground_truth.npz") as file:
         assert set(file) == {"times", *OF_TRUTH, "source_names", "receiver_names"}
         for name in ("times", *OF_TRUTH):
             np.testing.assert_array_equal(file[name], getattr(truth, name))

@@ -138,7 +138,7 @@ response_error_db = "centre"
 STUDY = """
 format = 1
 scene = "scene.toml"
-keep = ["truth"]
+keep = ["ground_truth"]
 [[vary]]
 field = "paths.max_order"
 values = [0]

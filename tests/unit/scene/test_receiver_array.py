@@ -121,7 +121,7 @@ def test_a_run_tells_the_truth_about_all_and_draws_some(scene: Path, tmp_path: P
     assert "pictures are of the first 16 receivers of 23" in capsys.readouterr().err
     assert len(list(out.glob("*.wav"))) == 23
     assert len(list(out.glob("*_echogram.png"))) == 16
-    with np.load(out / "truth.npz") as truth:
+    with np.load(out / "ground_truth.npz") as truth:
         assert truth["receiver_names"][20] == "table-0"
         speed = clsim.Air().speed_of_sound
         for r, place in ((0, (0.5, 0.5, 2.9)), (20, (1.0, 2.0, 1.0)), (22, (1.0, 1.0, 1.0))):

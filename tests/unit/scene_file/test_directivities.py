@@ -10,7 +10,7 @@ import scipy.io
 
 import clsim
 from clsim.cli import main
-from clsim.output.beam_plots import Beam, beam_levels
+from clsim.output.directivity_plots import DirectivityDiagram, directivity_levels
 from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
 
 SCENE = """
@@ -96,10 +96,10 @@ def test_sofa_files(folder: Path) -> None:
     sofar.write_sofa(str(folder / "beam.sofa"), sofa)
     table = scene(folder, '{ kind = "sofa", path = "beam.sofa" }').sources[0].directivity
     np.testing.assert_allclose(table.gain_towards(np.eye(3), 40e3, 343.0), [1, 2, 5], atol=1e-9)
-    assert main(["plot", "beam", "--table", str(folder / "beam.sofa"), "-o", str(folder / "sofa.png")]) == 0
+    assert main(["plot", "directivity", "--table", str(folder / "beam.sofa"), "-o", str(folder / "sofa.png")]) == 0
     assert refused(folder, '{ kind = "sofa", path = "beam.sofa", measurement = 1 }').field.endswith(".measurement")
-    beam = Beam("", table, np.array([40e3]), 343.0)
-    up, left = (beam_levels(beam, np.array([np.pi / 2]), upright=upright)[0, 0] for upright in (True, False))
+    beam = DirectivityDiagram("", table, np.array([40e3]), 343.0)
+    up, left = (directivity_levels(beam, np.array([np.pi / 2]), upright=upright)[0, 0] for upright in (True, False))
     assert up - left == pytest.approx(20 * np.log10(5 / 2))
 
 
@@ -149,24 +149,24 @@ def test_the_schema_names_the_kinds() -> None:
 
 def test_levels_of_a_picture() -> None:
     angles = np.radians([0.0, 40.0, -40.0, 90.0])
-    beam = Beam("", clsim.named_directivity("MA40S4S"), np.array([40e3, 80e3]), 343.0)
+    beam = DirectivityDiagram("", clsim.named_directivity("MA40S4S"), np.array([40e3, 80e3]), 343.0)
     expected = 20 * np.log10(np.abs(beam.directivity.gain(np.cos(angles)[:, None], beam.frequencies, 343.0)))
-    np.testing.assert_allclose(beam_levels(beam, angles), np.maximum(expected, -40.0), atol=1e-9)
-    silent = Beam("", clsim.FirstOrder(), np.array([1e3]), 343.0)
-    assert beam_levels(silent, np.array([np.pi]))[0, 0] == -40.0
-    loud = Beam("", clsim.AxialDirectivity([0, 180], [1e3], [[4.0], [2.0]]), np.array([1e3]), 343.0)
-    np.testing.assert_allclose(beam_levels(loud, np.array([0.0, np.pi]))[:, 0], [0.0, -6.0206], atol=1e-4)
+    np.testing.assert_allclose(directivity_levels(beam, angles), np.maximum(expected, -40.0), atol=1e-9)
+    silent = DirectivityDiagram("", clsim.FirstOrder(), np.array([1e3]), 343.0)
+    assert directivity_levels(silent, np.array([np.pi]))[0, 0] == -40.0
+    loud = DirectivityDiagram("", clsim.AxialDirectivity([0, 180], [1e3], [[4.0], [2.0]]), np.array([1e3]), 343.0)
+    np.testing.assert_allclose(directivity_levels(loud, np.array([0.0, np.pi]))[:, 0], [0.0, -6.0206], atol=1e-4)
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["beam", "scene.toml"],
-        ["beam", "scene.toml", "--end", "left", "--frequencies", "20e3", "35e3"],
-        ["beam", "--name", "T4010A1"],
-        ["beam", "--name", "MA40S4S"],
-        ["beam", "--name", "T4010A1", "--hold", "--frequencies", "30e3"],
-        ["beam", "--table", "beam.csv", "--rear", "mirror"],
+        ["directivity", "scene.toml"],
+        ["directivity", "scene.toml", "--end", "left", "--frequencies", "20e3", "35e3"],
+        ["directivity", "--name", "T4010A1"],
+        ["directivity", "--name", "MA40S4S"],
+        ["directivity", "--name", "T4010A1", "--hold", "--frequencies", "30e3"],
+        ["directivity", "--table", "beam.csv", "--rear", "mirror"],
         ["air"],
         ["air", "--temperature", "5", "--pressure", "80e3", "--humidity", "0.2", "0.8"],
     ],
@@ -188,19 +188,19 @@ def test_pictures_are_drawn(folder: Path, monkeypatch: pytest.MonkeyPatch, capsy
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["beam"], "SCENE, --name and --table"),
-        (["beam", "scene.toml", "--name", "T4010A1"], "is given 2"),
-        (["beam", "--name", "T4010A1", "--end", "left"], "--end"),
-        (["beam", "scene.toml", "--end", "right"], "must be one of 'robot', 'left', but is 'right'"),
-        (["beam", "scene.toml", "--frequencies", "60e3"], "--frequencies (for robot): must lie within"),
-        (["beam", "--name", "T4010A1", "--frequencies", "nan"], "--frequencies: must be finite"),
-        (["beam", "--name", "T4010A1", "--frequencies", "-1"], "--frequencies: must be above 0 Hz"),
-        (["beam", "--name", "T4010A1", "--frequencies", "30e3"], "within the table"),
-        (["beam", "--name", "nobody"], "--name: must be one of"),
-        (["beam", "--table", "beam.csv"], "--table.angles_degrees: must reach 180"),
-        (["beam", "--table", "nothing.npz"], "--table.path: cannot be read"),
-        (["beam", "--table", "nothing.sofa"], "--table.path: cannot be read"),
-        (["beam", "missing.toml"], "missing.toml: cannot be read"),
+        (["directivity"], "SCENE, --name and --table"),
+        (["directivity", "scene.toml", "--name", "T4010A1"], "is given 2"),
+        (["directivity", "--name", "T4010A1", "--end", "left"], "--end"),
+        (["directivity", "scene.toml", "--end", "right"], "must be one of 'robot', 'left', but is 'right'"),
+        (["directivity", "scene.toml", "--frequencies", "60e3"], "--frequencies (for robot): must lie within"),
+        (["directivity", "--name", "T4010A1", "--frequencies", "nan"], "--frequencies: must be finite"),
+        (["directivity", "--name", "T4010A1", "--frequencies", "-1"], "--frequencies: must be above 0 Hz"),
+        (["directivity", "--name", "T4010A1", "--frequencies", "30e3"], "within the table"),
+        (["directivity", "--name", "nobody"], "--name: must be one of"),
+        (["directivity", "--table", "beam.csv"], "--table.angles_degrees: must reach 180"),
+        (["directivity", "--table", "nothing.npz"], "--table.path: cannot be read"),
+        (["directivity", "--table", "nothing.sofa"], "--table.path: cannot be read"),
+        (["directivity", "missing.toml"], "missing.toml: cannot be read"),
         (["air", "--humidity", "50"], "--humidity: must be"),
         (["air", "--temperature", "nan"], "--temperature: must be finite"),
         (["air", "--pressure", "101"], "--pressure: must be at least"),

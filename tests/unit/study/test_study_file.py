@@ -170,7 +170,7 @@ ONE = '[[vary]]\nfield = "paths.max_order"\n'
             "vary[0].field: must be a field of the scene, but room is no list",
         ),
         ('[[vary]]\nfield = "sources.start"\nvalues = [1]', "but sources is no table"),
-        ('metrics = "m:f"\nkeep = ["truth"]\n' + ONE + "values = [1]", "metrics: must be given"),
+        ('metrics = "m:f"\nkeep = ["ground_truth"]\n' + ONE + "values = [1]", "metrics: must be given"),
         ('keep = ["metrics"]\n' + ONE + "values = [1]", "metrics: must be given"),
         ('keep = ["sound"]\n' + ONE + "values = [1]", "keep[0]"),
         ("keep = []\n" + ONE + "values = [1]", "keep: must name what is kept, but is empty"),

@@ -1,4 +1,4 @@
-"""Pictures of beams, and of what air absorbs."""
+"""Pictures of directivities, and of what air absorbs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BEACON = 40e3  # Hz
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beam:
+class DirectivityDiagram:
     """What one polar diagram shows.
 
     Parameters
@@ -49,51 +49,51 @@ class Beam:
     speed_of_sound: float
 
 
-def beam_levels(beam: Beam, angles: Floats, *, upright: bool = False) -> Floats:
-    """Return the level of a beam in dB by angle from the axis and frequency, (n, f), at most 0 and at least -40.
+def directivity_levels(diagram: DirectivityDiagram, angles: Floats, *, upright: bool = False) -> Floats:
+    """Return the level of a directivity in dB by angle from the axis and frequency, (n, f), at most 0 and at least -40.
 
     Parameters
     ----------
-    beam : Beam
+    diagram : DirectivityDiagram
         What is drawn.
     angles : ndarray (n,)
         From the axis +x, towards +y (to the left) or, if `upright`, towards +z, rad.
     upright : bool
-        Which plane; only beams that differ round the axis care.
+        Which plane; only directivities that differ round the axis care.
 
     Notes
     -----
     0 dB is the gain 1, or the largest gain shown if that is more.
     """
-    gain = _gain(beam, angles, upright)
+    gain = _gain(diagram, angles, upright)
     level = 20.0 * np.log10(np.maximum(np.abs(gain), 1e-30))
-    return np.asarray(np.maximum(level - max(_loudest(beam), 0.0), _FLOOR_DB))
+    return np.asarray(np.maximum(level - max(_loudest(diagram), 0.0), _FLOOR_DB))
 
 
-def beams_picture(beams: list[Beam], path: str | os.PathLike[str]) -> None:
+def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathLike[str]) -> None:
     """Draw polar diagrams, 0 to -40 dB, a curve per frequency.
 
     Parameters
     ----------
-    beams : list of Beam
-        A diagram for each. Beams that differ round the axis show the horizontal plane, and the vertical one dashed.
+    diagrams : list of DirectivityDiagram
+        What is drawn. Directivities that differ round the axis show the horizontal plane, and the vertical one dashed.
     path : path-like
         Of the PNG.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    columns = min(len(beams), _COLUMNS)
-    rows = -(-len(beams) // columns)
+    columns = min(len(diagrams), _COLUMNS)
+    rows = -(-len(diagrams) // columns)
     figure = Figure(figsize=(4.6 * columns, 5.0 * rows))
     figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1)
-    for k, beam in enumerate(beams):
+    for k, diagram in enumerate(diagrams):
         axes: Any = figure.add_subplot(rows, columns, k + 1, projection="polar")
-        colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(beam.frequencies)))
-        level = beam_levels(beam, _ANGLES)
-        above = beam_levels(beam, _ANGLES, upright=True) if _is_spherical(beam) else None
-        widths = np.linspace(2.6, 1.2, len(beam.frequencies))  # so that curves that coincide are seen
-        for i, frequency in enumerate(beam.frequencies):
+        colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(diagram.frequencies)))
+        level = directivity_levels(diagram, _ANGLES)
+        above = directivity_levels(diagram, _ANGLES, upright=True) if _is_spherical(diagram) else None
+        widths = np.linspace(2.6, 1.2, len(diagram.frequencies))  # so that curves that coincide are seen
+        for i, frequency in enumerate(diagram.frequencies):
             axes.plot(_ANGLES, level[:, i], color=colours[i], linewidth=widths[i], label=_in_words(float(frequency)))
             if above is not None:
                 axes.plot(_ANGLES, above[:, i], "--", color=colours[i], linewidth=1.1)
@@ -103,10 +103,10 @@ def beams_picture(beams: list[Beam], path: str | os.PathLike[str]) -> None:
         axes.set_thetagrids(np.arange(0, 360, 30), [f"{a if a <= 180 else a - 360}°" for a in range(0, 360, 30)])
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.4, linewidth=0.6)
-        loudest = _loudest(beam)
+        loudest = _loudest(diagram)
         notes = [f"0 dB is a gain of {loudest:.1f} dB"] if loudest > 0.05 else []
         notes += ["solid: to the left, dashed: upwards"] if above is not None else []
-        axes.set_title("\n".join([beam.title, *notes]), fontsize=11, parse_math=False)
+        axes.set_title("\n".join([diagram.title, *notes]), fontsize=11, parse_math=False)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=4, fontsize=8, frameon=False)
     _save(figure, path)
 
@@ -160,24 +160,24 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     _save(figure, path)
 
 
-def _is_spherical(beam: Beam) -> bool:
-    return hasattr(beam.directivity, "gain_towards")
+def _is_spherical(diagram: DirectivityDiagram) -> bool:
+    return hasattr(diagram.directivity, "gain_towards")
 
 
-def _gain(beam: Beam, angles: Floats, upright: bool) -> Any:
+def _gain(diagram: DirectivityDiagram, angles: Floats, upright: bool) -> Any:
     """Return the gain (n, f) in a plane through the axis."""
     cosine, sine = np.cos(angles), np.sin(angles)
-    if not hasattr(beam.directivity, "gain_towards"):
-        gain = beam.directivity.gain(cosine[:, None], beam.frequencies, beam.speed_of_sound)
-        return np.broadcast_to(gain, (len(angles), len(beam.frequencies)))
+    if not hasattr(diagram.directivity, "gain_towards"):
+        gain = diagram.directivity.gain(cosine[:, None], diagram.frequencies, diagram.speed_of_sound)
+        return np.broadcast_to(gain, (len(angles), len(diagram.frequencies)))
     none = np.zeros_like(angles)
     towards = np.column_stack([cosine, none, sine] if upright else [cosine, sine, none])
-    return beam.directivity.gain_towards(towards[:, None, :], beam.frequencies, beam.speed_of_sound)
+    return diagram.directivity.gain_towards(towards[:, None, :], diagram.frequencies, diagram.speed_of_sound)
 
 
-def _loudest(beam: Beam) -> float:
+def _loudest(diagram: DirectivityDiagram) -> float:
     """Return the largest level in either plane, dB."""
-    gains = [_gain(beam, _ANGLES, upright) for upright in (False, True)]
+    gains = [_gain(diagram, _ANGLES, upright) for upright in (False, True)]
     return 20.0 * float(np.log10(max(float(np.abs(gain).max()) for gain in gains) + 1e-30))
 
 
