@@ -10,10 +10,11 @@ import numpy as np
 from default_oracle import Circle, Line, Room, Sway
 
 import clsim
-from clsim.render.plan import Plan, plan_render
+from clsim.render.planning import plan_render
 from clsim.render.render import render_chunks
 
 if TYPE_CHECKING:
+    from clsim.render.plan import Plan
     from collections.abc import Callable
 
 C = clsim.Air().speed_of_sound
