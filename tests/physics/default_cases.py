@@ -14,8 +14,9 @@ from clsim.render.planning import plan_render
 from clsim.render.render import render_chunks
 
 if TYPE_CHECKING:
-    from clsim.render.plan import Plan
     from collections.abc import Callable
+
+    from clsim.render.plan import Plan
 
 C = clsim.Air().speed_of_sound
 
