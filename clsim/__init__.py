@@ -16,8 +16,11 @@ from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
-from clsim.render.plan import plan_render
+from clsim.render.options import RenderOptions
+from clsim.render.plan import Plan
+from clsim.render.planning import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
+from clsim.render.rendering import Rendering
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston, named_directivity
@@ -53,8 +56,11 @@ __all__ = [
     "Omni",
     "PathSet",
     "Piston",
+    "Plan",
     "Receiver",
     "Recording",
+    "RenderOptions",
+    "Rendering",
     "Scene",
     "Shoebox",
     "Signal",

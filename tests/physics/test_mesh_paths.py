@@ -239,7 +239,7 @@ def test_a_shoebox_as_a_mesh_sounds_like_the_shoebox(per_face: int, engine: str)
     for room in (clsim.MeshRoom(*cut_box((8, 6, 3), per_face), WALL), clsim.Shoebox((8, 6, 3), WALL)):
         scene = scene_of(room, source, (6.1, 3.3, 1.9), signal=signal)
         paths = clsim.find_paths(scene, order, engine=engine)
-        made = clsim.render(paths, 192e3, duration=0.12, engine=engine, interpolator=exact, response_error_db="centre")
+        made = clsim.render(paths, 192e3, duration=0.12, engine=engine, interpolator=exact, responses="centre")
         sounds.append(made.pressure[0].astype(float))
     mesh, closed = sounds
     assert np.linalg.norm(mesh - closed) < 10 ** (-110 / 20) * np.linalg.norm(closed)

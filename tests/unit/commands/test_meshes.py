@@ -13,7 +13,7 @@ import clsim
 from clsim.cli import main
 from clsim.output.table import read_table
 from clsim.output.view import viewed
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 from clsim.scene_file import load_scene
 
 MESH_SCENE = """

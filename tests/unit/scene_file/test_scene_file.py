@@ -208,7 +208,7 @@ def mesh_scene(tmp_path: Path, room: dict, **paths) -> dict:
         ],
         "receivers": [{"name": "r", "trajectory": {"kind": "fixed", "position": [7.0, -2.5, 1.0]}}],
         "paths": {"max_order": 1, **paths},
-        "render": {"sampling_rate": 192e3, "transition": "gate"},
+        "render": {"sampling_rate": 192e3, "transition": 0},
     }
 
 
@@ -223,7 +223,7 @@ def test_mesh_rooms_with_obstacles(tmp_path: Path) -> None:
     np.testing.assert_allclose(file.scene.room.extent, [[0, -6, 0], [8, 3, 1.5]], atol=1e-12)
     assert file.paths["finder"] == "beam-tree"
     assert file.paths["resolution"] == 1e-5
-    assert file.render["transition"] == "gate"
+    assert file.render["transition"] == 0.0
     text = completed_scene(file, tmp_path / "out")
     assert 'path = "../floor.obj"' in text
     assert 'path = "../screen.obj"' in text
