@@ -16,8 +16,11 @@ from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
-from clsim.render.plan import plan_render
+from clsim.render.options import RenderOptions
+from clsim.render.plan import Plan
+from clsim.render.planning import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
+from clsim.render.rendering import Rendering
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
@@ -35,8 +38,7 @@ from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
-
-__version__ = "0.2.0"
+from clsim.version import __version__ as __version__
 
 __all__ = [
     "Air",
@@ -58,8 +60,11 @@ __all__ = [
     "Omni",
     "PathSet",
     "Piston",
+    "Plan",
     "Receiver",
     "Recording",
+    "RenderOptions",
+    "Rendering",
     "Scene",
     "Shoebox",
     "Signal",

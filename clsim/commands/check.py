@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.commands.arguments import add_scene
 from clsim.scene_file import load_scene
 from clsim.workflow.pipeline import planned
 
@@ -13,6 +14,11 @@ if TYPE_CHECKING:
     import argparse
 
     from clsim.paths.path_set import PathSet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_scene(parser)
 
 
 def execute(options: argparse.Namespace) -> int:

@@ -13,6 +13,7 @@ from clsim.files.atomic import atomic_path
 from clsim.files.names import file_names
 from clsim.files.wav import WavWriter
 from clsim.numerics.quaternions import rotate
+from clsim.version import __version__
 
 if TYPE_CHECKING:
     import os
@@ -121,13 +122,11 @@ def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> No
         import sofar
     except ImportError as error:
         raise InputError("path", "SOFA files need sofar: pip install 'clsim[sofa]'") from error
-    import clsim
-
     sources, receivers, count = responses.samples.shape
     sofa = sofar.Sofa("SingleRoomSRIR")
     sofa.GLOBAL_Title = f"Impulse responses at {responses.at:g} s"
     sofa.GLOBAL_Origin = "simulated by image sources"
-    sofa.GLOBAL_ApplicationName, sofa.GLOBAL_ApplicationVersion = "clsim", clsim.__version__
+    sofa.GLOBAL_ApplicationName, sofa.GLOBAL_ApplicationVersion = "clsim", __version__
     _tell_room(sofa, responses.scene)
     sofa.GLOBAL_Comment = (
         f"sources {', '.join(responses.source_names)}; receivers {', '.join(responses.receiver_names)}; "

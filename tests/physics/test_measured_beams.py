@@ -93,7 +93,7 @@ def test_one_frequency_of_a_complex_beam_tells_what_it_cannot_turn(monkeypatch: 
     monkeypatch.setattr("clsim.numerics.band_filters.LONGEST", 513)
     scene = world(noise(), loudspeaker(), OCTAVES)
     with pytest.warns(clsim.ClsimWarning, match=r"source 0: .* within -\d\d dB from .* phase at \d+ Hz, .*fade the"):
-        plan = clsim.plan_render(clsim.find_paths(scene, 0), 16e3, response_error_db="centre")
+        plan = clsim.plan_render(clsim.find_paths(scene, 0), 16e3, responses="centre")
     assert len(plan.source_filters[0].basis) == 2
 
 

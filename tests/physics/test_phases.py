@@ -6,7 +6,7 @@ from made_responses import POROUS, ROUGH, Lopsided, OffCentre, porous_factor, ro
 
 import clsim
 from clsim.numerics.band_filters import band_filters
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 
 RATE, C = 192e3, 343.0
 AIR = clsim.Air(speed_of_sound=C, relative_humidity=0.4)
@@ -145,7 +145,7 @@ def test_one_frequency_for_all_keeps_the_phase(engine: str) -> None:
         RATE,
         engine=engine,
         duration=0.04,
-        response_error_db="centre",
+        responses="centre",
         convolve_static=False,
     ).pressure[0]
     gain = OffCentre(2e-3).gain(1.0, 40e3, C) * 10 ** (-AIR.absorption_at(40e3) * 2.0 / 20) / 3.0

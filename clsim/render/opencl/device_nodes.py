@@ -217,7 +217,7 @@ class DeviceTracks:
         return self._motion_constants(source) | {
             "BLOCK": block,
             "TOGETHER": self._together,
-            "GROUP": self._plan.group(source, block),
+            "GROUP": self._plan.subblock(source, block),
             "FINE": int(self._plan.is_fine(block)),
             "OVERSAMPLING": self._plan.source_filters[source].oversampling,
             "CELL": CELL,
