@@ -10,7 +10,8 @@ from clsim.commands.arguments import add_scene
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.report import diagnose, diagnose_ends
 from clsim.scene_file import load_scene
-from clsim.workflow.pipeline import planned
+from clsim.workflow.console import progress
+from clsim.workflow.pipeline import plan_scene
 
 if TYPE_CHECKING:
     import argparse
@@ -30,8 +31,11 @@ def execute(options: argparse.Namespace) -> int:
     if isinstance(room, MeshRoom):  # before the search, which may take long or give up
         for line in [*diagnose(room), *diagnose_ends(file.scene)]:
             print(line, flush=True)
-    paths, plan = planned(file, {})
-    for line in [*([_comings_and_goings(paths)] if isinstance(room, MeshRoom) else []), *plan.describe()]:
+    planned = plan_scene(file, progress)
+    for line in [
+        *([_comings_and_goings(planned.paths)] if isinstance(room, MeshRoom) else []),
+        *planned.plan.describe(),
+    ]:
         print(line)
     for field, item in file.scene.named_ends():
         for note in item.trajectory.notes:

@@ -129,7 +129,7 @@ def render(
         transition=transition, response_error_db=response_error_db, baseband=baseband, prune_below_db=prune_below_db,
         engine=engine, device=device, duration=duration, chunk=chunk, convolve_static=convolve_static,
     )  # fmt: skip
-    return _record(plan)
+    return record(plan)
 
 
 def render_tracks(
@@ -167,7 +167,7 @@ def render_tracks(
         baseband=baseband, engine=engine, device=device, duration=duration, chunk=chunk,
         convolve_static=convolve_static,
     )  # fmt: skip
-    return _record(plan)
+    return record(plan)
 
 
 def render_chunks(
@@ -226,7 +226,8 @@ def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine | None:
     return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
 
 
-def _record(plan: Plan) -> Recording:
+def record(plan: Plan) -> Recording:
+    """Return what the receivers of a plan record, held in memory as a whole."""
     from clsim.recording import Recording
 
     size = plan.receiver_count * plan.samples * np.dtype(plan.sample_type).itemsize
