@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.commands.arguments import add_scene
-from clsim.scene.room.mesh import MeshRoom
-from clsim.scene.room.report import diagnose, diagnose_ends
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import plan_scene
@@ -27,15 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Print what a scene file holds; return the exit status."""
     file = load_scene(options.scene)
-    room = file.scene.room
-    if isinstance(room, MeshRoom):  # before the search, which may take long or give up
-        for line in [*diagnose(room), *diagnose_ends(file.scene)]:
-            print(line, flush=True)
+    for line in file.scene.describe():  # before the search, which may take long or give up
+        print(line, flush=True)
     planned = plan_scene(file, progress)
-    for line in [
-        *([_comings_and_goings(planned.paths)] if isinstance(room, MeshRoom) else []),
-        *planned.plan.describe(),
-    ]:
+    passing = [] if file.scene.room.is_convex else [_comings_and_goings(planned.paths)]
+    for line in [*passing, *planned.plan.describe()]:
         print(line)
     for field, item in file.scene.named_ends():
         for note in item.trajectory.notes:

@@ -15,7 +15,7 @@ from clsim.files.ownership import NewFile
 from clsim.output.directivity_plots import DirectivityDiagram, air_picture, directivity_picture
 from clsim.scene.air import Air
 from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, named_directivity
-from clsim.scene.scene import Source
+from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
 from clsim.workflow.pipeline import input_files

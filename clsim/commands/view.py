@@ -47,7 +47,7 @@ def execute(options: argparse.Namespace) -> int:
         view_scene(
             planned.paths, page.ready(), title=options.scene.stem, duration=planned.plan.duration,
             frames=options.frames, limit=options.limit, progress=advance,
-            motion=file.render["motion"], amplitude=file.render["amplitude"],
+            motion=planned.plan.options.motion, amplitude=planned.plan.options.amplitude,
         )  # fmt: skip
     print(page.path)
     if options.open:

@@ -236,9 +236,9 @@ def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, st
         function = metrics_function(study.metrics, study.folder)
         metrics = function(recording, planned.paths, dict(member.parameters))
         _add_metrics(content, metrics, {*TAKEN, *member.parameters})
-    if planned.plan.engine != "opencl":
+    if planned.plan.options.engine != "opencl":
         return content, ""
-    used, _ = find_device(planned.plan.device)
+    used, _ = find_device(planned.plan.options.device)
     return content, f"{used.id} {used.name}"
 
 

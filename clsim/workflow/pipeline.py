@@ -14,7 +14,7 @@ from clsim.errors import ClsimWarning, InputError
 from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
-from clsim.render.plan import Plan, plan_render
+from clsim.render.planning import plan_render
 from clsim.render.render import record
 from clsim.scene_file.scene import completed_scene, referenced_files
 from clsim.version import __version__
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.recording import Recording
+    from clsim.render.plan import Plan
     from clsim.scene_file.scene import SceneFile
     from clsim.workflow.console import Progress
 
@@ -59,11 +60,11 @@ class PlannedScene:
     def path_table(self, times: Floats, receiver: int | None = None) -> PathTable:
         """Return the table of all paths, or of those to one receiver, as they are rendered, by time of reception, s."""
         paths = self.paths if receiver is None else self.paths.heard_by(receiver)
-        return paths.table(times, self.file.render["motion"], self.file.render["amplitude"])
+        return paths.table(times, self.plan.options.motion, self.plan.options.amplitude)
 
     def ground_truth(self, times: Floats) -> DirectPath:
         """Return what receivers should find out of the direct sound, at times of reception, s."""
-        return direct_path(self.paths, times, self.file.render["motion"])
+        return direct_path(self.paths, times, self.plan.options.motion)
 
     def completed(self, folder: Path) -> str:
         """Return the text of the scene file with all defaults and what was chosen, that works from a folder."""

@@ -27,7 +27,7 @@ def test_a_room_over_a_plan_is_watertight_and_has_its_volume(turn: int) -> None:
 def test_materials_go_by_name_of_wall() -> None:
     carpet, brick = clsim.Material.from_reflection(0.1), clsim.Material.from_reflection(0.5)
     room = clsim.MeshRoom.from_plan(L, 3.0, {"default": WALL, "floor": carpet, "wall 2": brick}, [PILLAR])
-    factors = dict(zip(room.wall_names, room.reflections(40e3), strict=True))
+    factors = dict(zip(room.faces.names, room.reflections(40e3), strict=True))
     assert factors["floor"] == 0.1
     assert factors["wall 2"] == 0.5
     assert factors["ceiling"] == factors["wall 0"] == factors["pillar 0 wall 3"] == 0.9

@@ -70,7 +70,7 @@ def test_files_give_materials_by_group(tmp_path: Path) -> None:
     path = tmp_path / "corner.obj"
     path.write_text(OBJ)
     room = clsim.MeshRoom.from_file(path, materials={"floor": SOFT, "default": WALL})
-    assert dict(zip(room.wall_names, room.reflections(40e3).tolist(), strict=True)) == {
+    assert dict(zip(room.faces.names, room.reflections(40e3).tolist(), strict=True)) == {
         "corner floor": 0.1,
         "corner wall": 0.9,
     }
@@ -109,11 +109,11 @@ def test_what_is_no_mesh_is_refused(vertices, triangles, materials, message: str
 def test_parts_are_joined() -> None:
     board = clsim.MeshRoom(*screen((4, 1, 0), (0, 2, 0), 1.5), SOFT)
     room = clsim.MeshRoom.joined([clsim.Shoebox((8, 6, 3), {"default": WALL, "z_min": SOFT}), board])
-    assert room.wall_names[:6] == ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
+    assert room.faces.names[:6] == ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
     assert room.reflections(40e3).tolist() == [0.9, 0.9, 0.9, 0.9, 0.1, 0.9, 0.1]
     with pytest.raises(clsim.InputError, match="parts: must hold at least one"):
         clsim.MeshRoom.joined([])
-    with pytest.raises(clsim.InputError, match=r"parts\[0\]: must be a MeshRoom or Shoebox"):
+    with pytest.raises(clsim.InputError, match=r"parts\[0\]: must be a room"):
         clsim.MeshRoom.joined(["room"])  # type: ignore[list-item]
 
 
@@ -188,7 +188,7 @@ def test_joined_parts_keep_what_they_are() -> None:
     assert room.flatness == 1e-4
     assert room.notes == repaired.notes != ()
     assert room.shape.watertight
-    crate = [name.startswith("crate") for name in room.wall_names]
+    crate = [name.startswith("crate") for name in room.faces.names]
     assert room.reflections(40e3).tolist() == [0.1 if c else 0.9 for c in crate]
     assert room.contains([(4, 4, 1), (1, 1.3, 1.1), (9, 1, 1)]).tolist() == [True, False, False]
 

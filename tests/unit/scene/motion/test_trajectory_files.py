@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import DATA
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from clsim.errors import ClsimWarning, InputError
 from clsim.scene.motion.trajectory import Trajectory
 
-DATA = Path(__file__).parents[3] / "shared" / "data" / "trajectories"
-TUM_FILE = DATA / "freiburg1_xyz-groundtruth.txt"
-EUROC_FILE = DATA / "V102_groundtruth.csv"
+TUM_FILE = DATA / "trajectories" / "freiburg1_xyz-groundtruth.txt"
+EUROC_FILE = DATA / "trajectories" / "V102_groundtruth.csv"
 
 
 def real(path):

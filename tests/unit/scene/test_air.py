@@ -1,3 +1,6 @@
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -104,3 +107,14 @@ def test_air_is_a_value():
     assert hash(Air()) == hash(Air())
     with pytest.raises(AttributeError):
         Air().pressure = 0.0
+
+
+def test_another_temperature_has_another_speed_unless_it_was_given() -> None:
+    assert replace(Air(), temperature_celsius=30.0) == Air(temperature_celsius=30.0)
+    assert replace(Air(speed_of_sound="iso9613"), temperature_celsius=30.0).speed_of_sound == pytest.approx(
+        343.2 * (303.15 / 293.15) ** 0.5, rel=1e-12
+    )
+    assert replace(Air(speed_of_sound=340.0), temperature_celsius=30.0).speed_of_sound == 340.0
+    number = Air().speed_of_sound
+    assert Air(relative_humidity=0.3, speed_of_sound=number).speed_of_sound == number
+    assert pickle.loads(pickle.dumps(Air(pressure=9e4))) == Air(pressure=9e4)

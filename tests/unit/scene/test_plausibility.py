@@ -133,7 +133,7 @@ max_order = 0
 [render]
 sampling_rate = 192e3
 engine = "reference"
-response_error_db = "centre"
+responses = "centre"
 """
 STUDY = """
 format = 1

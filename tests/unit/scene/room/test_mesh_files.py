@@ -1,14 +1,14 @@
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from scenes import DATA
 
 from clsim.errors import InputError
 from clsim.scene.room.mesh_files import read_mesh
 
-MESHES = Path(__file__).parents[2] / ".." / "shared" / "data" / "meshes"
+MESHES = DATA / "meshes"
 L_SHAPE = [(0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)]  # area 6
 
 

@@ -188,14 +188,14 @@ def options(random: np.random.Generator, makers: dict[str, Any]) -> dict[str, An
 def settings(random: np.random.Generator, plain: bool) -> dict[str, Any]:
     made: dict[str, Any] = {
         "sampling_rate": 64e3, "engine": "reference", "interpolator": {"kind": "lagrange", "order": 3},
-        "response_error_db": "centre" if plain else -20.0,
+        **({"responses": "centre"} if plain else {"response_error_db": -20.0}),
     }  # fmt: skip
     choices: dict[str, list[Any]] = {
         "interpolator": [
             {"kind": "lagrange", "order": 5}, {"kind": "truncated-lagrange", "order": 9, "length": 4},
             {"kind": "bandlimited", "error_db": -40.0},
         ],
-        "motion": ["quasi-static"], "amplitude": ["static", "convective"], "transition": ["gate", 0.001],
+        "motion": ["quasi-static"], "amplitude": ["static", "convective"], "transition": [0.0, 0.001],
         "baseband": [{"carrier": 16e3, "bandwidth": 8e3}],
         "prune_below_db": [-60.0, -100.0], "duration": [0.01], "chunk": [1000], "convolve_static": [False], "engine": ["opencl"],
     }  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 
 import clsim
 from clsim.scene.flush import find_mount
-from clsim.scene_file import build_scene, completed_scene
+from clsim.scene_file.scene import build_scene, completed_scene
 
 WALL = clsim.Material.from_reflection(0.9)
 BOX = clsim.Shoebox((8.0, 6.0, 3.0), WALL)
@@ -16,6 +16,7 @@ MESH = clsim.MeshRoom.joined([BOX])
 SCREEN = clsim.MeshRoom([(4, 1, 0.5), (4, 3, 0.5), (4, 3, 2), (4, 1, 2)], [(0, 1, 2), (0, 2, 3)], WALL)
 PARTED = clsim.MeshRoom.joined([BOX, SCREEN])
 TONE = clsim.Signal.tone(40e3, 0.01, 192e3)
+SLIDE_OFF = clsim.Trajectory.line((4, 2, 1), (4, 4, 1), 0.1)
 ROOMS = {"box": BOX, "mesh": MESH, "parted": PARTED}
 
 
@@ -67,7 +68,8 @@ SLIDE = clsim.Trajectory.line((3, 2, 3), (4, 3, 3), 0.02)
         ("box", clsim.Trajectory.line((3, 2, 3), (3, 2, 2), 0.02), True, r"stay in the plane of the wall .*\(3, 2, 2\."),
         ("mesh", clsim.Trajectory.line((3, 2, 3), (3, 2, 2), 0.02), True, r"stay in the plane of the wall .*\(3, 2, 2\."),
         ("box", clsim.Trajectory.line((3, 2, 3), (9, 2, 3), 0.1), True, r"must stay inside the room"),
-        ("mesh", clsim.Trajectory.line((3, 2, 3), (9, 2, 3), 0.1), True, r"stay on the wall that 's' is flush with, 'z_max'"),
+        ("mesh", clsim.Trajectory.line((3, 2, 3), (9, 2, 3), 0.1), True, r"walk through none, but 's' meets the wall 'x_max'"),
+        ("parted", SLIDE_OFF, (1, 0, 0), r"stay on the wall that it is flush with, '.*', but 's' is at \(4, 3\.0"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_by_name(room: str, place, flush, message: str) -> None:
@@ -97,7 +99,7 @@ def test_a_path_along_the_wall_of_both_its_ends_has_corners() -> None:
     source = clsim.Source("s", TONE, clsim.Trajectory.fixed((3, 2, 3)), flush=True)
     receiver = clsim.Receiver("r", clsim.Trajectory.fixed((5, 4, 3)), flush=True)
     paths = clsim.find_paths(clsim.Scene(BOX, clsim.Air(), [source], [receiver]), 1)
-    corners = paths.corners(0.0)
+    corners = paths.vertices(0.0)
     for row, order in zip(corners, paths.order, strict=True):
         assert np.isfinite(row[: order + 2]).all()
     ceiling = next(c for c, w in zip(corners, paths.walls, strict=True) if w[0] == 5)

@@ -15,7 +15,7 @@ from clsim.cli import main
 from clsim.commands import run as run_command
 from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.render.memory import within_memory
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 from clsim.scene.motion.instants import Instants
 from clsim.scene.motion.motion import Motion
 from clsim.scene.places import first_approach, first_refused, nearest_within

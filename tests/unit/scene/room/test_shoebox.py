@@ -19,7 +19,7 @@ def test_walls_by_name_go_to_their_places():
     for walls in (named, backwards, tuple(named.values())):
         room = Shoebox((8, 6, 3), walls)
         np.testing.assert_array_equal(room.reflections(40e3), factors)
-        assert room.wall_materials == tuple(named.values())
+        assert room.faces.materials == tuple(named.values())
 
 
 def test_default_stands_for_the_rest():

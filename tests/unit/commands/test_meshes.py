@@ -13,7 +13,7 @@ import clsim
 from clsim.cli import main
 from clsim.output.table import read_table
 from clsim.output.view import viewed
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 from clsim.scene_file import load_scene
 
 MESH_SCENE = """
@@ -138,7 +138,7 @@ def test_paths_of_a_mesh_are_those_heard_at_a_time(mesh_scene: Path, tmp_path: P
         assert len(listed[time_]) == len(rows)
     assert "direct" in listed["0"]
     assert "direct" not in listed["0.3"]
-    names = load_scene(mesh_scene).scene.room.wall_names
+    names = load_scene(mesh_scene).scene.room.faces.names
     assert {"room hard floor", "screen"} < set(names)
     assert listed["0"] | listed["0.3"] <= {"direct", *names}
     # By the floor, too, the way past the screen is free before the walk and barred behind it.
@@ -236,7 +236,7 @@ def test_view_shows_walls_and_what_is_heard(mesh_scene: Path) -> None:
     paths, duration = planned(mesh_scene)
     view = viewed(paths, duration=duration, frames=41)
     room = paths.scene.room
-    assert [wall.name for wall in view.walls] == list(room.wall_names)
+    assert [wall.name for wall in view.walls] == list(room.faces.names)
     assert {(w.name, w.material) for w in view.walls} >= {("room hard floor", "reflection 0.5"), ("screen", "rigid")}
     area = {
         w.name: 0.5 * np.linalg.norm(np.cross(*(w.triangles[:, i] - w.triangles[:, 0] for i in (1, 2))))

@@ -209,7 +209,7 @@ def mesh_scene(tmp_path: Path, room: dict, **paths) -> dict:
         ],
         "receivers": [{"name": "r", "trajectory": {"kind": "fixed", "position": [7.0, -2.5, 1.0]}}],
         "paths": {"max_order": 1, **paths},
-        "render": {"sampling_rate": 192e3, "transition": "gate"},
+        "render": {"sampling_rate": 192e3, "transition": 0},
     }
 
 
@@ -219,18 +219,18 @@ def test_mesh_rooms_with_obstacles(tmp_path: Path) -> None:
         "obstacles": [{"path": "screen.obj", "materials": {"reflection": 0.9}}],
     }  # fmt: skip
     file = build_scene(mesh_scene(tmp_path, room, finder="beam-tree", resolution=1e-5), tmp_path)
-    assert file.scene.room.wall_names == ("floor wood", "screen")
+    assert file.scene.room.faces.names == ("floor wood", "screen")
     assert file.scene.room.reflections(40e3).tolist() == [0.5, 0.9]
     np.testing.assert_allclose(file.scene.room.extent, [[0, -6, 0], [8, 3, 1.5]], atol=1e-12)
     assert file.paths["finder"] == "beam-tree"
     assert file.paths["resolution"] == 1e-5
-    assert file.render["transition"] == "gate"
+    assert file.render["transition"] == 0.0
     text = completed_scene(file, tmp_path / "out")
     assert 'path = "../floor.obj"' in text
     assert 'path = "../screen.obj"' in text
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "again.toml").write_text(text)
-    assert load_scene(tmp_path / "out" / "again.toml").scene.room.wall_names == ("floor wood", "screen")
+    assert load_scene(tmp_path / "out" / "again.toml").scene.room.faces.names == ("floor wood", "screen")
 
 
 def test_shoeboxes_and_plans_with_obstacles(tmp_path: Path) -> None:
@@ -250,7 +250,7 @@ def test_shoeboxes_and_plans_with_obstacles(tmp_path: Path) -> None:
     scene["room"] = box | {"obstacles": [{"path": "screen.obj", "materials": wall}]}
     scene["sources"][0]["trajectory"]["position"] = [1.0, 2.0, 1.0]
     scene["receivers"][0]["trajectory"]["position"] = [7.0, 2.0, 1.0]
-    assert build_scene(scene, tmp_path).scene.room.wall_names[-1] == "screen"
+    assert build_scene(scene, tmp_path).scene.room.faces.names[-1] == "screen"
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def test_float32_renders_order_40_as_well_as_float64(engine: str) -> None:
     )
     paths = clsim.find_paths(scene, 0)
     made = clsim.render(
-        paths, RATE, interpolator=clsim.Lagrange(40), response_error_db="centre", engine=engine, duration=0.03
+        paths, RATE, interpolator=clsim.Lagrange(40), responses="centre", engine=engine, duration=0.03
     ).pressure[0]
     some = np.arange(4000, 5700)
     table = paths.table(some / RATE)

@@ -3,10 +3,10 @@
 import json
 import re
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import DATA
 
 from clsim.cli import main
 from clsim.errors import ClsimWarning, InputError
@@ -15,7 +15,7 @@ from clsim.scene.material.material import MATERIAL_NAMES, Material
 
 TABLES = [name for name, entry in LIBRARY.items() if entry.constructor == "absorption"]
 ESTIMATES = [name for name in LIBRARY if name.startswith("estimated-")]
-DATA = Path(__file__).parents[3] / "shared" / "data" / "materials" / "pyroomacoustics_materials.json"
+TABLE = DATA / "materials" / "pyroomacoustics_materials.json"
 OCTAVES = np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3])
 
 
@@ -148,9 +148,9 @@ def test_the_command_tells_errors_in_a_line(arguments, message, capsys):
     assert message in printed.err
 
 
-@pytest.mark.skipif(not DATA.exists(), reason=f"no real data: {DATA} is missing")
+@pytest.mark.skipif(not TABLE.exists(), reason=f"no real data: {TABLE} is missing")
 def test_ninety_published_entries_of_somebody_else_are_materials():
-    content = json.loads(DATA.read_text("utf-8"))
+    content = json.loads(TABLE.read_text("utf-8"))
     entries = [entry for group in content["absorption"].values() for entry in group.values()]
     assert len(entries) == 90
     for entry in entries:

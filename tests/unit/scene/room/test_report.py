@@ -5,7 +5,6 @@ import pytest
 from made_meshes import box, cut_box, joined, screen
 
 import clsim
-from clsim.scene.room.report import diagnose, diagnose_ends
 
 WALL = clsim.Material.from_reflection(0.9)
 SOUND = [
@@ -15,7 +14,7 @@ SOUND = [
 
 
 def told(mesh) -> list[str]:
-    return diagnose(clsim.MeshRoom(*mesh, WALL))
+    return clsim.MeshRoom(*mesh, WALL).describe()
 
 
 def test_a_sound_room_is_described_and_nothing_else() -> None:
@@ -104,7 +103,7 @@ def ends(room: clsim.MeshRoom | clsim.Shoebox, height: float) -> list[str]:
         room, clsim.Air(), [clsim.Source("robot", tone, walk)],
         [clsim.Receiver("mic", clsim.Trajectory.fixed((3, 2, height)))],
     )  # fmt: skip
-    return diagnose_ends(scene)
+    return scene.describe()[len(room.describe()) :]
 
 
 def test_who_is_inside_is_told_of_watertight_rooms_alone() -> None:

@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def material(walls: dict, folder: Path) -> clsim.Material:
-    return build_scene(scene(walls), folder).scene.room.wall_materials[0]
+    return build_scene(scene(walls), folder).scene.room.faces.materials[0]
 
 
 @pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")
@@ -130,8 +130,8 @@ def test_a_copy_of_the_scene_elsewhere_finds_the_sound_file(folder):
     copy = folder / "out" / "scene.completed.toml"
     copy.write_text(completed_scene(file, folder / "out"), "utf-8")
     assert 'path = "../wall.wav"' in copy.read_text("utf-8")
-    again = load_scene(copy).scene.room.wall_materials
-    for read, first in zip(again, file.scene.room.wall_materials, strict=True):
+    again = load_scene(copy).scene.room.faces.materials
+    for read, first in zip(again, file.scene.room.faces.materials, strict=True):
         assert read.reflection_at(40e3) == first.reflection_at(40e3)
 
 
