@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from clsim.render.options import RenderOptions
     from clsim.render.source_filters import SourceFilters
     from clsim.render.static_pairs import StaticPairs
-    from clsim.scene.scene import Receiver
+    from clsim.scene.ends import Receiver
     from clsim.tracks.tracks import Tracks
 
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment

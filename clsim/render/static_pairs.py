@@ -10,7 +10,7 @@ from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
     from clsim.render.options import RenderOptions
-    from clsim.scene.scene import Receiver, Source
+    from clsim.scene.ends import Receiver, Source
     from clsim.tracks.tracks import Tracks
 
 

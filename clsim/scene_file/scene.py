@@ -17,8 +17,9 @@ from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.scene.air import Air
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
-from clsim.scene.scene import Receiver, Scene, Source
+from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel

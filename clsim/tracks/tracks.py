@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.scene.ends import Receiver, Source
     from clsim.scene.motion.trajectory import Trajectory
-    from clsim.scene.scene import Receiver, Scene, Source
+    from clsim.scene.scene import Scene
 
 _TOGETHER = 65536  # paths looked at at a time
 
@@ -349,7 +350,7 @@ def track(
         path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
     ends: list[Source | Receiver] = [*scene.sources, *scene.receivers]
-    speeds = [1.02 * _peak_speed(end.trajectory, *scene.span(end)) for end in ends]
+    speeds = [1.02 * _peak_speed(end.trajectory, *end.span) for end in ends]
     count = len(scene.sources)
     return SceneTracks(
         paths,

@@ -15,6 +15,7 @@ from clsim.opencl.device import find_device
 from clsim.render.render import render_chunks
 from clsim.render.rendering import Rendering
 from clsim.scene_file import referenced_files
+from clsim.version import __version__
 from clsim.workflow.console import progress
 
 if TYPE_CHECKING:
@@ -101,8 +102,6 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
     """
     import scipy
 
-    import clsim
-
     device = "none"
     if plan.options.engine == "opencl":
         info, _ = find_device(plan.options.device)
@@ -120,7 +119,7 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
         "contents": {os.path.relpath(path, file.base): _digest(path) for path in referenced_files(file)},
         "device": device,
         "options": options,
-        "versions": {"clsim": clsim.__version__, "numpy": np.__version__, "scipy": scipy.__version__},
+        "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "paths": found.hexdigest(),
         "contributions": {contribution.name: contribution.digest() for contribution in plan.contributions},
     }

@@ -106,9 +106,9 @@ def test_memory_that_is_used_again_is_silent_again(monkeypatch: pytest.MonkeyPat
 def test_functions_of_frequency_are_applied_where_it_sounds(responses) -> None:
     filters = box_plan(pulses(0.1, 5), response_error_db=-80.0, responses=responses).source_filters[0]
     first, last = -300, int(0.35 * RATE)
-    half, filters = filters.filter_half, filters.filters
+    half = filters.filter_half
     read = filters.signal.read(first - half, last + half)
-    wanted = np.stack([np.convolve(read, f, mode="valid") for f in filters])
+    wanted = np.stack([np.convolve(read, f, mode="valid") for f in filters.filters])
     found = filters.streams(first, last)
     np.testing.assert_allclose(found, wanted, atol=1e-13 * np.abs(wanted).max())
     reached = np.convolve(read != 0.0, np.ones(2 * half + 1), mode="valid") > 0.5

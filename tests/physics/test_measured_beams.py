@@ -58,7 +58,7 @@ def by_hand(scene: clsim.Scene, paths: clsim.PathSet, times: np.ndarray, rate: f
         )
         response = response * scene.sources[0].directivity.gain(table.departure[p, :, :1], f, C)
         for wall in walls[walls >= 0]:
-            response *= scene.room.wall_materials[wall].reflection_at(f)
+            response *= scene.room.faces.materials[wall].reflection_at(f)
         out += 2.0 / count * np.real((np.exp(2j * np.pi * f * late[p, :, None]) * response) @ spectrum)
     return out
 

@@ -1,18 +1,17 @@
 """Paths in meshes against closed forms and against a brute force that shares no code with them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from made_meshes import box, cut_box, hall, joined, l_room, pillar_room, screen
 from mesh_oracle import Oracle
+from scenes import DATA
 
 import clsim
 from clsim.numerics.quaternions import rotate
 from clsim.paths.path_set import PathSet
 from clsim.scene.room.mesh_files import read_mesh
 
-MESHES = Path(__file__).parents[2] / ".." / "shared" / "data" / "meshes"
+MESHES = DATA / "meshes"
 WALL = clsim.Material.from_reflection(0.9)
 TONE = clsim.Signal.tone(40e3, 0.05, 192e3, fade=0.01)
 

@@ -91,7 +91,7 @@ def by_hand(world: clsim.Scene, paths, times: np.ndarray) -> np.ndarray:
         for bounce in paths.walls.T:
             for p in np.flatnonzero(bounce >= 0):  # unfolded, a ray meets all walls across an axis at one angle
                 cosine = np.abs(table.departure[p, :, bounce[p] // 2])
-                response[p] *= sent_back(world.room.wall_materials[bounce[p]], f, cosine)
+                response[p] *= sent_back(world.room.faces.materials[bounce[p]], f, cosine)
         sounding = (late > -1e-3) & (late < signal.duration + 1e-3)
         out += 2.0 / count * np.real(spectrum[k] * (np.exp(2j * np.pi * f * late) * response * sounding).sum(axis=0))
     return out

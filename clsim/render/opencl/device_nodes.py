@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
-    from clsim.scene.scene import Receiver, Scene
+    from clsim.scene.ends import Receiver
+    from clsim.scene.scene import Scene
     from clsim.tracks.basis import Basis
     from clsim.tracks.tracks import SceneTracks
 
@@ -279,7 +280,7 @@ class _Surroundings:
         tables = [beam_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
         bands = len(tables[0]) // min(self.count, 8)
         self.beam_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
-        materials, angular = scene.room.wall_materials, self._responses.angular
+        materials, angular = scene.room.faces.materials, self._responses.angular
         different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
         kind = {key: i for i, key in enumerate(different)}
         self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)
