@@ -12,13 +12,12 @@ from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
 from clsim.paths.specular.mesh import FINDERS, MeshSearch, image_isometries, report
 from clsim.paths.specular.shoebox import shoebox_image_count, shoebox_images
+from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from clsim.scene.room.mesh import MeshRoom
 
 LARGEST_ORDER = 60
 LARGEST_MESH_ORDER = 20
@@ -92,6 +91,8 @@ def find_paths(
     if isinstance(scene.room, Shoebox):
         return _shoebox_paths(scene, scene.room, as_count("max_order", max_order, at_most=LARGEST_ORDER), limit)
     order = as_count("max_order", max_order, at_most=LARGEST_MESH_ORDER)
+    if not isinstance(scene.room, MeshRoom):
+        raise InputError("scene.room", f"must be a Shoebox or a MeshRoom to find paths, but is {scene.room!r:.80}")
     search = MeshSearch(order, finder, resolution, limit, engine, device)
     return _mesh_paths(scene, scene.room, search, progress or (lambda share: None))
 

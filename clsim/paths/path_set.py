@@ -114,7 +114,7 @@ class PathSet:
             times, self.source, self.receiver, self.order, self.walls, self.order == 0,
             delay, doppler_factor, gain, departure, arrival,
             tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers),
-            self.scene.room.wall_names,
+            self.scene.room.faces.names,
         )  # fmt: skip
 
     def vertices(self, time: float, motion: str = "retarded") -> Floats:
@@ -139,7 +139,8 @@ class PathSet:
             delay = 0.0 if motion == "quasi-static" else arrivals(self.scene, group, now, motion).delay[:, 0]
             source[rows] = self.scene.sources[group.source].trajectory.position(np.full(len(rows), time) - delay)
             receiver[rows] = self.scene.receivers[group.receiver].trajectory.position(now)
-        vertices = path_vertices(self.scene.room.planes, self.walls, source, receiver)
+        faces = self.scene.room.faces
+        vertices = path_vertices((faces.normals, faces.offsets), self.walls, source, receiver)
         vertices[~((self.start <= time) & (time < self.end))] = np.nan
         return vertices
 

@@ -49,7 +49,7 @@ class Responses:
 
     def __init__(self, scene: Scene, frequencies: Floats) -> None:
         self._scene, self._frequencies = scene, frequencies
-        materials = scene.room.wall_materials
+        materials = scene.room.faces.materials
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
         self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
@@ -93,7 +93,7 @@ class Responses:
             for wall in np.unique(group.walls[:, bounce][self.angular[group.walls[:, bounce]]]):
                 rows = np.flatnonzero(group.walls[:, bounce] == wall)
                 cosine = np.abs(np.einsum("pti,pi->pt", found.departure[rows], normals[rows]))
-                material = scene.room.wall_materials[wall]
+                material = scene.room.faces.materials[wall]
                 angle = np.maximum(cosine, _GRAZING)[..., None]
                 response[rows] *= material.reflection_at(known(frequencies, material), angle, c)
         if not isinstance(source.directivity, Omni):
@@ -112,14 +112,14 @@ class Responses:
         met = self.angular[group.walls]
         if not met.any():
             return []
-        normals = unfolded_normals(self._scene.room.planes[0], group.walls)
+        normals = unfolded_normals(self._scene.room.faces.normals, group.walls)
         return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
 
 
 def is_complex(scene: Scene) -> bool:
     """Return whether any wall or beam of a scene has a phase."""
     beams = [*(source.directivity for source in scene.sources), *(receiver.directivity for receiver in scene.receivers)]
-    return any(m.is_complex for m in scene.room.wall_materials) or any(beam.is_complex for beam in beams)
+    return any(m.is_complex for m in scene.room.faces.materials) or any(beam.is_complex for beam in beams)
 
 
 def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]]) -> Floats:

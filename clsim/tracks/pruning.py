@@ -78,8 +78,8 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
     scene, paths = tracks.scene, tracks.path_groups[group]
     source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.speed_of_sound
     frequencies = np.linspace(*shares(source.emitted.energy_spectrum(), _SHARE), _FREQUENCIES)
-    factors = np.ones((len(scene.room.wall_materials) + 1, len(frequencies)))
-    for w, material in enumerate(scene.room.wall_materials):
+    factors = np.ones((len(scene.room.faces.materials) + 1, len(frequencies)))
+    for w, material in enumerate(scene.room.faces.materials):
         if not material.depends_on_angle:
             factors[w] = np.abs(material.reflection_at(known(frequencies, material), 1.0, c))
     beams = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)

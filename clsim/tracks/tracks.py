@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.scene.ends import Receiver, Source
     from clsim.scene.motion.trajectory import Trajectory
-    from clsim.scene.scene import Receiver, Scene, Source
+    from clsim.scene.scene import Scene
 
 _TOGETHER = 65536  # paths looked at at a time
 
@@ -60,7 +61,12 @@ class Tracks(ABC):
     groups: tuple[PairTracks, ...]
     source_count: int
     receiver_names: tuple[str, ...]
-    transition: float  # s, over which paths begin and end; 0 for a gate
+    transition: float  # s, over which paths begin and end; 0 for at once
+
+    @property
+    def of_scene(self) -> SceneTracks | None:
+        """These tracks with the scene whose paths they are; None for those that were computed elsewhere."""
+        return None
 
     @abstractmethod
     def evaluate(
@@ -97,7 +103,7 @@ class Tracks(ABC):
         *,
         sources: Any = None,
         receivers: Any = None,
-        transition: float | str = DEFAULT_TRANSITION,
+        transition: float = DEFAULT_TRANSITION,
     ) -> SampledTracks:
         """Return tracks from anybody's delays and gains.
 
@@ -111,7 +117,7 @@ class Tracks(ABC):
             Received over emitted pressure; NaN where, and only where, delays are.
         sources, receivers : array_like (P,) of int, optional
             Between which each path runs; all 0 when left out.
-        transition : float or "gate"
+        transition : float
             As in `render`.
 
         Returns
@@ -154,6 +160,11 @@ class SceneTracks(Tracks):
     source_speed: tuple[float, ...]
     receiver_speed: tuple[float, ...]
     transition: float
+
+    @property
+    def of_scene(self) -> SceneTracks:
+        """These tracks."""
+        return self
 
     @property
     def scene(self) -> Scene:
@@ -286,12 +297,25 @@ class SampledTracks(Tracks):
         return self.end
 
 
+def as_tracks(value: object) -> Tracks:
+    """Return tracks.
+
+    Raises
+    ------
+    InputError
+        If they are none.
+    """
+    if not isinstance(value, Tracks):
+        raise InputError("tracks", f"must be Tracks, but is {value!r:.80}")
+    return value
+
+
 def track(
     paths: PathSet,
     *,
     motion: str = "retarded",
     amplitude: str = "wave-equation",
-    transition: float | str = DEFAULT_TRANSITION,
+    transition: float = DEFAULT_TRANSITION,
 ) -> SceneTracks:
     """Return the tracks of a scene's paths.
 
@@ -303,7 +327,7 @@ def track(
         Whether the image is where it was when the sound was emitted, or where it is when it is received.
     amplitude : {"wave-equation", "static", "convective"}
         Exponent 1, 0 or 2 of ``1 / (1 - M)``.
-    transition : float or "gate"
+    transition : float
         As in `render`.
 
     Raises
@@ -326,7 +350,7 @@ def track(
         path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
     ends: list[Source | Receiver] = [*scene.sources, *scene.receivers]
-    speeds = [1.02 * _peak_speed(end.trajectory, *scene.span(end)) for end in ends]
+    speeds = [1.02 * _peak_speed(end.trajectory, *end.span) for end in ends]
     count = len(scene.sources)
     return SceneTracks(
         paths,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.launch import work
-from clsim.render.baseband import WIDEST_GROUP
+from clsim.render.baseband import WIDEST_SUBBLOCK
 from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.opencl.fades import find_fades
@@ -71,11 +71,16 @@ class _BasebandRun(Run):
         engine, begin = self._engine, segment * self._plan.segment
         self._render_fades(nodes, segment, end, block, first_block)
         lanes = engine._layout.lanes
-        vectors = min(block, WIDEST_GROUP) // lanes if lanes > 1 else 1
+        vectors = min(block, WIDEST_SUBBLOCK) // lanes if lanes > 1 else 1
         spans = (end - begin) // (vectors * lanes)
         size = work(spans, len(self._slots.groups), group=1 if lanes > 1 else math.gcd(spans, 32))
         filters = self._filters
-        constants = {"LANES": lanes, "VECTORS": vectors, "SUBBLOCK": filters.bank.group, "FUNCTIONS": self._functions}
+        constants = {
+            "LANES": lanes,
+            "VECTORS": vectors,
+            "SUBBLOCK": filters.bank.subblock,
+            "FUNCTIONS": self._functions,
+        }
         kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
         kernel(
             engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),

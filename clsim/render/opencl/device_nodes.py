@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
-    from clsim.scene.scene import Receiver, Scene
+    from clsim.scene.ends import Receiver
+    from clsim.scene.scene import Scene
     from clsim.tracks.basis import Basis
     from clsim.tracks.tracks import SceneTracks
 
@@ -235,7 +236,7 @@ class DeviceTracks:
         return self._motion_constants(source) | {
             "BLOCK": block,
             "NODES_AT_ONCE": self._together,
-            "SUBBLOCK": self._plan.group(source, block),
+            "SUBBLOCK": self._plan.subblock(source, block),
             "FINE": int(self._plan.is_fine(block)),
             "OVERSAMPLING": self._plan.source_filters[source].oversampling,
             "CELL": CELL,
@@ -306,7 +307,7 @@ class _Surroundings:
         tables = [beam_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
         bands = len(tables[0]) // min(self.count, 8)
         self.directivity_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
-        materials, angular = scene.room.wall_materials, self._responses.angular
+        materials, angular = scene.room.faces.materials, self._responses.angular
         different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
         kind = {key: i for i, key in enumerate(different)}
         self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)

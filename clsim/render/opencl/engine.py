@@ -19,7 +19,6 @@ from clsim.render.opencl.device_nodes import DeviceTracks
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
 from clsim.render.plan import NODE_BUDGET, Plan
-from clsim.tracks.tracks import SceneTracks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,26 +35,26 @@ _TOGETHER = 8  # functions of frequency that are summed at a time
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How the sum of paths is spread over a device: a group of samples over lanes of vectors, or over work-items."""
+    """How the sum of paths is spread over a device: a subblock of samples over lanes of vectors, or over work-items."""
 
     lanes: int
-    span: int  # groups to a work-item, or group of them
+    span: int  # subblocks to a work-item, or to a group of them
     sparse_span: int  # the same where signals pause
     nodes: int  # of a path, whose delays are solved side by side
 
-    def constants(self, group: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
-        """Return the compile-time constants of the render kernel for a group length."""
-        workers = 1 if self.lanes > 1 else group
+    def constants(self, subblock: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
+        """Return the compile-time constants of the render kernel for a subblock's length."""
+        workers = 1 if self.lanes > 1 else subblock
         return {
             "LANES": self.lanes,
-            "VECTORS": group // (workers * self.lanes),
+            "VECTORS": subblock // (workers * self.lanes),
             "WORKERS": workers,
             "SPARSE": int(sparse),
             "FINE": int(fine),
             "OVERSAMPLING": oversampling,
             "BATCH": 1 if sparse else BATCH,
             "TILE": _TILE,
-            "SUBBLOCKS": (self.sparse_span if sparse else self.span) * (32 // group),
+            "SUBBLOCKS": (self.sparse_span if sparse else self.span) * (32 // subblock),
         }
 
 
@@ -85,7 +84,7 @@ class OpenclEngine:
         import pyopencl as cl
 
         self._plan = plan
-        self._info, device = find_device(plan.device)
+        self._info, device = find_device(plan.options.device)
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
         self._compiler = compiler_of(device)
         self._context = self._compiler.context
@@ -98,8 +97,9 @@ class OpenclEngine:
         self._unheld = np.zeros(len(plan.source_filters))  # largest part of what is heard that no function holds
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._tracks: DeviceTracks | HostTracks
-        if isinstance(plan.tracks, SceneTracks) and self._info.fp64:
-            self._tracks = DeviceTracks(plan, plan.tracks, self._queue, self._compiler, self._layout.nodes)
+        of_scene = plan.tracks.of_scene
+        if of_scene is not None and self._info.fp64:
+            self._tracks = DeviceTracks(plan, of_scene, self._queue, self._compiler, self._layout.nodes)
         else:
             self._tracks = HostTracks(plan, self._queue)
 
@@ -255,11 +255,11 @@ class Run:
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, filters = self._engine, self._plan.source_filters[self._source]
         self._render_fades(nodes, segment, end, block, first_block)
-        group, fine = self._plan.group(self._source, block), self._plan.is_fine(block)
+        subblock, fine = self._plan.subblock(self._source, block), self._plan.is_fine(block)
         sparse = nodes.activity is not None
-        layout = engine._layout.constants(group, sparse=sparse, fine=fine, oversampling=filters.oversampling)
+        layout = engine._layout.constants(subblock, sparse=sparse, fine=fine, oversampling=filters.oversampling)
         begin = segment * self._plan.segment
-        subblocks = (end - begin) // group
+        subblocks = (end - begin) // subblock
         size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._slots.groups))
         counts = [len(bank.taps) for bank in filters.banks]
         together = _TOGETHER if sparse else 1
@@ -271,7 +271,7 @@ class Run:
             kernel(
                 engine._queue, (size, (layout["WORKERS"], 1)), **self._branch_arguments(begin),
                 **self._block_arguments(nodes, first_block), first_row=filters.rows[k], functions=self._functions,
-                first_function=k, first_slot=self._first_slot, block_subblocks=block // group, subblocks=subblocks,
+                first_function=k, first_slot=self._first_slot, block_subblocks=block // subblock, subblocks=subblocks,
                 pressure_row=self._row, pressure=self._pressure, pressure_stride=self._length, first_sample=begin,
             )  # fmt: skip
 
