@@ -73,7 +73,7 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
     if any(name.endswith(".png") for name in missing):
         _draw(plan, paths, times, store, results, outputs, missing)
     if TRUTH in missing:
-        write_ground_truth(paths, times, plan.tracks.motion, results.work / TRUTH)  # type: ignore[attr-defined]
+        write_ground_truth(paths, times, plan.tracks.motion, results.work / TRUTH)
     if COMPLETED in missing:
         with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(text, "utf-8")

@@ -32,7 +32,7 @@ def execute(options: argparse.Namespace) -> int:
         view_scene(
             paths, page.ready(), title=options.scene.stem, duration=plan.duration, frames=options.frames,
             limit=options.limit, progress=advance,
-            motion=plan.tracks.motion, amplitude=plan.tracks.amplitude,  # type: ignore[attr-defined]
+            motion=plan.tracks.motion, amplitude=plan.tracks.amplitude,
         )  # fmt: skip
     print(page.path)
     if options.open:

@@ -12,13 +12,12 @@ import numpy as np
 
 from clsim.arrays import as_number
 from clsim.errors import ClsimWarning, InputError
-from clsim.paths.coverage import check_known
-from clsim.paths.response import is_complex
+from clsim.paths.coverage import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_above, shares
-from clsim.tracks.basis import Basis, flat_basis, scene_basis, turning_basis
+from clsim.tracks.basis import Basis, flat_basis
+from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import band_of
-from clsim.tracks.tracks import SceneTracks, Tracks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.impulse_response import ImpulseResponse
     from clsim.scene.signal.signal import Signal
+    from clsim.tracks.tracks import Tracks
 
 DEFAULT_RESPONSE_ERROR_DB = -90.0  # of air, walls and beams over a signal's band, of all paths together
 AT_CENTRE = "centre"  # instead of that error: all of them as at the centre of the signal's band
@@ -359,12 +359,12 @@ def basis_of(
     least: float = 0.0,
 ) -> Basis:
     """Return the functions of frequency that a source's paths need, from `least` to `high` Hz at most."""
-    if not isinstance(tracks, SceneTracks):
+    if tracks.paths is None:
         return flat_basis(signal.centre_frequency)
     if not len(sound.energy):  # silence needs nothing
         return flat_basis(signal.centre_frequency)
     told = shares(signal.energy_spectrum(), _MAIN_SHARE)
-    check_known(tracks.scene, [index], *told, f"the signal of source {index}")
+    check_band_coverage(tracks.paths.scene, [index], *told, f"the signal of source {index}")
     if static:
         return flat_basis(signal.centre_frequency)
     floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
@@ -373,7 +373,7 @@ def basis_of(
     band = partial(band_of, low, high, sound)
     if not isinstance(error_db, str):
         return scene_basis(tracks, index, band, until, rate, min(floor_db, error_db))
-    if is_complex(tracks.scene):
+    if tracks.paths.is_complex:
         return turning_basis(index, signal.centre_frequency, band(), rate, floor_db)
     return flat_basis(signal.centre_frequency)
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_response
-from clsim.paths.response import is_complex
 from clsim.render.interpolator import Bandlimited
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.signal.occupied_bandwidth import shares
@@ -70,6 +69,8 @@ def find_static_pairs(tracks: Tracks, interpolator: Interpolator, *, at_centre: 
     scene, found = tracks.scene, []
     for i, group in enumerate(tracks.groups):
         source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
+        if tracks.pair_paths[i].family.moves:
+            continue
         if _is_static(source) and _is_static(receiver) and receiver.clock_rate == 1.0 and group.always_heard:
             found.append(i)
     return StaticPairs(frozenset(found), at_centre)
@@ -111,13 +112,13 @@ def _responses(plan: Plan, source: int) -> list[tuple[int, ImpulseResponse]]:
     assert isinstance(tracks, SceneTracks)
     centre = filters.signal.centre_frequency if plan.static_pairs.at_centre else None
     rate = filters.signal.sampling_rate
-    band, found = _band(filters, complex_responses=is_complex(tracks.scene)), []
+    band, found = _band(filters, complex_responses=tracks.paths.is_complex), []
     for i in sorted(plan.static_pairs.groups):
-        group = tracks.path_groups[i]
-        if group.source == source:
-            ahead = float(tracks.scene.receivers[group.receiver].clock_error(np.zeros(1))[0])
-            response = frozen_response(tracks.scene, group, 0.0, rate, band, later=filters.start - ahead, centre=centre)
-            found.append((group.receiver, filters.acting(response)))
+        pair = tracks.pair_paths[i]
+        if pair.source == source:
+            ahead = float(tracks.scene.receivers[pair.receiver].clock_error(np.zeros(1))[0])
+            response = frozen_response(pair, 0.0, rate, band, later=filters.start - ahead, centre=centre)
+            found.append((pair.receiver, filters.acting(response)))
     return found
 
 

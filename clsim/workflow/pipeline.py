@@ -68,4 +68,4 @@ def shares(advance: Callable[[float], None]) -> Callable[[float], None]:
 
 def path_table(paths: PathSet, plan: Plan, times: Any) -> PathTable:
     """Return the table of paths at times of reception, s, delayed and weakened as the plan renders them."""
-    return paths.table(times, plan.tracks.motion, plan.tracks.amplitude)  # type: ignore[attr-defined]
+    return paths.table(times, plan.tracks.motion, plan.tracks.amplitude)

@@ -97,7 +97,7 @@ def test_a_path_along_the_wall_of_both_its_ends_has_corners() -> None:
     source = clsim.Source("s", TONE, clsim.Trajectory.fixed((3, 2, 3)), flush=True)
     receiver = clsim.Receiver("r", clsim.Trajectory.fixed((5, 4, 3)), flush=True)
     paths = clsim.find_paths(clsim.Scene(BOX, clsim.Air(), [source], [receiver]), 1)
-    corners = paths.corners(0.0)
+    corners = paths.vertices(0.0)
     for row, order in zip(corners, paths.order, strict=True):
         assert np.isfinite(row[: order + 2]).all()
     ceiling = next(c for c, w in zip(corners, paths.walls, strict=True) if w[0] == 5)
