@@ -13,14 +13,14 @@ test: .venv/tested
 
 # Fifty workers of studies killed at random: some minutes.
 study-kills: .venv/tested
-	STUDY_KILLS=50 $(BIN)/python -m pytest -n 0 tests/unit/test_study_killed.py -k killed_at_random
+	STUDY_KILLS=50 $(BIN)/python -m pytest -n 0 tests/integration/test_study_killed.py -k killed_at_random
 
 fuzz: .venv/tested
-	CLSIM_FUZZ=20000 $(BIN)/python -m pytest -n 2 --dist load tests/unit/test_fuzz.py
+	CLSIM_FUZZ=20000 $(BIN)/python -m pytest -n 2 --dist load tests/integration/test_fuzz.py
 
 # Commands killed at 200 random moments, of which the tests have ten; a few minutes.
 kills: .venv/tested
-	CLSIM_KILLS=200 $(BIN)/python -m pytest -n 0 tests/unit/test_kills.py
+	CLSIM_KILLS=200 $(BIN)/python -m pytest -n 0 tests/integration/test_kills.py
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.signal import firwin, kaiserord, oaconvolve
 
 import clsim
-from clsim.render.plan import Plan, plan_render
+from clsim.render.plan import Plan
+from clsim.render.planning import plan_render
 from clsim.render.render import render_chunks
 
 RATE, ORDER, DURATION, CARRIER = 192e3, 10, 20.0, 40e3

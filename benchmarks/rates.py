@@ -20,7 +20,7 @@ import pyopencl as cl
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 from clsim.render.render import render_chunks
 
 HERE = Path(__file__).parent
@@ -85,7 +85,7 @@ def render_rates(order: int, duration: float, error_db: float = -90.0, **more: o
     """Return path-samples per second of the render stage and of the whole call."""
     scene = make_scene(duration, **more)
     paths = clsim.find_paths(scene, order)
-    options = {"interpolator": clsim.Bandlimited(error_db), "duration": duration, "response_error_db": "centre"}
+    options = {"interpolator": clsim.Bandlimited(error_db), "duration": duration, "responses": "centre"}
     clsim.render(paths, RATE, **options)  # builds the kernels
     spent = []
     for _ in range(3):
@@ -268,8 +268,8 @@ def broadband_rates() -> list[tuple[int, float, float, float]]:
     scene = clsim.Scene(clsim.Shoebox(SIZE, materials), clsim.Air(), [source], receivers)
     paths = clsim.find_paths(scene, 10)
     found = []
-    for error_db in ("centre", -40.0, -48.0, -55.0, -62.0, -70.0, -80.0, -100.0):
-        plan = plan_render(paths, RATE, duration=2.0, response_error_db=error_db)
+    for error_db in (None, -40.0, -48.0, -55.0, -62.0, -70.0, -80.0, -100.0):
+        plan = plan_render(paths, RATE, duration=2.0, **held_within(error_db))
         list(render_chunks(plan))  # builds the kernels
         seconds = []
         for _ in range(3):
@@ -282,33 +282,38 @@ def broadband_rates() -> list[tuple[int, float, float, float]]:
     return found
 
 
+def held_within(error_db: float | None) -> dict[str, object]:
+    """Return the options that hold responses within an error, dB, or as at the centre of the band."""
+    return {"responses": "centre"} if error_db is None else {"response_error_db": error_db}
+
+
 def pulse_rows() -> list[tuple[str, ...]]:
     """Return how much faster 1 ms pulses ten times a second are than the same with nothing left out, a row each."""
-    from clsim.render import silence
+    from clsim.render.opencl import activity
 
     pulse = clsim.Signal.chirp(39e3, 41e3, 1e-3, RATE, window="hann")
     rows = []
-    for duration, error_db in ((10.0, -80.0), (60.0, -80.0), (60.0, "centre")):
+    for duration, error_db in ((10.0, -80.0), (60.0, -80.0), (60.0, None)):
         scene = make_scene(duration, signal=clsim.Signal.pulses(pulse, 0.1, round(10 * duration)))
         paths = clsim.find_paths(scene, 10)
 
         def timed(scene=scene, paths=paths, error_db=error_db, duration=duration) -> tuple[float, np.ndarray]:
             begun = time.perf_counter()
-            made = clsim.render(paths, RATE, duration=duration, response_error_db=error_db).pressure
+            made = clsim.render(paths, RATE, duration=duration, **held_within(error_db)).pressure
             return time.perf_counter() - begun, made
 
         timed()  # builds the kernels
         sparse = [timed() for _ in range(4)]
-        usual, silence._SPARSE = silence._SPARSE, 0.0  # nothing is worth leaving out
+        usual, activity._SPARSE = activity._SPARSE, 0.0  # nothing is worth leaving out
         try:
-            clsim.render(paths, RATE, duration=0.1, response_error_db=error_db)  # builds the kernels
+            clsim.render(paths, RATE, duration=0.1, **held_within(error_db))  # builds the kernels
             dense, whole = timed()
         finally:
-            silence._SPARSE = usual
+            activity._SPARSE = usual
         assert np.array_equal(sparse[0][1], whole)
         sparse += [timed() for _ in range(4)]  # before and after: the machine's own pace changes
         spent = statistics.median(seconds for seconds, _ in sparse)
-        functions = len(plan_render(paths, RATE, duration=duration, response_error_db=error_db).source_filters[0].basis)
+        functions = len(plan_render(paths, RATE, duration=duration, **held_within(error_db)).source_filters[0].basis)
         rows.append((f"{duration:g} s", f"{functions}", f"{dense:.2f} s", f"{spent:.2f} s", f"{dense / spent:.1f}"))
     return rows
 

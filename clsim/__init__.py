@@ -16,25 +16,28 @@ from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
-from clsim.render.plan import plan_render
+from clsim.render.options import RenderOptions
+from clsim.render.plan import Plan
+from clsim.render.planning import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
+from clsim.render.rendering import Rendering
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston, named_directivity
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
-from clsim.scene.scene import Receiver, Scene, Source
+from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer, named_transducer
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
-
-__version__ = "0.2.0"
+from clsim.version import __version__ as __version__
 
 __all__ = [
     "Air",
@@ -54,8 +57,11 @@ __all__ = [
     "Omni",
     "PathSet",
     "Piston",
+    "Plan",
     "Receiver",
     "Recording",
+    "RenderOptions",
+    "Rendering",
     "Scene",
     "Shoebox",
     "Signal",

@@ -80,7 +80,7 @@ class Recording:
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """Times of the samples, s, as told by the receivers' clocks."""
+        """Times of the samples, s, by the receivers' clocks."""
         return np.arange(self.samples.shape[1]) / self.sampling_rate
 
     def reception_times(self, receiver: int) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 import clsim
-from clsim.output.plots import spectrogram
+from clsim.output.plots import spectrogram_picture
 
 
 def main() -> None:
@@ -36,7 +36,7 @@ def main() -> None:
     recording.save(options.output / "hand_held.wav")
     for name, pressure in zip(recording.receiver_names, recording.pressure, strict=True):
         picture = options.output / f"hand_held_{name}.png"
-        spectrogram(
+        spectrogram_picture(
             pressure,
             recording.sampling_rate,
             picture,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.output.plots import history, spectrogram
+from clsim.output.plots import history_picture, spectrogram_picture
 
 RATE = 192e3
 DURATION = 6.0
@@ -35,8 +35,8 @@ def main() -> None:
     recording.save(folder / "l_room.wav")
     heard = [int(np.sum((paths.start <= t) & (t < paths.end))) for t in range(int(DURATION))]
     print(f"{len(paths)} intervals; paths heard at 0, 1, 2 ... s: {heard}")
-    history(paths.table(np.linspace(0.0, DURATION, 1201)), 0, folder / "l_room_paths.png")
-    spectrogram(
+    history_picture(paths.table(np.linspace(0.0, DURATION, 1201)), 0, folder / "l_room_paths.png")
+    spectrogram_picture(
         recording.pressure[0], RATE, folder / "l_room.png", title="a 40 kHz source round a corner",
         band=(39.5e3, 40.5e3),
     )  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.output.plots import envelope
+from clsim.output.plots import envelope_picture
 
 RATE = 192e3  # Hz
 AMPLITUDE = 10.0 * 2**0.5  # V
@@ -34,7 +34,7 @@ def main() -> None:
         (float(table.delay[p, 0]), "direct" if table.direct[p] else "reflected", bool(table.direct[p]))
         for p in strong[np.argsort(table.delay[strong, 0])]
     ]
-    envelope(
+    envelope_picture(
         recording.voltage[0], RATE, folder / "paper_chirp.png",
         title="39 to 41 kHz chirp of 1.3 ms in a hard room, MA40S4S to MA40S4R; lines: predicted arrivals",
         arrivals=arrivals, unit="V",

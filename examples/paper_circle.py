@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.output.plots import spectrogram
+from clsim.output.plots import spectrogram_picture
 from clsim.scene_file import load_scene
 
 
@@ -28,9 +28,9 @@ def main() -> None:
     times = np.linspace(0.0, 2.0, 401)
     table = paths.table(times, motion=file.render["motion"])
     heard = [p for p in range(len(paths)) if table.gain[p, 0] != 0.0]
-    names = ["direct" if table.direct[p] else table.wall_names[table.walls[p, 0]] for p in heard]
+    names = [table.name_way(p) for p in heard]
     overlay = [(times, 40e3 * table.doppler_factor[p], name) for p, name in zip(heard, names, strict=True)]
-    spectrogram(
+    spectrogram_picture(
         recording.pressure[0], recording.sampling_rate, folder / "paper_circle.png",
         title="40 kHz source on a circle, 1 turn/s: theory dashed, crossings at 0, 0.5, 1, 1.5, 2 s",
         band=(39.4e3, 40.6e3), overlay=overlay,

@@ -1,7 +1,7 @@
 """A study of the time of flight that a matched filter finds, over a ceiling of 100 receivers.
 
 A robot on the floor chirps every 0.1 s. Each receiver takes the largest value of its matched filter's output for the
-direct sound. The study file varies the number of reflections and the robot's speed; the truth is clsim's own.
+direct sound. The study file varies the number of reflections and the robot's speed; the ground truth is clsim's own.
 """
 
 import argparse
@@ -30,7 +30,7 @@ def errors(recording: clsim.Recording, paths: clsim.PathSet, parameters: dict[st
     count, length = round(robot.signal.duration / PERIOD), round(LENGTH * rate)
     emitted = PERIOD * np.arange(count) + 0.5 * LENGTH  # the middles of the chirps
     times = np.arange(0.0, recording.times[-1], 1e-3)
-    truth = clsim.direct_path(paths, times)
+    exact = clsim.direct_path(paths, times)
     found, heard, radial = (np.empty((len(recording.samples), count)) for _ in range(3))
     for r, samples in enumerate(recording.pressure):
         matched = oaconvolve(samples.astype(float), robot.signal.read(0, length)[::-1])[length - 1 :]
@@ -39,8 +39,8 @@ def errors(recording: clsim.Recording, paths: clsim.PathSet, parameters: dict[st
             first = round(PERIOD * k * rate)
             found[r, k] = (first + peak(envelope[first : first + round(LATEST * rate)])) / rate + 0.5 * LENGTH
         # What arrives at t was emitted at t - delay(t), which grows with t.
-        heard[r] = np.interp(emitted, times - truth.delay[0, r], times)
-        radial[r] = np.interp(heard[r], times, truth.radial_speed[0, r])
+        heard[r] = np.interp(emitted, times - exact.delay[0, r], times)
+        radial[r] = np.interp(heard[r], times, exact.radial_speed[0, r])
     return {"miss": c * (found - heard), "radial": radial}
 
 

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.scene.room.mesh import MeshRoom
-from clsim.scene.room.report import diagnose, diagnose_ends
+from clsim.commands.arguments import add_scene
 from clsim.scene_file import load_scene
 from clsim.workflow.pipeline import planned
 
@@ -17,15 +16,18 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_scene(parser)
+
+
 def execute(options: argparse.Namespace) -> int:
     """Print what a scene file holds; return the exit status."""
     file = load_scene(options.scene)
-    room = file.scene.room
-    if isinstance(room, MeshRoom):  # before the search, which may take long or give up
-        for line in [*diagnose(room), *diagnose_ends(file.scene)]:
-            print(line, flush=True)
+    for line in file.scene.describe():  # before the search, which may take long or give up
+        print(line, flush=True)
     paths, plan = planned(file, {})
-    for line in [*([_comings_and_goings(paths)] if isinstance(room, MeshRoom) else []), *plan.describe()]:
+    for line in [*([] if file.scene.room.is_convex else [_comings_and_goings(paths)]), *plan.describe()]:
         print(line)
     for field, item in file.scene.named_ends():
         for note in item.trajectory.notes:

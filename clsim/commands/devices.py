@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     import argparse
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command, which has none."""
+
+
 def execute(options: argparse.Namespace) -> int:
     """List them, the best first; return the exit status."""
     found = list_devices()

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.output.material_plot import reflection_loss, reflection_losses
@@ -14,6 +15,17 @@ from clsim.scene.material.material import MATERIAL_NAMES, Material
 
 if TYPE_CHECKING:
     import argparse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = "List the built-in materials, with sources and uncertainty, or draw what they send back."
+    parser.add_argument("names", nargs="*", metavar="NAME", help="which (default: all)")
+    parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="draw them to this PNG instead")
+    add_force(parser)
+    parser.add_argument(
+        "--frequency", type=float, default=40e3, metavar="HZ", help="at which angles are shown (default: 40000)"
+    )
 
 
 def execute(options: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from clsim.scene_file import SceneFile
 
 COMPLETED = "scene.completed.toml"
-TRUTH = "truth.npz"
+GROUND_TRUTH = "ground_truth.npz"
 MOST_DRAWN = 16  # receivers
 
 
@@ -48,7 +48,7 @@ class RunOutputs:
 
     def beside_sound(self, changing: bool = True) -> list[str]:
         """Return what is made once there is sound, the completed scene last; `changing`: whether paths come and go."""
-        tables = [self.table, TRUTH] if self.table else [TRUTH]
+        tables = [self.table, GROUND_TRUTH] if self.table else [GROUND_TRUTH]
         kinds = ("paths", "spectrogram", "echogram") if changing else ("spectrogram", "echogram")
         return [*tables, *(picture(name, kind) for name in self.drawn for kind in kinds), COMPLETED]
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.output.table import check_table, write_table
@@ -14,6 +15,17 @@ from clsim.workflow.pipeline import path_table, planned, read_files
 
 if TYPE_CHECKING:
     import argparse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_scene(parser)
+    parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
+    parser.add_argument("--limit", type=as_whole, default=40, metavar="ROWS", help="paths listed at most (default: 40)")
+    parser.add_argument(
+        "-o", "--output", type=as_path, metavar="FILE", help="write all of them to a .npz or .parquet file"
+    )
+    add_force(parser)
 
 
 def execute(options: argparse.Namespace) -> int:

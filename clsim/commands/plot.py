@@ -1,4 +1,4 @@
-"""`clsim plot`: pictures of the beams of a scene, and of what air absorbs."""
+"""`clsim plot`: pictures of the directivities of a scene, and of what air absorbs."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import Floats, as_number
+from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
-from clsim.output.beam_plots import Beam, air_picture, beams_picture
+from clsim.output.directivity_plots import DirectivityDiagram, air_picture, directivity_picture
 from clsim.scene.air import Air
 from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, named_directivity
-from clsim.scene.scene import Source
+from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
 from clsim.workflow.pipeline import read_files
@@ -25,21 +26,56 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
 _MOST_CURVES = 5
-_USUAL = (20e3, 40e3, 60e3)  # Hz, of a beam that is known everywhere
+_USUAL = (20e3, 40e3, 60e3)  # Hz, of a directivity that is known everywhere
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    pictures = parser.add_subparsers(required=True, metavar="PICTURE")
+    directivity = pictures.add_parser(
+        "directivity", help="of a scene's sources and receivers, of a transducer or of a table"
+    )
+    directivity.add_argument("scene", type=Path, nargs="?", help="scene file (TOML)")
+    directivity.add_argument("--end", metavar="NAME", help="only this source or receiver")
+    directivity.add_argument("--name", help="a named directivity instead of a scene, for example T4010A1")
+    directivity.add_argument(
+        "--table", type=Path, metavar="FILE", help="a table instead of a scene (.csv, .npz, .mat, .sofa)"
+    )
+    directivity.add_argument("--rear", choices=("hold", "mirror", "zero"), help="beyond the last angle of --table")
+    directivity.add_argument("--scale", choices=("db", "linear"), help="what real values of --table are")
+    directivity.add_argument(
+        "--hold", action="store_true", help="at other frequencies than the table's, as at the nearest"
+    )
+    directivity.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="a curve for each")
+    air = pictures.add_parser("air", help="absorption of air by frequency and by humidity")
+    air.add_argument("--temperature", type=float, default=20.0, metavar="CELSIUS", help="default: 20")
+    air.add_argument("--pressure", type=float, default=101_325.0, metavar="PA", help="default: 101325")
+    air.add_argument(
+        "--humidity", type=float, nargs="+", default=[0.1, 0.3, 0.5, 0.7, 0.9], metavar="H", help="relative, 0 to 1"
+    )
+    for picture, draw in ((directivity, _draw_directivities), (air, _draw_air)):
+        picture.add_argument("-o", "--output", type=as_path, required=True, metavar="FILE", help="the picture (.png)")
+        add_force(picture)
+        picture.set_defaults(draw=draw)
 
 
 def execute(options: argparse.Namespace) -> int:
     """Draw the picture; return the exit status."""
     if options.output.suffix.lower() != ".png":
         raise InputError("--output", f"must end in .png, but is {options.output}")
-    if options.picture == "air":
-        airs = [_air(options, humidity) for humidity in options.humidity]
-        air_picture(airs, NewFile(options.output, [], options.force).ready())
-    else:
-        beams, read = _beams(options)
-        beams_picture(beams, NewFile(options.output, read, options.force).ready())
+    options.draw(options)
     print(options.output)
     return 0
+
+
+def _draw_directivities(options: argparse.Namespace) -> None:
+    diagrams, read = _diagrams(options)
+    directivity_picture(diagrams, NewFile(options.output, read, options.force).ready())
+
+
+def _draw_air(options: argparse.Namespace) -> None:
+    airs = [_air(options, humidity) for humidity in options.humidity]
+    air_picture(airs, NewFile(options.output, [], options.force).ready())
 
 
 def _air(options: argparse.Namespace, humidity: float) -> Air:
@@ -50,22 +86,24 @@ def _air(options: argparse.Namespace, humidity: float) -> Air:
         raise InputError(named[error.field], error.problem) from error
 
 
-def _beams(options: argparse.Namespace) -> tuple[list[Beam], list[Path]]:
+def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], list[Path]]:
     """Return what is drawn, and the files that it was read from."""
     wanted = None if options.frequencies is None else _checked_frequencies(options.frequencies)
     given = [name for name in ("scene", "name", "table") if getattr(options, name) is not None]
     if len(given) != 1:
-        raise InputError("plot beam", f"must be given one of SCENE, --name and --table, but is given {len(given)}")
+        raise InputError(
+            "plot directivity", f"must be given one of SCENE, --name and --table, but is given {len(given)}"
+        )
     if options.end is not None and options.scene is None:
         raise InputError("--end", f"must come with a scene file, but is {options.end!r:.80}")
     if options.scene is not None:
         file = load_scene(options.scene)
-        return _scene_beams(file.scene, options.end, wanted), read_files(options.scene, file)
+        return _scene_diagrams(file.scene, options.end, wanted), read_files(options.scene, file)
     directivity = _read(options)
     frequencies = _usual_frequencies(directivity) if wanted is None else wanted
     title = options.name if options.name is not None else options.table.stem
-    beam = _checked(Beam(title, directivity, frequencies, Air().speed_of_sound), "--frequencies")
-    return [beam], [] if options.table is None else [options.table]
+    diagram = _checked(DirectivityDiagram(title, directivity, frequencies, Air().speed_of_sound), "--frequencies")
+    return [diagram], [] if options.table is None else [options.table]
 
 
 def _read(options: argparse.Namespace) -> AxialPattern | DirectionalPattern:
@@ -85,26 +123,26 @@ def _read(options: argparse.Namespace) -> AxialPattern | DirectionalPattern:
         raise error.within("--table") from error
 
 
-def _scene_beams(scene: Scene, end: str | None, wanted: Floats | None) -> list[Beam]:
-    """Return the beams of a scene's sources and receivers, or of one of them."""
+def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> list[DirectivityDiagram]:
+    """Return the diagrams of a scene's sources and receivers, or of one of them."""
     ends = [item for _, item in scene.named_ends()]
     chosen = [item for item in ends if end is None or item.name == end]
     if not chosen:
         names = ", ".join(repr(item.name) for item in ends)
         raise InputError("--end", f"must be one of {names:.200}, but is {end!r:.80}")
     heard = wanted if wanted is not None else _heard_frequencies(scene)
-    beams = []
+    diagrams = []
     for item in chosen:
         frequencies = heard
-        if wanted is None:  # those of the sources that the beam is known at
+        if wanted is None:  # those of the sources that the directivity is known at
             low, high = item.directivity.band
             frequencies = heard[(heard >= low) & (heard <= high)]
             if not len(frequencies):
                 frequencies = _usual_frequencies(item.directivity)
         what = "source" if isinstance(item, Source) else "receiver"
-        beam = Beam(f"{what} {item.name}", item.directivity, frequencies, scene.air.speed_of_sound)
-        beams.append(_checked(beam, f"--frequencies (for {item.name})"))
-    return beams
+        diagram = DirectivityDiagram(f"{what} {item.name}", item.directivity, frequencies, scene.air.speed_of_sound)
+        diagrams.append(_checked(diagram, f"--frequencies (for {item.name})"))
+    return diagrams
 
 
 def _heard_frequencies(scene: Scene) -> Floats:
@@ -118,7 +156,7 @@ def _heard_frequencies(scene: Scene) -> Floats:
 
 
 def _usual_frequencies(directivity: AxialPattern | DirectionalPattern) -> Floats:
-    """Return frequencies spread over a beam's band, Hz."""
+    """Return frequencies spread over a directivity's band, Hz."""
     low, high = directivity.band
     if math.isinf(high):
         table = getattr(directivity, "frequencies", None)
@@ -132,8 +170,8 @@ def _checked_frequencies(given: list[float]) -> Floats:
     return np.array([as_number("--frequencies", f, above=0.0, at_most=50e6, unit="Hz") for f in given])
 
 
-def _checked(beam: Beam, field: str) -> Beam:
-    low, high = beam.directivity.band
-    for f in beam.frequencies[(beam.frequencies < low) | (beam.frequencies > high)][:1]:
+def _checked(diagram: DirectivityDiagram, field: str) -> DirectivityDiagram:
+    low, high = diagram.directivity.band
+    for f in diagram.frequencies[(diagram.frequencies < low) | (diagram.frequencies > high)][:1]:
         raise InputError(field, f"must lie within the table, {low:.6g} to {high:.6g} Hz, but has {f:.6g} Hz")
-    return beam
+    return diagram

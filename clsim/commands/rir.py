@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from clsim.commands.arguments import add_force, add_scene, as_path
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.impulse_responses import as_response_band, impulse_responses
@@ -19,6 +20,28 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
 _FIELDS = {"at": "--at", "band": "--band", "band[0]": "--band", "band[1]": "--band", "path": "--output"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_scene(parser)
+    parser.add_argument(
+        "-o", "--output", type=as_path, required=True, metavar="PATH",
+        help="a folder for a WAV file per source and receiver, or a .npz or .sofa file",
+    )  # fmt: skip
+    add_force(parser)
+    parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
+    parser.add_argument(
+        "--format", choices=("wav", "npz", "sofa"), help="default: by the ending of the output, else wav"
+    )
+    parser.add_argument(
+        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"),
+        help="where they are exact, Hz (default: 0 to 0.95 of half the sampling rate)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--lead", choices=("cut", "keep"), default="cut",
+        help="what rings before time 0: cut, so that sample 0 is time 0 (default), or kept",
+    )  # fmt: skip
 
 
 def execute(options: argparse.Namespace) -> int:

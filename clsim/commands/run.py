@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.commands.outputs import COMPLETED, MOST_DRAWN, TRUTH, RunOutputs, picture
+from clsim.commands.arguments import add_scene, as_path
+from clsim.commands.outputs import COMPLETED, GROUND_TRUTH, MOST_DRAWN, RunOutputs, picture
 from clsim.errors import ClsimWarning, InputError
 from clsim.files.atomic import safe_path
 from clsim.output.envelope_plot import envelope_spectrogram
-from clsim.output.plots import echogram, history, spectrogram
-from clsim.output.stores import StoredSound, check_store, sound_store
+from clsim.output.plots import echogram_picture, history_picture, spectrogram_picture
+from clsim.output.stores import KINDS, StoredSound, check_store, sound_store
 from clsim.output.table import check_table, write_ground_truth, write_table
 from clsim.render.memory import within_memory
 from clsim.scene_file import completed_scene, load_scene
+from clsim.version import __version__
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import path_table, planned, read_files
@@ -35,6 +37,27 @@ if TYPE_CHECKING:
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
 _MOST_INSTANTS = 3000  # of lines in a picture, more than it has columns
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_scene(parser)
+    parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="where the results go")
+    parser.add_argument(
+        "--force", action="store_true", help="put others in the place of results that clsim wrote there"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with a run that was killed, if there is one")
+    parser.add_argument(
+        "--store", choices=KINDS, default="wav", help="format of the sound: WAV files, Zarr or HDF5 (default: wav)"
+    )
+    parser.add_argument(
+        "--table", choices=("npz", "parquet", "none"), default="npz", help="format of the path table (default: npz)"
+    )
+    parser.add_argument("--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)")
+    parser.add_argument("--no-plots", action="store_true", help="draw no pictures")
+    parser.add_argument("--device", help="OpenCL device, by id or part of its name (see `clsim devices`)")
+    parser.add_argument("--engine", choices=("opencl", "reference"), help="instead of the scene file's")
+    parser.add_argument("--duration", type=float, metavar="SECONDS", help="instead of the scene file's")
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -72,8 +95,8 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
         write_table(path_table(paths, plan, times), results.work / outputs.table)
     if any(name.endswith(".png") for name in missing):
         _draw(plan, paths, times, store, results, outputs, missing)
-    if TRUTH in missing:
-        write_ground_truth(paths, times, plan.tracks.motion, results.work / TRUTH)
+    if GROUND_TRUTH in missing:
+        write_ground_truth(paths, times, plan.options.motion, results.work / GROUND_TRUTH)
     if COMPLETED in missing:
         with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(text, "utf-8")
@@ -82,12 +105,10 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
 
 def _stored(paths: PathSet, plan: Plan, text: str) -> StoredSound:
     """Return what a store says of the sound."""
-    import clsim
-
     positions = np.concatenate([r.trajectory.position(np.zeros(1)) for r in paths.scene.receivers])
     return StoredSound(
         plan.tracks.receiver_names, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk, text,
-        clsim.__version__, plan.carrier,
+        __version__, plan.carrier,
     )  # fmt: skip
 
 
@@ -98,7 +119,7 @@ def _overrides(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _table_times(plan: Plan, options: argparse.Namespace) -> Any:
-    """Return the times of table and truth; fewer than asked where the table would grow beyond all use."""
+    """Return the times of table and ground truth; fewer than asked where the table would grow beyond all use."""
     rate = options.table_rate
     if not 0.0 < rate <= plan.sampling_rate:
         raise InputError("--table-rate", f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
@@ -150,11 +171,11 @@ def _draw_one(kind: str, plan: Plan, paths: PathSet, times: Floats, sound: Reada
     title, rate = plan.tracks.receiver_names[r], plan.sampling_rate
     if kind == "paths":
         drawn = times[np.linspace(0, len(times) - 1, min(len(times), _MOST_INSTANTS)).round().astype(int)]
-        history(path_table(paths.heard_by(r), plan, drawn), r, path)
+        history_picture(path_table(paths.heard_by(r), plan, drawn), r, path)
     elif kind == "echogram":
-        echogram(path_table(paths.heard_by(r), plan, times[:1]), r, 0, path)
+        echogram_picture(path_table(paths.heard_by(r), plan, times[:1]), r, 0, path)
     elif plan.carrier is None:
-        spectrogram(sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[r])
+        spectrogram_picture(sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[r])
     else:
         envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, path, title=title)
 

@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     import argparse
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command, which has none."""
+
+
 def execute(options: argparse.Namespace) -> int:
     """Print it; return the exit status."""
     print(json.dumps(scene_schema(), indent=1))

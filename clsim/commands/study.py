@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clsim.commands.arguments import as_path, as_whole
 from clsim.study.run import run_study
 from clsim.workflow.console import progress
 
 if TYPE_CHECKING:
     import argparse
 
-_SHOWN = 10  # failed members that are told
+_SHOWN = 10  # failed members that are printed
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("study", type=Path, help="study file (TOML)")
+    parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="where the results go")
+    parser.add_argument("--resume", action="store_true", help="go on with a study that was stopped or killed")
+    parser.add_argument("--retry", action="store_true", help="the same, and run members that failed again")
+    parser.add_argument("--limit", type=as_whole, default=1000, metavar="N", help="members allowed (default: 1000)")
+    parser.add_argument(
+        "--workers", type=as_whole, metavar="N", help="processes (default: one per GPU, else per two cores)"
+    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work instead")
 
 
 def execute(options: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import webbrowser
 from typing import TYPE_CHECKING
 
+from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.output.view import view_scene
@@ -17,6 +18,20 @@ if TYPE_CHECKING:
 
 _MOST_FRAMES = 10_000
 _MOST_PATHS = 100_000  # drawn at a time
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_scene(parser)
+    parser.add_argument(
+        "-o", "--output", type=as_path, metavar="FILE", help="the page (default: beside the scene file)"
+    )
+    add_force(parser)
+    parser.add_argument(
+        "--frames", type=as_whole, default=120, metavar="N", help="instants to choose from (default: 120)"
+    )
+    parser.add_argument("--limit", type=as_whole, default=300, metavar="N", help="strongest paths drawn (default: 300)")
+    parser.add_argument("--open", action="store_true", help="open it in a browser")
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -32,7 +47,7 @@ def execute(options: argparse.Namespace) -> int:
         view_scene(
             paths, page.ready(), title=options.scene.stem, duration=plan.duration, frames=options.frames,
             limit=options.limit, progress=advance,
-            motion=plan.tracks.motion, amplitude=plan.tracks.amplitude,
+            motion=plan.options.motion, amplitude=plan.options.amplitude,
         )  # fmt: skip
     print(page.path)
     if options.open:

@@ -25,7 +25,7 @@ def open_store(path: str | os.PathLike[str]) -> Any:
     -------
     xarray.Dataset
         ``sound`` (receiver, time), float32, or complex64 in baseband, read only where it is used; coordinates
-        ``receiver``, ``unit``, ``position`` (receiver, axis) at 0 s, m, and ``time``, s, as told by the receivers'
+        ``receiver``, ``unit``, ``position`` (receiver, axis) at 0 s, m, and ``time``, s, by the receivers'
         clocks; attributes
         ``sampling_rate`` (Hz), ``carrier`` (Hz, in baseband), ``scene`` (the completed scene file), ``clsim_version``.
 

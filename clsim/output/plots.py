@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from clsim.files.atomic import atomic_path
-from clsim.output.spectrogram import levels
+from clsim.output.spectrogram import spectrogram
 
 if TYPE_CHECKING:
     import os
@@ -35,7 +35,7 @@ _OVERLAYS = ("#ffffff", "#4dd0e1", "#a5e887", "#8ab4ff", "#ffe680")  # seen on m
 _ORDERS = LinearSegmentedColormap.from_list("orders", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 64)))
 
 
-def spectrogram(
+def spectrogram_picture(
     pressure: Readable,
     sampling_rate: float,
     path: str | os.PathLike[str],
@@ -65,10 +65,10 @@ def spectrogram(
     segment : int, optional
         Samples of a window; chosen from the band when left out.
     unit : {"Pa", "V"}
-        Of the samples; levels are told re 20 µPa or 1 V.
+        Of the samples; levels are re 20 µPa or 1 V.
     """
     low, high = band or (0.0, 0.5 * sampling_rate)
-    raster = levels(pressure, sampling_rate, (low, high), segment)
+    raster = spectrogram(pressure, sampling_rate, (low, high), segment)
     against, offset = _REFERENCES[unit]
     level = raster.level + np.float32(offset)
     peak = float(level.max())
@@ -95,7 +95,7 @@ def spectrogram(
     _save(figure, path)
 
 
-def echogram(table: PathTable, receiver: int, index: int, path: str | os.PathLike[str]) -> None:
+def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os.PathLike[str]) -> None:
     """Draw the gain of every path to a receiver over its delay, at one of the table's times.
 
     Parameters
@@ -133,7 +133,7 @@ def echogram(table: PathTable, receiver: int, index: int, path: str | os.PathLik
     _save(figure, path)
 
 
-def history(table: PathTable, receiver: int, path: str | os.PathLike[str], *, title: str | None = None) -> None:
+def history_picture(table: PathTable, receiver: int, path: str | os.PathLike[str], *, title: str | None = None) -> None:
     """Draw the delay of every path to a receiver over time: lines begin and end where paths do.
 
     Parameters
@@ -171,7 +171,7 @@ def history(table: PathTable, receiver: int, path: str | os.PathLike[str], *, ti
     _save(figure, path)
 
 
-def envelope(
+def envelope_picture(
     pressure: NDArray[Any],
     sampling_rate: float,
     path: str | os.PathLike[str],

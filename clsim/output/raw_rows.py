@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _UNKNOWN_TO_SYSTEM = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
-class Rows:
+class RawRows:
     """Writes pieces of rows where they belong: written again they change nothing, and nothing else moves.
 
     Parameters

@@ -13,7 +13,7 @@ from clsim.files.atomic import atomic_path
 from clsim.files.names import file_names
 from clsim.files.wav import WavWriter
 from clsim.numerics.quaternions import rotate
-from clsim.scene.room.shoebox import Shoebox
+from clsim.version import __version__
 
 if TYPE_CHECKING:
     import os
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.impulse_responses import ImpulseResponses
-    from clsim.scene.scene import Receiver, Scene, Source
+    from clsim.scene.ends import Receiver, Source
+    from clsim.scene.room.protocol import Room
+    from clsim.scene.scene import Scene
 
 
 def response_names(source_names: Sequence[str], receiver_names: Sequence[str]) -> list[str]:
@@ -120,13 +122,11 @@ def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> No
         import sofar
     except ImportError as error:
         raise InputError("path", "SOFA files need sofar: pip install 'clsim[sofa]'") from error
-    import clsim
-
     sources, receivers, count = responses.samples.shape
     sofa = sofar.Sofa("SingleRoomSRIR")
     sofa.GLOBAL_Title = f"Impulse responses at {responses.at:g} s"
     sofa.GLOBAL_Origin = "simulated by image sources"
-    sofa.GLOBAL_ApplicationName, sofa.GLOBAL_ApplicationVersion = "clsim", clsim.__version__
+    sofa.GLOBAL_ApplicationName, sofa.GLOBAL_ApplicationVersion = "clsim", __version__
     _tell_room(sofa, responses.scene)
     sofa.GLOBAL_Comment = (
         f"sources {', '.join(responses.source_names)}; receivers {', '.join(responses.receiver_names)}; "
@@ -164,12 +164,18 @@ def _tell_room(sofa: Any, scene: Scene) -> None:
     ]  # fmt: skip
     sofa.RoomTemperature = scene.air.temperature_celsius + 273.15
     sofa.RoomTemperature_Units = "kelvin"
-    if isinstance(scene.room, Shoebox):
+    if _is_box(scene.room):
         sofa.GLOBAL_RoomType = "shoebox"
-        sofa.RoomCornerA, sofa.RoomCornerB = np.zeros((1, 3)), np.array([scene.room.size])
+        sofa.RoomCornerA, sofa.RoomCornerB = (corner[None] for corner in scene.room.extent)
         unknown = unknown[:-2]
     else:
         sofa.GLOBAL_RoomType = "reverberant"
         unknown += ["RoomCornerA", "RoomCornerB"]
     for name in unknown:
         sofa.delete(name)
+
+
+def _is_box(room: Room) -> bool:
+    """Return whether a room is a box along the axes."""
+    across = np.sort(np.abs(room.faces.normals), axis=1)
+    return room.is_convex and np.array_equal(across, np.tile([0.0, 0.0, 1.0], (6, 1)))

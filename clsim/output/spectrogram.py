@@ -31,7 +31,7 @@ class Readable(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Levels:
+class Spectrogram:
     """Level (rows, columns) in dB re 20 µPa; rows and columns cover `low` to `high` (Hz) and `duration` (s) evenly."""
 
     level: NDArray[np.float32]
@@ -40,7 +40,9 @@ class Levels:
     duration: float
 
 
-def levels(pressure: Readable, sampling_rate: float, band: tuple[float, float], segment: int | None = None) -> Levels:
+def spectrogram(
+    pressure: Readable, sampling_rate: float, band: tuple[float, float], segment: int | None = None
+) -> Spectrogram:
     """Return the level of sound over time and frequency.
 
     Parameters
@@ -79,7 +81,7 @@ def levels(pressure: Readable, sampling_rate: float, band: tuple[float, float], 
         peaks = np.maximum.reduceat(power[bins], np.arange(0, bins.stop - bins.start, pool))
         level[:, column] = 10.0 * np.log10(np.maximum(peaks, _FLOOR) / _REFERENCE**2)
     low = (bins.start - 0.5) * step
-    return Levels(level, low, low + rows * pool * step, count / sampling_rate)
+    return Spectrogram(level, low, low + rows * pool * step, count / sampling_rate)
 
 
 def _power(pressure: Readable, segment: int, span: tuple[float, float], padded: int) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.files.wav import EnvelopeFile, SoundFile, wav_header
-from clsim.output.raw_rows import Rows
+from clsim.output.raw_rows import RawRows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,13 +75,13 @@ class StoredSound:
 
     def attributes(self) -> dict[str, Any]:
         """Return what stands at the root of a store."""
-        told = {
+        root = {
             "clsim_store_format": STORE_FORMAT,
             "clsim_version": self.version,
             "sampling_rate": self.sampling_rate,
             "scene": self.scene,
         }
-        return told if self.carrier is None else told | {"carrier": self.carrier}
+        return root if self.carrier is None else root | {"carrier": self.carrier}
 
     def coordinates(self) -> Any:
         """Return all but the sound as an xarray Dataset."""
@@ -191,14 +191,14 @@ class _RowStore:
 
     def __init__(self, sound: StoredSound) -> None:
         self._sound = sound
-        self._rows = Rows([])
+        self._rows = RawRows([])
 
     def places(self) -> list[tuple[Path, int]]:
         """Return file and byte at which each receiver's samples begin."""
         raise NotImplementedError
 
     def open(self) -> None:
-        self._rows = Rows(self.places(), self._sound.sample_type)
+        self._rows = RawRows(self.places(), self._sound.sample_type)
 
     def reserve(self) -> None:
         """Take the disk space of all samples."""

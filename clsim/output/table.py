@@ -89,8 +89,8 @@ def write_ground_truth(paths: PathSet, times: Floats, motion: str, path: str | o
     OSError
         If the file cannot be written; nothing is left of it then.
     """
-    truth = direct_path(paths, times, motion)
-    columns: dict[str, Any] = {f.name: getattr(truth, f.name) for f in dataclasses.fields(truth)}
+    found = direct_path(paths, times, motion)
+    columns: dict[str, Any] = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
     columns["source_names"] = np.array([s.name for s in paths.scene.sources])
     columns["receiver_names"] = np.array([r.name for r in paths.scene.receivers])
     with atomic_path(path) as temporary:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.output.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
-from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -132,21 +131,20 @@ def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: s
 
 
 def _walls(scene: Scene) -> list[ViewedWall]:
-    room = scene.room
-    mesh = room if isinstance(room, MeshRoom) else MeshRoom.joined([room])
-    names = {id(m): m.name or m.describe() for m in mesh.wall_materials}
+    mesh = scene.room.as_mesh()
+    names = {id(m): m.name or m.describe() for m in mesh.faces.materials}
     corners = mesh.vertices[mesh.triangles]
     walls = []
-    for w, name in enumerate(mesh.wall_names):
+    for w, name in enumerate(mesh.faces.names):
         mine = corners[mesh.walls.of_triangle == w]
-        walls.append(ViewedWall(name, names[id(mesh.wall_materials[w])], mine, mesh.walls.edges_of(w)))
+        walls.append(ViewedWall(name, names[id(mesh.faces.materials[w])], mine, mesh.walls.edges_of(w)))
     return walls
 
 
 def _ends(scene: Scene, times: Floats) -> list[ViewedEnd]:
     found = []
     for field, item in scene.named_ends():
-        first, last = scene.span(item)
+        first, last = item.span
         trail = item.trajectory.position(np.linspace(first, max(last, first), _TRAIL if last > first else 1))
         at = item.trajectory.position(np.clip(times, first, last) if np.isfinite(item.trajectory.end) else times)
         found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail)))

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals
     from clsim.paths.propagation import Medium
-    from clsim.scene.scene import Receiver, Scene, Source
+    from clsim.scene.ends import Receiver, Source
+    from clsim.scene.scene import Scene
 
     Rows = slice | NDArray[np.int64]
 

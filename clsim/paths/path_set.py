@@ -98,7 +98,7 @@ class PathSet:
     @cached_property
     def objects(self) -> Integers:
         """Where that happens: rows of `object_names`."""
-        found, first = [], len(self.scene.room.wall_names)
+        found, first = [], len(self.scene.room.faces.names)
         for family in self.families:
             other = (family.interactions != SPECULAR) & (family.objects >= 0)
             found.append(family.objects + first * other if other.any() else family.objects)
@@ -114,7 +114,7 @@ class PathSet:
     def object_names(self) -> tuple[str, ...]:
         """Names of walls, and of what else paths meet."""
         own = (name for family in self.families for name in family.object_names)
-        return (*self.scene.room.wall_names, *own)
+        return (*self.scene.room.faces.names, *own)
 
     @property
     def is_complex(self) -> bool:

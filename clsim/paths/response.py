@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals
     from clsim.scene.directivity.patterns import Directivity
+    from clsim.scene.ends import Receiver, Source
     from clsim.scene.material.material import Material
-    from clsim.scene.scene import Receiver, Scene, Source
+    from clsim.scene.scene import Scene
 
     Walls = NDArray[np.signedinteger[Any]]
 
@@ -56,7 +57,7 @@ class SceneResponse:
 
     def __init__(self, scene: Scene, frequencies: Floats) -> None:
         self._scene, self.frequencies = scene, frequencies
-        materials = scene.room.wall_materials
+        materials = scene.room.faces.materials
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
         self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
@@ -88,7 +89,7 @@ class SceneResponse:
 
     def reflection_at(self, wall: int, cosine: Floats) -> Floats | Complexes:
         """Return the factor (..., F) of a wall at cosines (...) of the angle of incidence."""
-        material = self._scene.room.wall_materials[wall]
+        material = self._scene.room.faces.materials[wall]
         angle = np.maximum(cosine, _GRAZING)[..., None]
         return material.reflection_at(covered(self.frequencies, material), angle, self._scene.air.speed_of_sound)
 
@@ -100,7 +101,7 @@ class SceneResponse:
         met = self.angular[walls]
         if not met.any():
             return []
-        normals = unfolded_normals(self._scene.room.planes[0], walls)
+        normals = unfolded_normals(self._scene.room.faces.normals, walls)
         return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
 
     def apply_directivities(
@@ -119,7 +120,7 @@ class SceneResponse:
 def is_complex(scene: Scene) -> bool:
     """Return whether any wall or beam of a scene has a phase."""
     beams = [*(source.directivity for source in scene.sources), *(receiver.directivity for receiver in scene.receivers)]
-    return any(m.is_complex for m in scene.room.wall_materials) or any(beam.is_complex for beam in beams)
+    return any(m.is_complex for m in scene.room.faces.materials) or any(beam.is_complex for beam in beams)
 
 
 def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]]) -> Floats:

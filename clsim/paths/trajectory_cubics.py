@@ -12,7 +12,7 @@ from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
-    from clsim.scene.scene import Source
+    from clsim.scene.ends import Source
 
 KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 _AXIS = np.array([1.0, 0.0, 0.0])

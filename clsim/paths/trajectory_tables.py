@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.propagation import Medium
-    from clsim.scene.flush import Mount
     from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.faces import Mount
 
 PERTURBATIONS = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
 _TOLERANCE = 1e-8  # m, of a position between knots

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import Tracks
 
 _BLOCKS_IN_SEGMENT = 12  # of the longest; all others go into it a whole number of times, too
-GROUP = 8  # samples, the unit of blocks and of what is silent
-WIDEST_GROUP = 16  # samples that share the whole part of a delay at most
+SUBBLOCK = 8  # samples, the unit of blocks and of what is silent
+WIDEST_SUBBLOCK = 16  # samples that share the whole part of a delay at most
 _WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
 _CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
 _LONGEST, _SHORTEST = 50e-3, 0.5e-3  # s, of blocks
@@ -77,17 +77,17 @@ def as_baseband(value: object, rate: float) -> Baseband:
         )
     least = bandwidth / _WIDEST
     if len(value) == 3 and value[2] is not None:
-        return Baseband(carrier, bandwidth, _told_rate(value[2], rate, least))
+        return Baseband(carrier, bandwidth, _given_rate(value[2], rate, least))
     return Baseband(carrier, bandwidth, rate / _decimation(rate, max(least, carrier / _CYCLES)))
 
 
-def _told_rate(value: object, rate: float, least: float) -> float:
+def _given_rate(value: object, rate: float, least: float) -> float:
     field = "baseband.sampling_rate"
-    told = as_number(field, value, at_least=least, at_most=rate, unit="Hz")
-    every = round(rate / told)
-    if abs(rate / told - every) > 1e-9 * every:
+    given = as_number(field, value, at_least=least, at_most=rate, unit="Hz")
+    every = round(rate / given)
+    if abs(rate / given - every) > 1e-9 * every:
         near = ", ".join(f"{rate / n:.9g}" for n in (every + 1, every, every - 1) if n > 0 and rate / n >= least)
-        raise InputError(field, f"must be {rate:g} Hz over a whole number, such as {near} Hz, but is {told:g} Hz")
+        raise InputError(field, f"must be {rate:g} Hz over a whole number, such as {near} Hz, but is {given:g} Hz")
     return rate / every
 
 
@@ -160,10 +160,10 @@ def blocks_of(sampling_rate: float, carrier: float, max_rate: float) -> tuple[in
 
     Each is twice or three times a power of two of samples, so that they go down by a quarter or a third.
     """
-    longest = max(GROUP, sampling_rate * min(_LONGEST, _DRIFT / (carrier * max(max_rate, 1e-12))))
-    shortest = max(GROUP, min(_SHORTEST * sampling_rate, longest))
-    powers = [WIDEST_GROUP * 2**k for k in range(24)]
-    blocks = sorted(b for b in (GROUP, *powers, *(3 * p for p in powers)) if b <= longest)
+    longest = max(SUBBLOCK, sampling_rate * min(_LONGEST, _DRIFT / (carrier * max(max_rate, 1e-12))))
+    shortest = max(SUBBLOCK, min(_SHORTEST * sampling_rate, longest))
+    powers = [WIDEST_SUBBLOCK * 2**k for k in range(24)]
+    blocks = sorted(b for b in (SUBBLOCK, *powers, *(3 * p for p in powers)) if b <= longest)
     return tuple(b for b in reversed(blocks) if b >= shortest or b == blocks[-1])
 
 

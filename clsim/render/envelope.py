@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from fractions import Fraction
@@ -9,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import InputError
 from clsim.numerics.fractional_delay import design_bandlimited
 from clsim.paths.impulse_response import ImpulseResponse
-from clsim.render.baseband import GROUP, WIDEST_GROUP, half_band
+from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
-from clsim.render.source_filters import SourceFilters, basis_of, check_response_error
+from clsim.render.source_filters import SourceFilters, basis_of
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
 if TYPE_CHECKING:
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.render.baseband import Baseband
-    from clsim.render.interpolator import Interpolator
+    from clsim.render.options import RenderOptions
     from clsim.scene.signal.signal import Signal
     from clsim.tracks.tracks import Tracks
 
@@ -43,15 +42,15 @@ class Mixer:
         Samples of the sound in one of the envelope.
     turn : Fraction
         Part of a turn of the carrier in one sample of the envelope beyond whole ones.
-    reach : int
+    half_length : int
         Samples of the envelope that are looked at to either side.
-    taps : ndarray (2 reach, K, 2, every)
+    taps : ndarray (2 half_length, K, 2, every)
         By sample of the envelope, filter, real and imaginary part, and sample of the sound.
     """
 
     every: int
     turn: Fraction
-    reach: int
+    half_length: int
     taps: Floats
 
     def __call__(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
@@ -64,7 +63,7 @@ class Mixer:
 
     def _made(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
         count, (span, filters) = last - first, self.taps.shape[:2]
-        sound = read((first - self.reach) * self.every, (last + self.reach) * self.every)
+        sound = read((first - self.half_length) * self.every, (last + self.half_length) * self.every)
         if not np.any(sound):
             return np.zeros((filters, count), dtype=np.complex128)
         parts = self.taps.reshape(-1, self.every) @ sound.reshape(-1, self.every).T
@@ -118,7 +117,7 @@ class EnvelopeFilters(SourceFilters):
         """Return samples `first` to `last` of the envelope through each function of the basis, (K, n) complex."""
         return self.mixer(self.signal.read, first, last)
 
-    def sounding(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
         """Return where samples `first` to `last` of those streams sound, from `first` on, (n,), and these (K, n)."""
         streams = self.streams(first, last)
         places = np.flatnonzero(np.any(streams != 0.0, axis=0))
@@ -128,17 +127,24 @@ class EnvelopeFilters(SourceFilters):
         """Return samples `first` to `last` of the envelope, (n,) complex."""
         return np.asarray(self.plain(self.signal.read, first, last)[0])
 
+    def digest(self) -> str:
+        """Return a text that changes with any tap."""
+        found = hashlib.sha256(SourceFilters.digest(self).encode())
+        for mixer in (self.mixer, self.plain):
+            found.update(np.ascontiguousarray(mixer.taps).tobytes())
+        return found.hexdigest()
+
     def acting(self, response: ImpulseResponse) -> ImpulseResponse:
         """Return an impulse response at the signal's sampling rate as it acts on the envelope, at that one's rate.
 
         Both are made alike: where the low-pass is flat, the spectrum of a response's envelope is twice the response
         about the carrier, over the samples of sound in one of the envelope.
         """
-        every, reach = self.plain.every, self.plain.reach
-        first, last = response.first // every - reach, response.last // every + reach + 1
+        every, half = self.plain.every, self.plain.half_length
+        first, last = response.first // every - half, response.last // every + half + 1
         return ImpulseResponse(first, 0.5 * every * self.plain(response.read, first, last)[0])
 
-    def turned(self, delay_samples: Floats) -> Complexes:
+    def carrier_phase(self, delay_samples: Floats) -> Complexes:
         """Return the carrier's phase ``exp(-2 pi j carrier delay)`` of delays (P, n), samples of the envelope."""
         return np.asarray(np.exp(-2j * math.pi * self.cycles * delay_samples))
 
@@ -156,51 +162,42 @@ def design_envelope(
     signal: Signal,
     start: float,
     tracks: Tracks,
+    options: RenderOptions,
     *,
-    baseband: Baseband,
-    interpolator: Interpolator,
     until: float,
-    sampling_rate: float,
-    response_error_db: float | str,
-    exact: bool,
     static: bool = False,
 ) -> EnvelopeFilters:
     """Return a source's complex envelope, with filters for its band and for how its paths move.
 
     Parameters
     ----------
-    index, signal, start, tracks, interpolator, until, response_error_db, exact, static
-        As of `design_source_filters`.
-    baseband : Baseband
-        With its sampling rate.
-    sampling_rate : float
-        Of the sound of which the envelope is made, Hz.
+    index, signal, start, tracks, options, until, static
+        As of `design_source_filters`; the options' interpolator is `Bandlimited`, and their sampling rate that of the
+        sound of which the envelope is made.
 
     Raises
     ------
     InputError
-        If the signal does not lie in the band, the interpolator is none of `Bandlimited`, or as in
-        `design_source_filters`.
+        If the signal does not lie in the band, or as in `design_source_filters`.
     """
-    if not isinstance(interpolator, Bandlimited):
-        raise InputError("interpolator", f"must be Bandlimited in baseband, but is {interpolator!r:.80}")
-    check_response_error(response_error_db)
+    assert options.baseband is not None
+    baseband, interpolator = Baseband(*options.baseband), options.interpolator
+    assert isinstance(interpolator, Bandlimited)  # as the options have checked
+    sampling_rate = options.sampling_rate
     signal, max_rate = signal.at_rate(sampling_rate), tracks.max_rate(index)
     half, removed_db = half_band(index, signal, signal.energy_spectrum(), baseband, max_rate)
     low, high = baseband.carrier - half, baseband.carrier + half
-    basis = basis_of(
-        index, signal, ShortTimeSpectra.of(signal), high, tracks, until, sampling_rate, response_error_db, exact,
-        static, least=low,
-    )  # fmt: skip
+    sound = ShortTimeSpectra.of(signal)
+    basis = basis_of(index, signal, sound, tracks, options, (low, high), until, sampling_rate, static=static)
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
-    mu_max = math.ceil((0.52 + 0.5 * WIDEST_GROUP * max_rate) * 32) / 32
+    mu_max = math.ceil((0.52 + 0.5 * WIDEST_SUBBLOCK * max_rate) * 32) / 32
     banks = []
     for size in basis.sizes.tolist():
         importance = interpolator.rounded((min(size, 1.0),))
         taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
-        banks.append(Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, GROUP, reached))
+        banks.append(Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, reached))
     every = round(sampling_rate / rate)
     mixer, plain = (
         _mixer(sampling_rate, every, baseband.carrier, half, filters, interpolator.error_db)
@@ -229,9 +226,9 @@ def _mixer(rate: float, every: int, carrier: float, half: float, filters: Floats
     mixed = low_pass * np.exp(-2j * math.pi * (carrier / rate) * (np.arange(length) - length // 2))
     taps = np.stack([np.convolve(f[::-1], mixed) for f in filters])
     most = taps.shape[1] // 2
-    reach = most // every + 1
-    padded = np.zeros((len(taps), 2 * reach * every), dtype=np.complex128)
-    padded[:, reach * every - most : reach * every + most + 1] = taps
-    by_sample = padded.reshape(len(taps), 2 * reach, every).transpose(1, 0, 2)
+    half_length = most // every + 1
+    padded = np.zeros((len(taps), 2 * half_length * every), dtype=np.complex128)
+    padded[:, half_length * every - most : half_length * every + most + 1] = taps
+    by_sample = padded.reshape(len(taps), 2 * half_length, every).transpose(1, 0, 2)
     turn = Fraction(carrier) * every / Fraction(rate) % 1
-    return Mixer(every, turn, reach, np.stack([by_sample.real, by_sample.imag], axis=2))
+    return Mixer(every, turn, half_length, np.stack([by_sample.real, by_sample.imag], axis=2))

@@ -12,9 +12,9 @@ from clsim.arrays import Floats, as_count, as_number
 from clsim.errors import InputError
 from clsim.numerics.fractional_delay import bank_error, design_bandlimited, lagrange_bank, lagrange_taps
 
-GROUP = 32  # neighbouring samples that share the whole part of a path's delay
-SMALL_GROUP = 8  # for fast motion, and for filters that are only good near the middle of their range
-_LARGEST_MU = 1.6  # beyond which smaller groups are cheaper than more branches
+SUBBLOCK = 32  # neighbouring samples that share the whole part of a path's delay
+SMALL_SUBBLOCK = 8  # for fast motion, and for filters that are only good near the middle of their range
+_LARGEST_MU = 1.6  # beyond which smaller subblocks are cheaper than more branches
 _LARGEST_ORDER = 40
 
 
@@ -34,7 +34,7 @@ class Bank:
         End of the signal's band, rad per sample.
     mu_max : float
         Largest ``|mu|`` that occurs.
-    group : int
+    subblock : int
         Neighbouring samples that share a whole delay.
     error_db : float
         Largest deviation from a pure delay over all delays and the signal's band, times its importance, dB.
@@ -45,11 +45,11 @@ class Bank:
     shift: float
     edge: float
     mu_max: float
-    group: int
+    subblock: int
     error_db: float
 
     @property
-    def reach(self) -> int:
+    def half_length(self) -> int:
         """Samples by which the filter looks to either side at most, for any ``mu``."""
         return int(max(self.centre, self.taps.shape[1] - 1 - self.centre)) + math.ceil(self.mu_max) + 1
 
@@ -155,13 +155,13 @@ class Bandlimited:
 
     def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
         """Return the bank: least-squares filters for a Chebyshev series in ``mu``."""
-        group, mu_max = _group(GROUP, oversampling * max_rate)
+        subblock, mu_max = _subblock(SUBBLOCK, oversampling * max_rate)
         if mu_max > _LARGEST_MU:
-            group, mu_max = _group(SMALL_GROUP, oversampling * max_rate)
+            subblock, mu_max = _subblock(SMALL_SUBBLOCK, oversampling * max_rate)
         # Rounded up, so that designs are found again.
         mu_max = math.ceil(mu_max * 32) / 32
         taps, reached = design_bandlimited(self.error_db, edge, mu_max, self.rounded(importance))
-        return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, group, reached)
+        return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, subblock, reached)
 
     def rounded(self, importance: tuple[float, ...]) -> tuple[float, ...]:
         """Return importances rounded up by steps of 6 dB, and so that no error is above -12 dB."""
@@ -174,13 +174,13 @@ class Bandlimited:
         return np.asarray(np.vander(mu, len(bank.taps), increasing=True) @ bank.taps)
 
 
-def _group(samples: int, max_rate: float) -> tuple[int, float]:
-    """Return a group's length, and the largest ``|mu|`` in it: rounding, and motion within half a group."""
+def _subblock(samples: int, max_rate: float) -> tuple[int, float]:
+    """Return a subblock's length, and the largest ``|mu|`` in it: rounding, and motion within half of it."""
     return samples, 0.52 + 0.5 * (samples - 1) * max_rate
 
 
 def _lagrange(taps: Floats, centre: int, order: int, edge: float, max_rate: float) -> Bank:
-    group, mu_max = _group(SMALL_GROUP, max_rate)
+    subblock, mu_max = _subblock(SMALL_SUBBLOCK, max_rate)
     shift = 0.5 if order % 2 else 0.0
     error = bank_error(taps, centre, shift, edge, mu_max)
-    return Bank(taps, centre, shift, edge, mu_max, group, 20 * math.log10(max(error, 1e-15)))
+    return Bank(taps, centre, shift, edge, mu_max, subblock, 20 * math.log10(max(error, 1e-15)))

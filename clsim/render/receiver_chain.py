@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.scene.scene import Receiver
+    from clsim.scene.ends import Receiver
 
 _Kind = Literal["highpass", "lowpass"]
 

@@ -25,6 +25,9 @@ class ReferenceEngine:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
 
+    def warn(self) -> None:
+        """Tell nothing: all is exact."""
+
     def render(self, start: int, stop: int) -> Floats | Complexes:
         """Return the pressure (receivers, stop - start) in Pa; in baseband its complex envelope."""
         plan = self._plan
@@ -52,7 +55,7 @@ def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats | Com
     gain = np.where(weight > 0.0, gain, 0.0) * weight
     delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples
     whole = np.rint(delay_samples)
-    weighted: Any = gain * filters.turned(delay_samples)
+    weighted: Any = gain * filters.carrier_phase(delay_samples)
     samples = filters.oversampling * np.arange(first, last)
     return _sum_paths(plan, filters, samples - whole.astype(np.int64), delay_samples - whole, weighted)
 
@@ -73,6 +76,6 @@ def _sum_paths(
         if np.any(gain[:, p]):
             seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
             total += np.einsum(
-                "nk,fnk,fn->n", plan.interpolator.taps(filters.bank, mu[p]), seen, gain[:, p], optimize=True
+                "nk,fnk,fn->n", plan.options.interpolator.taps(filters.bank, mu[p]), seen, gain[:, p], optimize=True
             )
     return np.asarray(total)

@@ -1,4 +1,4 @@
-"""From tracks to sound."""
+"""From paths or tracks to sound."""
 
 from __future__ import annotations
 
@@ -6,19 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_count
+from clsim.arrays import as_count, as_number
 from clsim.errors import InputError
-from clsim.opencl.device import find_device
+from clsim.recording import Recording
 from clsim.render.memory import within_memory
-from clsim.render.opencl.baseband_engine import BasebandEngine
-from clsim.render.opencl.engine import OpenclEngine
-from clsim.render.plan import Plan, plan_render, plan_tracks
-from clsim.render.receiver_chain import ReceiverChain
-from clsim.render.reference import ReferenceEngine
-from clsim.render.source_filters import DEFAULT_RESPONSE_ERROR_DB
-from clsim.render.static_pairs import Convolution
-from clsim.tracks.tracks import SceneTracks, Tracks
-from clsim.tracks.transition import DEFAULT_TRANSITION
+from clsim.render.options import RenderOptions, keywords_of
+from clsim.render.planning import plan_paths, plan_tracks
+from clsim.render.rendering import Rendering
+from clsim.scene.signal.signal import Signal
+from clsim.tracks.tracks import as_tracks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,74 +22,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.paths.path_set import PathSet
-    from clsim.recording import Recording
-    from clsim.render.baseband import Baseband
-    from clsim.render.interpolator import Interpolator
-    from clsim.scene.signal.signal import Signal
+    from clsim.render.plan import Plan
+    from clsim.tracks.tracks import Tracks
 
 
-def render(
-    paths: PathSet,
-    sampling_rate: float,
-    *,
-    interpolator: Interpolator | None = None,
-    motion: str = "retarded",
-    amplitude: str = "wave-equation",
-    transition: float | str = DEFAULT_TRANSITION,
-    response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
-    baseband: Baseband | tuple[float, ...] | None = None,
-    prune_below_db: float | None = None,
-    engine: str = "opencl",
-    device: str | None = None,
-    duration: float | None = None,
-    chunk: int | None = None,
-    convolve_static: bool = True,
-) -> Recording:
+@keywords_of(RenderOptions)
+def render(paths: PathSet, options: RenderOptions) -> Recording:
     """Return what every receiver of a scene hears.
 
     Parameters
     ----------
     paths : PathSet
         The paths of a scene, from `find_paths`.
-    sampling_rate : float
-        Of the recording, Hz; signals are brought to it. In baseband that of the signals.
-    interpolator : Lagrange, TruncatedLagrange or Bandlimited, optional
-        The fractional-delay filter, ``Bandlimited(error_db=-90)`` when left out.
-    motion : {"retarded", "quasi-static"}
-        Whether an image is where it was when the sound was emitted, or where it is when it is received.
-    amplitude : {"wave-equation", "static", "convective"}
-        Exponent 1, 0 or 2 of ``1 / (1 - M)``, M the Mach number of the image towards the receiver.
-    transition : float or "gate"
-        Seconds in which a path begins and ends, by a raised cosine centred on the boundary; or at once, which
-        splatters.
-    response_error_db : float or "centre"
-        Bound on the error that the responses of all paths (air, walls, beams) add up to, over the signal's band, -120
-        to -20 dB relative to what is heard within some 40 ms. With "centre" they are what they are at the centre of the
-        signal's band.
-    baseband : (carrier, bandwidth), optional
-        Render complex envelopes about a carrier, Hz, instead of the sound: what mixing it with
-        ``exp(-2 pi j carrier t)``, a low-pass and decimation would give, several times faster. The bandwidth, both
-        sides together, must hold signals and Doppler shifts; a third number chooses the sampling rate: see `Baseband`.
-    prune_below_db : float, optional
-        Leave out paths that stay below this level, dB relative to the strongest arrival at the same receiver; the
-        recording's notes tell how many, and a bound of what they add up to.
-    engine : {"opencl", "reference"}
-        The fast one or the exact one.
-    device : str, optional
-        An OpenCL device by id or part of its name (see ``clsim devices``); the best one when left out.
-    duration : float, optional
-        Length of the recording, s. Left out: until all that was emitted has been heard, or until the first moving
-        receiver's trajectory ends.
-    chunk : int, optional
-        Samples that are held at a time, rounded up to whole segments (of 18432 samples; in baseband of 32 blocks).
-    convolve_static : bool
-        Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
-        instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
+    options : RenderOptions
+        Each is a keyword, but for the first, the sampling rate, which may also stand behind the paths.
 
     Returns
     -------
     Recording
-        Sound pressure in Pa, float32; volts of receivers with a transducer; complex64 envelopes in baseband.
+        Sound pressure (receivers, samples) in Pa, float32; volts of receivers with a transducer; complex64 envelopes in
+        baseband.
 
     Raises
     ------
@@ -105,7 +53,7 @@ def render(
     Warns
     -----
     ClsimWarning
-        If a receiver's converter clips.
+        If a receiver's converter clips, or something cannot be held as well as asked.
 
     Notes
     -----
@@ -124,12 +72,7 @@ def render(
     >>> render(paths, 192e3, engine="reference", duration=0.02).pressure.shape
     (1, 3840)
     """
-    plan = plan_render(
-        paths, sampling_rate, interpolator=interpolator, motion=motion, amplitude=amplitude,
-        transition=transition, response_error_db=response_error_db, baseband=baseband, prune_below_db=prune_below_db,
-        engine=engine, device=device, duration=duration, chunk=chunk, convolve_static=convolve_static,
-    )  # fmt: skip
-    return _record(plan)
+    return _record(plan_paths(paths, options))
 
 
 def render_tracks(
@@ -138,14 +81,7 @@ def render_tracks(
     sampling_rate: float,
     *,
     starts: Sequence[float] | None = None,
-    interpolator: Interpolator | None = None,
-    response_error_db: float | str = DEFAULT_RESPONSE_ERROR_DB,
-    baseband: Baseband | tuple[float, ...] | None = None,
-    engine: str = "opencl",
-    device: str | None = None,
-    duration: float | None = None,
-    chunk: int | None = None,
-    convolve_static: bool = True,
+    **options: Any,
 ) -> Recording:
     """Return what is heard of signals along tracks, whoever computed these.
 
@@ -156,22 +92,48 @@ def render_tracks(
     tracks : Tracks
         From `track` or `Tracks.from_samples`.
     sampling_rate : float
-        Of the recording, Hz.
-    starts : sequence of float, optional
+        Of the recording, Hz; in baseband that of the signals.
+    starts : sequence of float (signals,), optional
         Time at which each signal begins, s; 0 when left out.
-    interpolator, response_error_db, baseband, engine, device, duration, chunk, convolve_static
-        As in `render`.
+    **options
+        As of `RenderOptions`, but for those by which tracks are made.
+
+    Returns
+    -------
+    Recording
+        As of `render`.
+
+    Raises
+    ------
+    InputError
+        If an argument breaks a rule.
+    DeviceError
+        If there is no OpenCL device, or it fails.
+
+    Examples
+    --------
+    >>> import clsim
+    >>> tracks = clsim.Tracks.from_samples([0.0, 1.0], [[0.010, 0.011]], [[0.3, 0.3]])
+    >>> tone = clsim.Signal.tone(1e3, duration=0.1, sampling_rate=48e3)
+    >>> render_tracks([tone], tracks, 48e3, engine="reference", duration=0.05).pressure.shape
+    (1, 2400)
     """
-    plan = plan_tracks(
-        signals, tracks, sampling_rate, starts=starts, interpolator=interpolator, response_error_db=response_error_db,
-        baseband=baseband, engine=engine, device=device, duration=duration, chunk=chunk,
-        convolve_static=convolve_static,
-    )  # fmt: skip
-    return _record(plan)
+    tracks = as_tracks(tracks)
+    for i, signal in enumerate(signals):
+        if not isinstance(signal, Signal):
+            raise InputError(f"signals[{i}]", f"must be a Signal, but is {signal!r:.80}")
+    if len(signals) != tracks.source_count:
+        raise InputError("signals", f"must be one per source, {tracks.source_count}, but are {len(signals)}")
+    starts = [0.0] * len(signals) if starts is None else starts
+    if len(starts) != len(signals):
+        raise InputError("starts", f"must be one per signal, {len(signals)}, but are {len(starts)}")
+    begins = [as_number(f"starts[{i}]", start, unit="s") for i, start in enumerate(starts)]
+    chosen = RenderOptions.for_tracks(sampling_rate, **options)
+    return _record(plan_tracks(list(zip(signals, begins, strict=True)), tracks, chosen))
 
 
 def render_chunks(
-    plan: Plan, *, first: int = 0, receiver_chain: ReceiverChain | None = None
+    plan: Plan, *, first: int = 0, rendering: Rendering | None = None
 ) -> Iterator[tuple[int, NDArray[Any]]]:
     """Yield the recording piece by piece, in bounded memory.
 
@@ -181,9 +143,9 @@ def render_chunks(
         From `plan_render`.
     first : int
         Sample to begin with, a whole number of chunks: those before it were rendered earlier.
-    receiving : ReceiverChain, optional
-        The receivers' ends, with all that they remember of the pieces before. Behind each piece its ``state()`` is
-        what another process needs to go on bit for bit, by ``restore``.
+    rendering : Rendering, optional
+        Of this plan, with all that it remembers of the pieces before. Behind each piece its ``state()`` is what another
+        process needs to go on bit for bit, by ``restore``.
 
     Yields
     ------
@@ -196,48 +158,23 @@ def render_chunks(
     ------
     InputError
         If `first` is no whole number of chunks, or lies beyond the end.
+    DeviceError
+        If there is no OpenCL device, or it fails.
     """
     if as_count("first", first, at_most=plan.samples) % plan.chunk and first != plan.samples:
         raise InputError("first", f"must be a whole number of chunks of {plan.chunk} samples, but is {first}")
-    receiver_chain = ReceiverChain(plan) if receiver_chain is None else receiver_chain
-    yield from _pieces(plan, receiver_chain, first)
-    receiver_chain.warn()
-
-
-def _pieces(plan: Plan, receiver_chain: ReceiverChain, first: int = 0) -> Iterator[tuple[int, NDArray[Any]]]:
-    engine, convolution = _engine(plan), Convolution(plan)
-    for start in range(first, plan.samples, plan.chunk):
-        stop = min(start + plan.chunk, plan.samples)
-        silence = (plan.receiver_count, stop - start)
-        pressure = np.zeros(silence, plan.sample_type) if engine is None else engine.render(start, stop)
-        convolution.add(pressure, start)
-        yield start, receiver_chain(start, pressure)
-    if isinstance(engine, OpenclEngine):
-        engine.warn()
-
-
-def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine | None:
-    """Return what renders the paths of a plan that are not convolved; None if there are none."""
-    if plan.engine == "reference":
-        return ReferenceEngine(plan)
-    if len(plan.static_pairs.groups) == len(plan.tracks.groups):
-        find_device(plan.device)  # a device that is not there is an error all the same
-        return None
-    return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
+    yield from (Rendering(plan) if rendering is None else rendering).pieces(first)
 
 
 def _record(plan: Plan) -> Recording:
-    from clsim.recording import Recording
-
     size = plan.receiver_count * plan.samples * np.dtype(plan.sample_type).itemsize
     with within_memory("duration", "a whole recording (see `render_chunks`)", size):
         samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)
-    receiver_chain = ReceiverChain(plan)
-    for start, piece in _pieces(plan, receiver_chain):
+    rendering = Rendering(plan)
+    for start, piece in rendering.pieces():
         samples[:, start : start + piece.shape[1]] = piece
-    receiver_chain.warn()
     samples.flags.writeable = False
-    paths = plan.tracks.paths if isinstance(plan.tracks, SceneTracks) else None
-    notes = (*plan.describe(), *receiver_chain.describe())
+    paths = None if plan.tracks.of_scene is None else plan.tracks.of_scene.paths
+    notes = (*plan.describe(), *rendering.describe())
     names = plan.tracks.receiver_names
-    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, receiver_chain.clipped, plan.carrier)
+    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, rendering.clipped, plan.carrier)

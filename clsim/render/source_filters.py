@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import warnings
 from dataclasses import dataclass
@@ -10,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_number
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.coverage import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
@@ -26,12 +26,11 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.paths.impulse_response import ImpulseResponse
+    from clsim.render.options import RenderOptions
     from clsim.scene.signal.signal import Signal
     from clsim.tracks.tracks import Tracks
 
-DEFAULT_RESPONSE_ERROR_DB = -90.0  # of air, walls and beams over a signal's band, of all paths together
-AT_CENTRE = "centre"  # instead of that error: all of them as at the centre of the signal's band
-EXACT_DB = -100.0  # the same for the reference engine
+EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
 _MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, for which walls and beams need not be known
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
 _WIDEST_OVERSAMPLED = 0.98  # the same where branch signals have twice the sampling rate
@@ -103,23 +102,30 @@ class SourceFilters:
         return int(self.filters.shape[1] // 2)
 
     @property
-    def reach(self) -> int:
+    def half_length(self) -> int:
         """Samples by which the filters look to either side: so much sounds before a path's first arrival at most."""
-        return -(-(self.filter_half + self.bank.reach) // self.oversampling)
+        return -(-(self.filter_half + self.bank.half_length) // self.oversampling)
 
     @property
     def rows(self) -> NDArray[Any]:
         """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
         return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
 
+    def digest(self) -> str:
+        """Return a text that changes with any tap."""
+        found = hashlib.sha256()
+        for taps in (self.basis.projection, self.filters, *(bank.taps for bank in self.banks), self.band_limit):
+            found.update(np.ascontiguousarray(taps).tobytes())
+        return found.hexdigest()
+
     def streams(self, first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last`, at `rate`, of the signal through each function of the basis, (K, n)."""
-        places, values = self.sounding(first, last)
+        places, values = self.active(first, last)
         out = np.zeros((len(self.basis), last - first))
         out[:, places] = values
         return out
 
-    def sounding(self, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
+    def active(self, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
         """Return where samples `first` to `last` of those streams sound, from `first` on, (n,), and these (K, n).
 
         What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
@@ -134,7 +140,7 @@ class SourceFilters:
         own = self.signal.read(before, -(-last // times))
         return np.kron(own, np.eye(1, times)[0])[first - times * before :][: last - first]
 
-    def turned(self, delay_samples: Floats) -> Floats | Complexes | float:
+    def carrier_phase(self, delay_samples: Floats) -> Floats | Complexes | float:
         """Return the factor by which delays (P, n), samples, turn the phase of what is carried: 1 of sound as it is."""
         return 1.0
 
@@ -157,11 +163,11 @@ class SourceFilters:
     def describe_filters(self) -> str:
         """Return how delays are carried."""
         removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
-        reach = self.reach / self.signal.sampling_rate
+        lead = self.half_length / self.signal.sampling_rate
         return (
             f"filters of {len(self.bank.taps)} branches hold up to {self.band:.0f} Hz within "
             f"{self.bank.error_db:.1f} dB; share of the signal above, which is removed: {removed}; they sound up to "
-            f"{self.reach} samples ({1e3 * reach:.3g} ms) before an arrival"
+            f"{self.half_length} samples ({1e3 * lead:.3g} ms) before an arrival"
             + ("; the signal is taken at twice the sampling rate" if self.oversampling > 1 else "")
         )
 
@@ -184,15 +190,12 @@ def design_source_filters(
     signal: Signal,
     start: float,
     tracks: Tracks,
+    options: RenderOptions,
     *,
-    interpolator: Interpolator,
     until: float,
-    sampling_rate: float,
-    response_error_db: float | str,
-    exact: bool,
     static: bool = False,
 ) -> SourceFilters:
-    """Return a source's signal at the sampling rate, Hz, with filters for its band and for how its paths move.
+    """Return a source's signal at the sampling rate, with filters for its band and for how its paths move.
 
     Parameters
     ----------
@@ -204,44 +207,29 @@ def design_source_filters(
         Time at which that begins, s.
     tracks : Tracks
         Its paths.
-    interpolator : Interpolator
-        Delays.
+    options : RenderOptions
+        Say the sampling rate, the interpolator, and how responses are held: by the reference engine within -100 dB.
     until : float
         End of the run, s.
-    sampling_rate : float
-        Hz.
-    response_error_db : float or "centre"
-        As in `render`.
-    exact : bool
-        For the reference engine: -100 dB at least.
     static : bool
         All its paths are convolved, so that nothing needs functions of frequency.
 
     Raises
     ------
     InputError
-        If a wall or a beam is not known over the signal's band, or asks for too many functions.
+        If a wall or a directivity is not known over the signal's band, or asks for too many functions.
     """
-    check_response_error(response_error_db)
+    sampling_rate, interpolator, max_rate = options.sampling_rate, options.interpolator, tracks.max_rate(index)
     signal = signal.at_rate(sampling_rate)
     sound = ShortTimeSpectra.of(signal)
-    times = _oversampling(sound, interpolator, tracks.max_rate(index), sampling_rate)
+    times = _oversampling(sound, interpolator, max_rate, sampling_rate)
     high, removed_db, limit = _band(index, signal, sound, interpolator, tracks, times)
     rate = times * sampling_rate
-    basis = basis_of(index, signal, sound, high, tracks, until, rate, response_error_db, exact, static)
-    banks = _banks(index, basis, sound, high, interpolator, tracks.max_rate(index), rate, times)
+    basis = basis_of(index, signal, sound, tracks, options, (0.0, high), until, rate, static=static)
+    banks = _banks(index, basis, sound, high, interpolator, max_rate, rate, times)
     filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])
     swiftness = min(sound.swiftness(), high) or high
     return SourceFilters(signal, start, banks, basis, filters, limit, high, swiftness, times, removed_db)
-
-
-def check_response_error(response_error_db: float | str) -> None:
-    """Raise an InputError if the asked error of responses is neither in dB nor that of the centre frequency."""
-    if response_error_db == AT_CENTRE:
-        return
-    if isinstance(response_error_db, str):
-        raise InputError("response_error_db", f"must be dB or {AT_CENTRE!r}, but is {response_error_db!r:.80}")
-    as_number("response_error_db", response_error_db, at_least=-120.0, at_most=-20.0, unit="dB")
 
 
 def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:
@@ -349,32 +337,32 @@ def basis_of(
     index: int,
     signal: Signal,
     sound: ShortTimeSpectra,
-    high: float,
     tracks: Tracks,
+    options: RenderOptions,
+    band: tuple[float, float],
     until: float,
     rate: float,
-    error_db: float | str,
-    exact: bool,
+    *,
     static: bool,
-    least: float = 0.0,
 ) -> Basis:
-    """Return the functions of frequency that a source's paths need, from `least` to `high` Hz at most."""
-    if tracks.paths is None:
+    """Return the functions of frequency that a source's paths need, within a band at most, Hz."""
+    least, high = band
+    of_scene = tracks.of_scene
+    if of_scene is None or not len(sound.energy):  # silence needs nothing
         return flat_basis(signal.centre_frequency)
-    if not len(sound.energy):  # silence needs nothing
-        return flat_basis(signal.centre_frequency)
-    told = shares(signal.energy_spectrum(), _MAIN_SHARE)
-    check_band_coverage(tracks.paths.scene, [index], *told, f"the signal of source {index}")
+    main = shares(signal.energy_spectrum(), _MAIN_SHARE)
+    check_band_coverage(of_scene.scene, [index], *main, f"the signal of source {index}")
     if static:
         return flat_basis(signal.centre_frequency)
-    floor_db = EXACT_DB if isinstance(error_db, str) or exact else error_db
+    at_centre, exact = options.responses == "centre", options.engine == "reference"
+    floor_db = EXACT_DB if at_centre or exact else options.response_error_db
     low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
     low = min(max(low, least, float(sound.frequencies[1])), 0.999 * high)
-    band = partial(band_of, low, high, sound)
-    if not isinstance(error_db, str):
-        return scene_basis(tracks, index, band, until, rate, min(floor_db, error_db))
-    if tracks.paths.is_complex:
-        return turning_basis(index, signal.centre_frequency, band(), rate, floor_db)
+    band_at = partial(band_of, low, high, sound)
+    if not at_centre:
+        return scene_basis(of_scene, index, band_at, until, rate, min(floor_db, options.response_error_db))
+    if of_scene.paths.is_complex:
+        return turning_basis(index, signal.centre_frequency, band_at(), rate, floor_db)
     return flat_basis(signal.centre_frequency)
 
 
@@ -386,22 +374,22 @@ def _filtered(
     What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
     """
     half = filters.shape[1] // 2
-    reach = 2 * half  # of a sample, into what is filtered before it
+    length = 2 * half  # of a sample, into what is filtered before it
     samples = read(first - half, last + half)
     heard = np.flatnonzero(samples)
     if not len(heard):
         return heard, np.zeros((len(filters), 0))
-    pause = np.flatnonzero(np.diff(heard) > reach + 1)
-    begins = np.maximum(heard[np.concatenate([[0], pause + 1])] - reach, 0)
+    pause = np.flatnonzero(np.diff(heard) > length + 1)
+    begins = np.maximum(heard[np.concatenate([[0], pause + 1])] - length, 0)
     lengths = np.minimum(heard[np.concatenate([pause, [-1]])] + 1, last - first) - begins
     places = _ranges(begins, lengths)
-    if reach == 0:
+    if length == 0:
         return places, samples[places] * filters
     from scipy.signal import oaconvolve
 
-    together = samples[_ranges(begins, lengths + reach)]  # without the pauses
+    together = samples[_ranges(begins, lengths + length)]  # without the pauses
     made = oaconvolve(together[None], filters, mode="valid", axes=1)
-    within = _ranges(np.cumsum(lengths + reach) - lengths - reach, lengths)
+    within = _ranges(np.cumsum(lengths + length) - lengths - length, lengths)
     return places, np.asarray(made[:, within])
 
 

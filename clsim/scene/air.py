@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,20 +24,6 @@ if TYPE_CHECKING:
 _COLDEST, _HOTTEST = -73.0, 100.0  # °C: 200 K, where ISO 9613-1 stops claiming anything, and boiling water
 _THINNEST, _DENSEST = 1e4, 1e6  # Pa
 _SLOWEST, _FASTEST = 100.0, 2000.0  # m/s: heavy gases, hydrogen, water
-
-
-class _FormulaSpeed(float):
-    """A speed of sound from a formula, which knows its formula: air with another temperature has another speed."""
-
-    formula: str | None
-
-    def __new__(cls, speed: float, formula: str | None) -> Self:
-        made = super().__new__(cls, speed)
-        made.formula = formula
-        return made
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _FormulaSpeed, (float(self), self.formula)
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -84,8 +70,9 @@ class Air:
     temperature_celsius: float
     relative_humidity: float
     pressure: float
-    speed_of_sound: float
+    speed_of_sound: float = field(init=False)
     absorption: bool
+    _asked_speed: float | str | None = field(repr=False)  # so that `dataclasses.replace` keeps what was asked for
 
     def __init__(
         self,
@@ -94,11 +81,13 @@ class Air:
         pressure: float = 101_325.0,
         speed_of_sound: float | str | None = None,
         absorption: bool = True,
+        *,
+        _asked_speed: float | str | None = None,
     ) -> None:
         celsius = as_number("temperature_celsius", temperature_celsius, at_least=_COLDEST, at_most=_HOTTEST, unit="°C")
         humidity = _checked_humidity(relative_humidity)
         pascal = as_number("pressure", pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa")
-        asked = _checked_speed(speed_of_sound)
+        asked = _checked_speed(_asked_speed if speed_of_sound is None else speed_of_sound)
         absorbs = as_flag("absorption", absorption)
         vapour = vapour_fraction_giacomo(celsius, humidity, pascal)
         if vapour >= 1.0:
@@ -108,7 +97,7 @@ class Air:
                 f"{humidity:g} is nothing but water vapour",
             )
         speed = _speed(asked, celsius, humidity, pascal)
-        for name, value in zip(self.__slots__, (celsius, humidity, pascal, speed, absorbs), strict=True):
+        for name, value in zip(self.__slots__, (celsius, humidity, pascal, speed, absorbs, asked), strict=True):
             object.__setattr__(self, name, value)
         for message in (_doubt_in_speed(self, asked, vapour), _doubt_in_absorption(self)):
             if message:
@@ -161,8 +150,6 @@ def _checked_humidity(value: float) -> float:
 
 
 def _checked_speed(value: float | str | None) -> float | str | None:
-    if isinstance(value, _FormulaSpeed):
-        return value.formula
     if value is None:
         return None
     if isinstance(value, str):
@@ -173,9 +160,9 @@ def _checked_speed(value: float | str | None) -> float | str | None:
 def _speed(asked: float | str | None, celsius: float, humidity: float, pressure: float) -> float:
     """Return the speed of sound that was asked for, by number or by formula, m/s."""
     if asked is None:
-        return _FormulaSpeed(speed_of_sound_cramer(celsius, humidity, pressure), None)
+        return speed_of_sound_cramer(celsius, humidity, pressure)
     if isinstance(asked, str):
-        return _FormulaSpeed(speed_of_sound_iso9613(celsius), asked)
+        return speed_of_sound_iso9613(celsius)
     return asked
 
 

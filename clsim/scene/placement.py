@@ -10,44 +10,48 @@ import numpy as np
 from clsim.errors import ClsimWarning, InputError
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.instants import Instants
-from clsim.scene.places import CLEAR, clearance, first_approach, first_refused, nearest_within
-from clsim.scene.room.contact import NEAREST, first_contact, first_off
-from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.places import first_approach, first_refused, nearest_within
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clsim.arrays import Floats
-    from clsim.scene.flush import Mount
-    from clsim.scene.scene import Receiver, Scene, Source
+    from clsim.scene.ends import End, Receiver, Source
+    from clsim.scene.room.protocol import Room
 
 _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
 _SCAN_BLOCK = 65536  # instants among which the nearest approach is told
 
 
-def check_motions(scene: Scene) -> None:
+def check_motions(room: Room, ends: Sequence[tuple[str, End]], speed_of_sound: float) -> None:
     """Refuse trajectories that leave the room, meet a wall, or are as fast as sound, with time and place."""
-    ends = scene.named_ends()
-    still = [i for i, (_, item) in enumerate(ends) if item.trajectory.is_static and item.flush is False]
-    if still:  # one look at all of them: they may be very many
-        free = clearance(scene.room, _places([ends[i][1] for i in still])) > 0.0
-        ends = [ends[i] for i in sorted({*range(len(ends))} - {still[i] for i in np.flatnonzero(free)})]
-    for field_name, item in ends:
-        _check_motion(scene, field_name, item)
+    static = [i for i, (_, item) in enumerate(ends) if item.trajectory.is_static and item.flush is False]
+    checked = set(range(len(ends)))
+    if static:  # all of them together: they may be very many
+        free = room.clearance(_places([ends[i][1] for i in static])) > 0.0
+        checked -= {static[i] for i in np.flatnonzero(free)}
+    for i in sorted(checked):
+        _check_motion(room, *ends[i], speed_of_sound)
 
 
-def _check_motion(scene: Scene, field_name: str, item: Source | Receiver) -> None:
+def _check_motion(room: Room, field_name: str, item: End, speed_of_sound: float) -> None:
     try:
-        mount = find_mount(scene.room, item)
+        mount = find_mount(room, item)
     except InputError as error:
         raise error.within(field_name) from error
-    speed_of_sound, (start, end) = scene.air.speed_of_sound, scene.span(item)
+    start, end = item.span
     instants = Instants(start, start if item.trajectory.is_static else end, _SCAN_RATE)
-    refused = first_refused(scene.room, item.trajectory, instants, mount)
+    refused = first_refused(room, item.trajectory, instants, mount)
     if refused is not None:
         times = instants.times(np.arange(refused, min(refused + 2, instants.count)))
-        check = _check_walls if isinstance(scene.room, MeshRoom) else _check_inside
-        check(scene, field_name, item.name, item.trajectory.position(times), times, mount)
+        positions = item.trajectory.position(times)
+        contact = room.first_contact(positions, mount)
+        if contact is not None:
+            raise InputError(
+                f"{field_name}.trajectory",
+                f"{contact.rule}, but {item.name!r} {contact.event} at "
+                f"{_place(positions, times, contact.index)}{contact.hint}",
+            )
     speed, time = item.trajectory.peak_speed(start, end, _SCAN_RATE)
     if speed >= speed_of_sound:
         raise InputError(
@@ -57,59 +61,58 @@ def _check_motion(scene: Scene, field_name: str, item: Source | Receiver) -> Non
         )
 
 
-def _places(ends: Sequence[Source | Receiver]) -> Floats:
+def _places(ends: Sequence[End]) -> Floats:
     """Return the positions (n, 3) of ends that never move, m."""
     return np.stack([end.trajectory.position(0.0) for end in ends])
 
 
-def check_distances(scene: Scene, index: int, source: Source) -> None:
-    """Refuse a source that comes closer to a receiver than the scene allows, with the time."""
-    last, nearest = scene.span(source)[1], scene.min_distance
-    still = [r for r in scene.receivers if r.trajectory.is_static]
-    if still:
+def check_distances(field_name: str, source: Source, receivers: Sequence[Receiver], nearest: float) -> None:
+    """Refuse a source that comes closer to a receiver than allowed, in m, with the time."""
+    last = source.span[1]
+    static = [r for r in receivers if r.trajectory.is_static]
+    if static:
         instants = Instants(0.0, last, _SCAN_RATE)
-        met = first_approach(source.trajectory, _places(still), nearest, instants)
+        met = first_approach(source.trajectory, _places(static), nearest, instants)
         if met is not None:
-            raise _too_close(scene, index, still[met[1]], instants, met[0])
-    for receiver in scene.receivers:
+            raise _too_close(field_name, source, static[met[1]], nearest, instants, met[0])
+    for receiver in receivers:
         if not receiver.trajectory.is_static:
             instants = Instants(0.0, min(last, receiver.trajectory.end), _SCAN_RATE)
             met = first_approach(source.trajectory, receiver.trajectory, nearest, instants)
             if met is not None:
-                raise _too_close(scene, index, receiver, instants, met[0])
+                raise _too_close(field_name, source, receiver, nearest, instants, met[0])
 
 
-def _too_close(scene: Scene, index: int, receiver: Receiver, instants: Instants, first: int) -> InputError:
+def _too_close(
+    field_name: str, source: Source, receiver: Receiver, nearest: float, instants: Instants, first: int
+) -> InputError:
     """Return the error of a source that is too close to a receiver at an instant, and perhaps closer soon after."""
-    source = scene.sources[index]
     times = instants.times(np.arange(first, min(first + _SCAN_BLOCK, instants.count)))
     apart = receiver.trajectory.position(times) - source.trajectory.position(times)
     moving = receiver.trajectory.velocity(times) - source.trajectory.velocity(times)
     distance, shift = nearest_within(apart, moving, 0.5 * instants.step)
     i = int(np.argmin(distance))
     return InputError(
-        f"sources[{index}].trajectory",
-        f"must stay at least {scene.min_distance:g} m away from every receiver (min_distance), "
+        f"{field_name}.trajectory",
+        f"must stay at least {nearest:g} m away from every receiver (min_distance), "
         f"but {source.name!r} comes within {distance[i]:.3g} m of {receiver.name!r} "
         f"at {times[i] + shift[i]:.6g} s",
     )
 
 
-def check_sides(scene: Scene) -> None:
+def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     """Refuse ends that the walls of a watertight mesh part from the others; warn where all are outside.
 
-    An open mesh has no inside, and a shoebox is left by nobody.
+    An open mesh has no inside, and a convex room is left by nobody.
 
     Warns
     -----
     ClsimWarning
         If all ends are outside: they hear the mesh as a thing in the open.
     """
-    room = scene.room
-    if not isinstance(room, MeshRoom) or not room.shape.watertight:
+    if room.is_convex or not room.is_closed:
         return
-    ends = scene.named_ends()
-    places = np.array([first_place(scene, item) for _, item in ends])
+    places = np.array([first_place(room, item) for _, item in ends])
     inside = room.contains(places)
     if inside.all() or (not inside.any() and room.surrounds(places).all()):  # walls may be solids around the room
         return
@@ -127,71 +130,11 @@ def check_sides(scene: Scene) -> None:
     warnings.warn(f"{field}.trajectory: no source or receiver is inside the room: {told}", ClsimWarning, stacklevel=4)
 
 
-def first_place(scene: Scene, item: Source | Receiver) -> Floats:
+def first_place(room: Room, item: End) -> Floats:
     """Return where an end is at 0 s (3,), m; one in a wall a step in front of it."""
     place = np.asarray(item.trajectory.position(np.zeros(1)))
-    mount = find_mount(scene.room, item)
+    mount = find_mount(room, item)
     return np.asarray((place if mount is None else mount.lifted(place))[0])
-
-
-def _check_inside(
-    scene: Scene, field_name: str, name: str, positions: Floats, times: Floats, mount: Mount | None
-) -> None:
-    """Refuse positions (n, 3) outside a shoebox, at so many times."""
-    _check_stays(field_name, name, positions, times, mount)
-    outside = ~scene.room.contains(positions if mount is None else mount.lifted(positions))
-    if outside.any():
-        i = int(np.argmax(outside))
-        normal, offset = scene.room.planes
-        on = np.flatnonzero(np.abs(normal @ positions[i] - offset) < NEAREST)
-        hint = (
-            f", on the wall {scene.room.wall_names[on[0]]}; an end in a wall needs flush=True" if len(on) == 1 else ""
-        )
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay inside the room, but {name!r} is at {_place(positions, times, i)}{hint}",
-        )
-
-
-def _check_walls(
-    scene: Scene, field_name: str, name: str, positions: Floats, times: Floats, mount: Mount | None
-) -> None:
-    """Refuse positions (n, 3) on a wall of a mesh, at so many times, and motions through one."""
-    assert isinstance(scene.room, MeshRoom)
-    walls = scene.room.walls
-    _check_stays(field_name, name, positions, times, mount)
-    lifted = positions
-    if mount is not None:
-        off = first_off(walls, mount.wall, positions)
-        if off is not None:
-            raise InputError(
-                f"{field_name}.trajectory",
-                f"must stay on the wall that {name!r} is flush with, {scene.room.wall_names[mount.wall]!r}, "
-                f"but is at {_place(positions, times, off)}",
-            )
-        lifted = mount.lifted(positions, CLEAR)
-    contact = first_contact(walls, lifted)
-    if contact is not None:
-        i, wall = contact
-        hint = "" if mount is not None else "; an end in a wall needs flush="
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay {NEAREST:g} m away from every wall and walk through none, but {name!r} meets the wall "
-            f"{scene.room.wall_names[wall]!r} at {_place(positions, times, i)}{hint}",
-        )
-
-
-def _check_stays(field_name: str, name: str, positions: Floats, times: Floats, mount: Mount | None) -> None:
-    """Refuse a flush end that moves off the plane of its wall."""
-    if mount is None:
-        return
-    off = np.abs(mount.height(positions)) >= NEAREST
-    if off.any():
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay in the plane of the wall that {name!r} is flush with, within {NEAREST:g} m, "
-            f"but is at {_place(positions, times, int(np.argmax(off)))}",
-        )
 
 
 def _place(positions: Floats, times: Floats, i: int) -> str:

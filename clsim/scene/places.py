@@ -7,77 +7,50 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.scene.motion.motion import Motion
-from clsim.scene.room.contact import NEAREST, first_contact, first_off
-from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.scene.flush import Mount
     from clsim.scene.motion.instants import Indices, Instants
-    from clsim.scene.room.shoebox import Shoebox
+    from clsim.scene.room.faces import Mount
+    from clsim.scene.room.protocol import Room
 
-CLEAR = 2.0  # steps off a wall at which an end in it is clear of this wall, and of no other
 _STRETCH = 64  # instants between which walls are looked for from one to the next
-_PAIRS = 500_000  # of positions and walls, or others, at a time
+_PAIRS = 500_000  # of positions and others at a time
 _SPARE = 1.0 + 1e-9  # for the rounding of distances
 
 
-def clearance(room: Shoebox | MeshRoom, positions: Floats, mount: Mount | None = None) -> Floats:
-    """Return how far positions (n, 3) surely are inside a shoebox, or away from every wall of a mesh, (n,) m.
+def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount | None = None) -> int | None:
+    """Return the first instant at which a motion is out of the room or in a wall, or about to go through one.
 
-    It is 0 or less for those that are not; in a mesh for some others as well. What is in a wall is as far as it may go
-    off its plane; in a mesh it is on a wall.
-    """
-    if mount is not None:
-        in_plane = NEAREST - np.abs(mount.height(positions))
-        open_side = 0.0 if isinstance(room, MeshRoom) else clearance(room, mount.lifted(positions))
-        return np.asarray(np.minimum(in_plane, open_side))
-    if not isinstance(room, MeshRoom):
-        return np.asarray(np.minimum(positions, room.size - positions).min(axis=1))
-    walls, found = room.walls, np.empty(len(positions))
-    for some in _slices(len(positions), len(walls.offset)):
-        beside = np.abs(positions[some] @ walls.normal.T - walls.offset)
-        away = np.linalg.norm(positions[some, None] - walls.centre, axis=2) - walls.radius
-        found[some] = np.maximum(beside, away).min(axis=1) - NEAREST
-    return found
-
-
-def first_refused(
-    room: Shoebox | MeshRoom, motion: Motion, instants: Instants, mount: Mount | None = None
-) -> int | None:
-    """Return the first instant at which a motion is outside a shoebox; in a mesh on a wall, or about to go through.
-
-    With a wall that it sits in, the first at which it is off that or beyond its edges as well.
+    Parameters
+    ----------
+    room : Room
+        Where it may be.
+    motion : Motion
+        What moves.
+    instants : Instants
+        Between them the motion is taken to be straight.
+    mount : Mount, optional
+        The wall that it sits in: refused is then what is off that, or beyond its edges, as well.
     """
 
     def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
         after = np.minimum(last + 1, instants.count - 1)  # the way to the next instant belongs to each
-        free = clearance(room, motion.position(instants.times(middle)), mount)
+        free = room.clearance(motion.position(instants.times(middle)), mount)
         speed = motion.speed_over(instants.times(first), instants.times(after))
         unsure = ~(free > _SPARE * speed * instants.reach(first, middle, after))
-        known = np.where(free > 0.0, -1, middle)
-        if isinstance(room, MeshRoom):
-            known = np.full(len(first), -1)
-            for i in np.flatnonzero(unsure & (last - first < _STRETCH)):
-                way = instants.times(np.arange(first[i], after[i] + 1))
-                met = _first_met(room, motion.position(way), mount)
-                known[i], unsure[i] = -1 if met is None else min(first[i] + met, last[i]), False
+        if room.is_convex:
+            return np.where(free > 0.0, -1, middle), unsure
+        known = np.full(len(first), -1)
+        for i in np.flatnonzero(unsure & (last - first < _STRETCH)):
+            way = instants.times(np.arange(first[i], after[i] + 1))
+            met = room.first_contact(motion.position(way), mount)
+            known[i], unsure[i] = -1 if met is None else min(first[i] + met.index, last[i]), False
         return known, unsure
 
     return instants.first(look)
-
-
-def _first_met(room: MeshRoom, positions: Floats, mount: Mount | None) -> int | None:
-    """Return the first of positions (n, 3) that is on a wall, before one, or not on the wall that it sits in."""
-    contact = first_contact(room.walls, positions if mount is None else mount.lifted(positions, CLEAR))
-    met = [] if contact is None else [contact[0]]
-    if mount is not None:
-        met += np.flatnonzero(np.abs(mount.height(positions)) >= NEAREST)[:1].tolist()
-        off = first_off(room.walls, mount.wall, positions)
-        met += [] if off is None else [off]
-    return min(met, default=None)
 
 
 def first_approach(

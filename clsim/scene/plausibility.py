@@ -7,33 +7,34 @@ import warnings
 from typing import TYPE_CHECKING
 
 from clsim.errors import ClsimWarning
-from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
-    from clsim.scene.room.shoebox import Shoebox
-    from clsim.scene.scene import Scene
+    from collections.abc import Sequence
+
+    from clsim.scene.ends import Source
+    from clsim.scene.room.protocol import Room
 
 _LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units
 _USUAL = 5.0  # m, size of a room
 _LOWEST = 100.0  # Hz, below which paths are no picture of sound in a room
 
 
-def warn_of_units(scene: Scene) -> None:
+def warn_of_units(room: Room, sources: Sequence[Source]) -> None:
     """Warn of a room of a size that rooms do not have, and of signals too low to follow paths."""
-    doubts = [_doubt_in_size(scene.room)]
-    doubts += [_doubt_in_frequency(i, s.signal.centre_frequency) for i, s in enumerate(scene.sources)]
+    doubts = [_doubt_in_size(room)]
+    doubts += [_doubt_in_frequency(i, s.signal.centre_frequency) for i, s in enumerate(sources)]
     for doubt in filter(None, doubts):
         warnings.warn(doubt, ClsimWarning, stacklevel=4)
 
 
-def _doubt_in_size(room: Shoebox | MeshRoom) -> str:
+def _doubt_in_size(room: Room) -> str:
     low, high = room.extent
     size = float((high - low).max())
     if _SMALLEST <= size <= _LARGEST:
         return ""
     steps = round(math.log(size / _USUAL, 1000.0)) or (1 if size > _USUAL else -1)
     factor = 1000.0**-steps
-    scale = room.scale if isinstance(room, MeshRoom) else None
+    scale = room.scale
     advice = f"{factor:g} times its lengths" if scale is None else f"scale = {scale * factor:g}"
     unit = {None: "for millimetres, ", 1.0: "for a file in millimetres, "}.get(scale, "") if steps == 1 else ""
     return f"room: {size:.4g} m is {'large' if steps > 0 else 'small'} for a room; {unit}try {advice}"

@@ -9,9 +9,9 @@ import numpy as np
 from clsim.arrays import FARTHEST, Floats, as_count, as_number
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
+from clsim.scene.ends import Receiver
 from clsim.scene.motion.checks import as_places
 from clsim.scene.motion.trajectory import Trajectory
-from clsim.scene.scene import Receiver
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -16,10 +16,10 @@ from clsim.files.input_files import read_toml
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
-from clsim.render.source_filters import DEFAULT_RESPONSE_ERROR_DB
 from clsim.scene.air import Air
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
-from clsim.scene.scene import Receiver, Scene, Source
+from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
@@ -162,8 +162,9 @@ class _Render(Model):
     interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = _Bandlimited()
     motion: Literal["retarded", "quasi-static"] = "retarded"
     amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
-    transition: float | Literal["gate"] = DEFAULT_TRANSITION
-    response_error_db: float | Literal["centre"] = DEFAULT_RESPONSE_ERROR_DB
+    transition: float = DEFAULT_TRANSITION
+    responses: Literal["band", "centre"] = "band"
+    response_error_db: float = -90.0
     baseband: _Baseband | None = None
     prune_below_db: float | None = None
     engine: Literal["opencl", "reference"] = "opencl"

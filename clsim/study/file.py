@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable
 
-Keep = Literal["recording", "truth", "paths", "metrics"]
+Keep = Literal["recording", "ground_truth", "paths", "metrics"]
 DEFAULT_LIMIT = 1000
 _COUNTABLE = 10**18  # members
 _MOST_DRAWN = 10**7  # numbers
@@ -179,7 +179,7 @@ def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Stud
     as_number("table_rate", model.table_rate, above=0.0, at_most=1e6, unit="Hz")
     keep = model.keep
     if keep is None:
-        keep = ["truth", "metrics"] if model.metrics else ["recording", "truth"]
+        keep = ["ground_truth", "metrics"] if model.metrics else ["recording", "ground_truth"]
     if not keep:
         raise InputError("keep", "must name what is kept, but is empty")
     if ("metrics" in keep) != bool(model.metrics):

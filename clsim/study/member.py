@@ -24,6 +24,7 @@ from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, StoredSound, consolidate, texts
 from clsim.paths.ground_truth import direct_path
 from clsim.study.file import TAKEN, Member, Study
+from clsim.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -225,8 +226,8 @@ def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, st
         content["sound"] = (("receiver", "time"), recording.samples, content.attrs.pop("sound"))
     content.attrs.pop("sound", None)
     times = _instants(study.table_rate, recording)
-    if "truth" in study.keep:
-        _add_truth(content, paths, times, file.render["motion"])
+    if "ground_truth" in study.keep:
+        _add_ground_truth(content, paths, times, file.render["motion"])
     if "paths" in study.keep:
         _add_paths(content, paths, times, file)
     if study.metrics:
@@ -240,7 +241,6 @@ def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, st
 
 def _described(file: SceneFile, recording: Recording, study: Study, member: Member) -> Any:
     """Return what a group says of a member beside its results."""
-    import clsim
     from clsim.scene_file import completed_scene
 
     scene, samples = file.scene, recording.samples.shape[1]
@@ -248,7 +248,7 @@ def _described(file: SceneFile, recording: Recording, study: Study, member: Memb
     text = completed_scene(file, study.base, duration=samples / recording.sampling_rate)
     stored = StoredSound(
         recording.receiver_names, recording.units, positions, recording.sampling_rate, samples, samples, text,
-        clsim.__version__, recording.carrier,
+        __version__, recording.carrier,
     )  # fmt: skip
     content = stored.coordinates()
     content.attrs |= {"parameters": json.dumps(member.parameters), "sound": stored.sound_attributes}
@@ -260,15 +260,15 @@ def _instants(rate: float, recording: Recording) -> Any:
     return np.arange(count) / rate
 
 
-def _add_truth(content: Any, paths: PathSet, times: Any, motion: str) -> None:
-    truth = direct_path(paths, times, motion)
+def _add_ground_truth(content: Any, paths: PathSet, times: Any, motion: str) -> None:
+    found = direct_path(paths, times, motion)
     over = ("source", "receiver", "times")
-    content.coords["times"] = ("times", truth.times, _OF_RECEPTION)
+    content.coords["times"] = ("times", found.times, _OF_RECEPTION)
     content.coords["source"] = texts(s.name for s in paths.scene.sources)
-    content["delay"] = (over, truth.delay, {"units": "s"})
-    content["doppler_factor"] = (over, truth.doppler_factor)
-    content["line_of_sight"] = (over, truth.line_of_sight)
-    content["radial_speed"] = (over, truth.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
+    content["delay"] = (over, found.delay, {"units": "s"})
+    content["doppler_factor"] = (over, found.doppler_factor)
+    content["line_of_sight"] = (over, found.line_of_sight)
+    content["radial_speed"] = (over, found.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
 
 
 def _add_paths(content: Any, paths: PathSet, times: Any, file: SceneFile) -> None:
@@ -348,6 +348,4 @@ def discard(group: Path) -> None:
 
 def root_attributes() -> dict[str, Any]:
     """Return what stands at the root of a study's store."""
-    import clsim
-
-    return {"clsim_store_format": STORE_FORMAT, "clsim_version": clsim.__version__}
+    return {"clsim_store_format": STORE_FORMAT, "clsim_version": __version__}

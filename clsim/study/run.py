@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
 from clsim.files.atomic import locked, safe_path
+from clsim.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -81,7 +82,7 @@ def run_study(
     -----
     Processes are started anew, so scripts call this behind ``if __name__ == "__main__":``. A worker that dies is
     replaced, and what it was at is done by another; a member whose workers go on dying fails, and no other one with it.
-    The store holds the truth: a member counts as finished when its group is there, and groups appear whole.
+    What the store holds counts: a member counts as finished when its group is there, and groups appear whole.
     """
     _check_packages()
     from clsim.study.dispatch import Dispatch
@@ -205,12 +206,10 @@ def _made_by(study: Study, files: set[Path]) -> dict[str, Any]:
     import numpy as np
     import scipy
 
-    import clsim
-
     module = study.folder / f"{study.metrics.partition(':')[0]}.py"
     named = sorted(files | ({module} if study.metrics and module.exists() else set()))
     return {
-        "versions": {"clsim": clsim.__version__, "numpy": np.__version__, "scipy": scipy.__version__},
+        "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "contents": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in named},
     }
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.tracks.sampled import Band
-    from clsim.tracks.tracks import Tracks
+    from clsim.tracks.tracks import SceneTracks
 
 MOST_FUNCTIONS = 40
 _ROWS = 1024  # responses of which the functions are made
@@ -48,7 +48,7 @@ def turning_basis(source: int, frequency: float, band: Band, sampling_rate: floa
 
 
 def scene_basis(
-    tracks: Tracks,
+    tracks: SceneTracks,
     source: int,
     band_at: Callable[[int], Band],
     until: float,
@@ -59,7 +59,7 @@ def scene_basis(
 
     Parameters
     ----------
-    tracks : Tracks
+    tracks : SceneTracks
         The paths and how they move.
     source : int
         Index of the source.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
-    from clsim.tracks.tracks import Tracks
+    from clsim.tracks.tracks import SceneTracks
 
 GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
 SEED = 20_160_914
@@ -138,13 +138,11 @@ class Sample:
 
 
 def sampled_responses(
-    tracks: Tracks, source: int, band: Band, until: float, count: int, rng: np.random.Generator
+    tracks: SceneTracks, source: int, band: Band, until: float, count: int, rng: np.random.Generator
 ) -> Sample:
     """Return about `count` responses of a source's paths, at instants of the run."""
     groups = [i for i, g in enumerate(tracks.groups) if g.source == source]
-    if not groups:
-        return _nothing(band)
-    at = SceneResponse(tracks.pair_paths[groups[0]].family.scene, band.frequencies)
+    at = SceneResponse(tracks.scene, band.frequencies)
     if len(groups) > _MOST_GROUPS:
         groups = sorted(rng.choice(groups, _MOST_GROUPS, replace=False).tolist())
     instants = max(3, min(_TIMES, _FRAMES // max(len(groups), 1)))
@@ -192,12 +190,12 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
     return sounding[at], 1.0 / chance[at]
 
 
-def common_delay(tracks: Tracks, source: int, band: Band, until: float, sampling_rate: float) -> float:
+def common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sampling_rate: float) -> float:
     """Return the middle of the time in which complex responses have nearly all their energy, s, in whole samples.
 
     It is 0 where that is little, and for real responses, which have no delay.
     """
-    if not any(pair.family.is_complex for pair in tracks.pair_paths):
+    if not tracks.paths.is_complex:
         return 0.0
     width = band.high - band.low
     count = int(np.clip(math.ceil(_LATEST * width), 64, _MOST_DELAYS))

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.paths.family import PairPaths, PathFamily
+    from clsim.paths.family import PairPaths
+    from clsim.scene.ends import Receiver
     from clsim.scene.motion.trajectory import Trajectory
-    from clsim.scene.scene import Receiver, Scene
+    from clsim.scene.scene import Scene
 
 _TOGETHER = 65536  # paths looked at at a time
 
@@ -62,15 +63,12 @@ class Tracks(ABC):
     groups: tuple[PairTracks, ...]
     source_count: int
     receiver_names: tuple[str, ...]
-    transition: float  # s, over which paths begin and end; 0 for a gate
-    paths: PathSet | None = None  # of which these are the tracks, if they are those of a scene
-    pair_paths: tuple[PairPaths, ...] = ()  # the same, of each group
-    motion: str = "retarded"
-    amplitude: str = "wave-equation"
+    transition: float  # s, over which paths begin and end; 0 for at once
 
-    def family(self, group: int) -> PathFamily | None:
-        """Return the kind of a group's paths; None where there is nothing but delays and gains."""
-        return self.pair_paths[group].family if self.pair_paths else None
+    @property
+    def of_scene(self) -> SceneTracks | None:
+        """These tracks with the scene whose paths they are; None for those that were computed elsewhere."""
+        return None
 
     @abstractmethod
     def evaluate(
@@ -107,7 +105,7 @@ class Tracks(ABC):
         *,
         sources: Any = None,
         receivers: Any = None,
-        transition: float | str = DEFAULT_TRANSITION,
+        transition: float = DEFAULT_TRANSITION,
     ) -> SampledTracks:
         """Return tracks from anybody's delays and gains.
 
@@ -121,7 +119,7 @@ class Tracks(ABC):
             Received over emitted pressure; NaN where, and only where, delays are.
         sources, receivers : array_like (P,) of int, optional
             Between which each path runs; all 0 when left out.
-        transition : float or "gate"
+        transition : float
             As in `render`.
 
         Returns
@@ -147,7 +145,7 @@ class Tracks(ABC):
         return _from_samples(times, delays, gains, sources, receivers, as_transition(transition))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SceneTracks(Tracks):
     """Tracks of a scene's paths: computed when asked for, exactly.
 
@@ -164,6 +162,11 @@ class SceneTracks(Tracks):
     transition: float
     source_count: int
     receiver_names: tuple[str, ...]
+
+    @property
+    def of_scene(self) -> SceneTracks:
+        """These tracks."""
+        return self
 
     @property
     def scene(self) -> Scene:
@@ -271,12 +274,25 @@ class SampledTracks(Tracks):
         return self.end
 
 
+def as_tracks(value: object) -> Tracks:
+    """Return tracks.
+
+    Raises
+    ------
+    InputError
+        If they are none.
+    """
+    if not isinstance(value, Tracks):
+        raise InputError("tracks", f"must be Tracks, but is {value!r:.80}")
+    return value
+
+
 def track(
     paths: PathSet,
     *,
     motion: str = "retarded",
     amplitude: str = "wave-equation",
-    transition: float | str = DEFAULT_TRANSITION,
+    transition: float = DEFAULT_TRANSITION,
 ) -> SceneTracks:
     """Return the tracks of a scene's paths.
 
@@ -288,7 +304,7 @@ def track(
         Whether the image is where it was when the sound was emitted, or where it is when it is received.
     amplitude : {"wave-equation", "static", "convective"}
         Exponent 1, 0 or 2 of ``1 / (1 - M)``.
-    transition : float or "gate"
+    transition : float
         As in `render`.
 
     Raises
@@ -309,7 +325,7 @@ def track(
         pair_paths.append(pair)
     # Speeds are sampled; 2 % covers what lies between the samples.
     source_speed, receiver_speed = (
-        np.array([1.02 * _peak_speed(end.trajectory, *scene.span(end)) for end in ends])
+        np.array([1.02 * _peak_speed(end.trajectory, *end.span) for end in ends])
         for ends in (scene.sources, scene.receivers)
     )
     return SceneTracks(

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import as_number
-from clsim.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,18 +18,14 @@ _LONGEST = 1.0  # s
 
 
 def as_transition(value: object) -> float:
-    """Return the length of the transition in s, 0 for ``"gate"``.
+    """Return the length of the transition, s; 0 for none.
 
     Raises
     ------
     InputError
-        If it is neither ``"gate"`` nor a number above 0 and at most 1 s.
+        If it is no number from 0 to 1 s.
     """
-    if isinstance(value, str):
-        if value != "gate":
-            raise InputError("transition", f'must be "gate" or a number of seconds, but is {value!r:.80}')
-        return 0.0
-    return as_number("transition", value, above=0.0, at_most=_LONGEST, unit="s")
+    return as_number("transition", value, at_least=0.0, at_most=_LONGEST, unit="s")
 
 
 def heard(times: Floats, start: Floats, end: Floats, transition: float) -> Floats:

@@ -12,9 +12,10 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
-from clsim.render.receiver_chain import ReceiverChain
 from clsim.render.render import render_chunks
+from clsim.render.rendering import Rendering
 from clsim.scene_file import referenced_files
+from clsim.version import __version__
 from clsim.workflow.console import progress
 
 if TYPE_CHECKING:
@@ -46,17 +47,17 @@ def render_sound(results: ResultFolder, plan: Plan, store: SoundStore, identity:
     names = [path.name for path in store.paths]
     if all(map(results.is_whole, names)):
         return []
-    receiver_chain, done = ReceiverChain(plan), 0
+    rendering, done = Rendering(plan), 0
     if results.journal.exists():
         _, done, state = results.journal.load()
-        receiver_chain.restore(state)
+        rendering.restore(state)
         lost = [path for path in store.paths if not (path.exists() or results.is_whole(path.name))]
         if lost:
             raise InputError("--resume", f"must find {lost[0]}, which is missing (--force begins anew)")
     else:
         store.create()
     if done < plan.samples:
-        _render(results, plan, store, identity, done, receiver_chain)
+        _render(results, plan, store, identity, done, rendering)
     return results.take(names)
 
 
@@ -66,19 +67,19 @@ def _render(
     store: SoundStore,
     identity: dict[str, Any],
     done: int,
-    receiver_chain: ReceiverChain,
+    rendering: Rendering,
 ) -> None:
     store.open()
     try:
         with progress("rendering", plan.path_count * plan.samples) as advance:
             advance(plan.path_count * done)
             noted = -math.inf
-            for start, samples in render_chunks(plan, first=done, receiver_chain=receiver_chain):
+            for start, samples in render_chunks(plan, first=done, rendering=rendering):
                 store.write(start, samples)
                 done = start + samples.shape[1]
                 if done == plan.samples or time.monotonic() - noted > _PERIOD:
                     store.to_disk()
-                    results.journal.save(identity, done, receiver_chain.state())
+                    results.journal.save(identity, done, rendering.state())
                     noted = time.monotonic()
                 advance(plan.path_count * samples.shape[1])
     finally:
@@ -101,29 +102,23 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
     """
     import scipy
 
-    import clsim
-
     device = "none"
-    if plan.engine == "opencl":
-        info, _ = find_device(plan.device)
+    if plan.options.engine == "opencl":
+        info, _ = find_device(plan.options.device)
         device = f"{info.name} ({info.platform}, {info.version})"
     content = file.model.model_dump(mode="json", exclude_none=True, warnings=False)
     content["render"] |= {
-        "engine": plan.engine, "duration": plan.duration, "samples": plan.samples, "chunk": plan.chunk,
+        "engine": plan.options.engine, "duration": plan.duration, "samples": plan.samples, "chunk": plan.chunk,
     }  # fmt: skip
     content["render"].pop("device", None)
-    designed = hashlib.sha256()  # linear algebra on another number of threads may round otherwise
-    for filters in plan.source_filters:
-        for array in (filters.basis.projection, filters.filters, *(bank.taps for bank in filters.banks)):
-            designed.update(np.ascontiguousarray(array).tobytes())
     return {
         "scene": content,
         "contents": {os.path.relpath(path, file.base): _digest(path) for path in referenced_files(file)},
         "device": device,
         "options": options,
-        "versions": {"clsim": clsim.__version__, "numpy": np.__version__, "scipy": scipy.__version__},
+        "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "paths": paths.digest(),
-        "filters": designed.hexdigest(),
+        "contributions": {contribution.name: contribution.digest() for contribution in plan.contributions},
     }
 
 

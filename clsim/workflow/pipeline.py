@@ -9,7 +9,7 @@ import numpy as np
 
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.find_paths import find_paths
-from clsim.render.plan import Plan, plan_render
+from clsim.render.planning import plan_render
 from clsim.scene_file import referenced_files
 from clsim.workflow.console import progress
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
+    from clsim.render.plan import Plan
     from clsim.scene_file import SceneFile
 
 
@@ -68,4 +69,4 @@ def shares(advance: Callable[[float], None]) -> Callable[[float], None]:
 
 def path_table(paths: PathSet, plan: Plan, times: Any) -> PathTable:
     """Return the table of paths at times of reception, s, delayed and weakened as the plan renders them."""
-    return paths.table(times, plan.tracks.motion, plan.tracks.amplitude)
+    return paths.table(times, plan.options.motion, plan.options.amplitude)

@@ -11,7 +11,8 @@ from clsim.opencl import device as device_module
 from clsim.paths.specular.family import SpecularPaths
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
-from clsim.render.plan import SEGMENT, Plan, plan_render
+from clsim.render.plan import SEGMENT, Plan
+from clsim.render.planning import plan_render
 
 pytestmark = pytest.mark.usefixtures("device")
 RATE = 192e3
@@ -40,7 +41,7 @@ def plan(world: clsim.Scene, order: int = 3, **options) -> Plan:
         clsim.find_paths(world, order),
         RATE,
         duration=options.pop("duration", 0.08),
-        response_error_db="centre",
+        responses="centre",
         **options,
     )
 
@@ -55,7 +56,7 @@ def difference_db(got: np.ndarray, wanted: np.ndarray) -> float:
 
 def reference(world: clsim.Scene, order: int = 3, **options) -> np.ndarray:
     paths = clsim.find_paths(world, order)
-    return clsim.render(paths, RATE, engine="reference", duration=0.08, response_error_db="centre", **options).pressure
+    return clsim.render(paths, RATE, engine="reference", duration=0.08, responses="centre", **options).pressure
 
 
 CASES = {

@@ -12,7 +12,7 @@ import clsim
 from clsim.opencl import device as device_module
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 from clsim.render.reference import ReferenceEngine
 
 pytestmark = pytest.mark.usefixtures("device")

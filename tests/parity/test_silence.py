@@ -11,7 +11,8 @@ from clsim.opencl import device as device_module
 from clsim.render.opencl import branch_signals as branches_module
 from clsim.render.opencl.activity import CELL, Activity, sounding
 from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
-from clsim.render.plan import SEGMENT, Plan, plan_render
+from clsim.render.plan import SEGMENT, Plan
+from clsim.render.planning import BUILDERS, plan_render
 
 pytestmark = pytest.mark.usefixtures("device")
 RATE = 192e3
@@ -52,16 +53,14 @@ def near_plan() -> Plan:
     source = clsim.Source("s", pulses(0.033, 6, 5e-3), line)
     ears = [clsim.Receiver("r", clsim.Trajectory.fixed((3.02, 2.512, 2.0)))]  # when the fourth pulse is in its middle
     scene = clsim.Scene(clsim.Shoebox((6, 5, 4), WALL), clsim.Air(), [source], ears)
-    return replace(plan_render(clsim.find_paths(scene, 2), RATE, duration=0.2), blocks=(24,))
+    return replace(plan_render(clsim.find_paths(scene, 2), RATE, duration=0.2), blocks=(24,), builders=BUILDERS)
 
 
 PLANS = {
     "a pulse every 0.1 s": lambda: box_plan(pulses(0.1, 5)),
     "one pulse": lambda: box_plan(pulses(1.0, 1)),
-    "as at the centre": lambda: box_plan(pulses(0.1, 5), response_error_db="centre"),
-    "short groups": lambda: box_plan(
-        pulses(0.1, 5), order=1, interpolator=clsim.Lagrange(7), response_error_db="centre"
-    ),
+    "as at the centre": lambda: box_plan(pulses(0.1, 5), responses="centre"),
+    "short groups": lambda: box_plan(pulses(0.1, 5), order=1, interpolator=clsim.Lagrange(7), responses="centre"),
     "paths that come and go": pillar_plan,
     "near and fast": near_plan,
 }
@@ -103,19 +102,19 @@ def test_memory_that_is_used_again_is_silent_again(monkeypatch: pytest.MonkeyPat
     assert not np.array_equal(in_chunks(plan, True), wanted)
 
 
-@pytest.mark.parametrize("response_error_db", [-80.0, "centre"])
-def test_functions_of_frequency_are_applied_where_it_sounds(response_error_db) -> None:
-    filters = box_plan(pulses(0.1, 5), response_error_db=response_error_db).source_filters[0]
+@pytest.mark.parametrize("responses", ["band", "centre"])
+def test_functions_of_frequency_are_applied_where_it_sounds(responses) -> None:
+    filters = box_plan(pulses(0.1, 5), response_error_db=-80.0, responses=responses).source_filters[0]
     first, last = -300, int(0.35 * RATE)
-    half, filters = filters.filter_half, filters.filters
+    half = filters.filter_half
     read = filters.signal.read(first - half, last + half)
-    wanted = np.stack([np.convolve(read, f, mode="valid") for f in filters])
+    wanted = np.stack([np.convolve(read, f, mode="valid") for f in filters.filters])
     found = filters.streams(first, last)
     np.testing.assert_allclose(found, wanted, atol=1e-13 * np.abs(wanted).max())
     reached = np.convolve(read != 0.0, np.ones(2 * half + 1), mode="valid") > 0.5
     assert 0.003 < np.mean(reached) < 0.05
     assert not found[:, ~reached].any()
-    places, values = filters.sounding(first, last)
+    places, values = filters.active(first, last)
     np.testing.assert_array_equal(places, np.flatnonzero(reached))
     np.testing.assert_array_equal(found[:, places], values)
 

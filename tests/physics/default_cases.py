@@ -10,11 +10,13 @@ import numpy as np
 from default_oracle import Circle, Line, Room, Sway
 
 import clsim
-from clsim.render.plan import Plan, plan_render
+from clsim.render.planning import plan_render
 from clsim.render.render import render_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from clsim.render.plan import Plan
 
 C = clsim.Air().speed_of_sound
 

@@ -262,10 +262,10 @@ def truth(
             gain = room.reflection**order / (distance * (1.0 - mach))
             found.append((heard, (times - delay)[heard], distance[heard], gain[heard]))
             if i + 1 == len(images) or sum(len(f[0]) for f in found) > block:
-                where, filters, away, gains = (np.concatenate([f[k] for f in found]) for k in range(4))
+                where, emission, away, gains = (np.concatenate([f[k] for f in found]) for k in range(4))
                 found = []
                 if len(where):
-                    part = gains * emitted.at(filters, away)
+                    part = gains * emitted.at(emission, away)
                     pressure += np.bincount(where, part, len(times))
                     power += np.bincount(where, part**2, len(times))
     return Truth(pressure, np.sqrt(power))

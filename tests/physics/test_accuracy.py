@@ -9,7 +9,8 @@ import pytest
 
 import clsim
 from clsim.render.opencl.engine import OpenclEngine
-from clsim.render.plan import SEGMENT, Plan, plan_render
+from clsim.render.plan import SEGMENT, Plan
+from clsim.render.planning import plan_render
 from clsim.render.reference import ReferenceEngine
 
 SIZE = np.array([6.0, 5.0, 4.0])
@@ -35,7 +36,7 @@ def moving_scene(rng: np.random.Generator, signal: clsim.Signal, speed: float = 
 
 def rendered(plan: Plan, first: int) -> tuple[np.ndarray, int]:
     """Return what a plan's engine gives and its first sample: all of it, or of the slow engine a window."""
-    if plan.engine == "reference":
+    if plan.options.engine == "reference":
         return ReferenceEngine(plan).render(first, min(first + WINDOW, plan.samples))[0], first
     return OpenclEngine(plan).render(0, plan.samples)[0], 0
 
@@ -58,14 +59,14 @@ def tone_and_formula(frequency: float, rate: float, fade: float, duration: float
     return signal, lambda t: np.where(t >= 0, np.sin(2 * np.pi * frequency * t) * oracle.rise(t, fade), 0.0)
 
 
-# Delays and tracks are what is tested here, so everything is taken at one frequency (response_error_db="centre").
+# Delays and tracks are what is tested here, so everything is taken at one frequency (responses="centre").
 # Of the -85 dB, -90 is the filter's bound; tracks stay within -96, and 63 paths in float32 within -110 (measured).
 @pytest.mark.parametrize(("rate", "duration"), [(48e3, 0.4), (192e3, 0.2), (500e3, 0.1)])
 @pytest.mark.parametrize("share", [0.1, 0.42, 0.8])
 def test_tones(engine: str, rng, rate: float, duration: float, share: float) -> None:
     signal, formula = tone_and_formula(share * rate / 2, rate, 0.01, 2 * duration)
     scene, source, receiver = moving_scene(rng, signal)
-    plan = plan_render(clsim.find_paths(scene, 3), rate, response_error_db="centre", engine=engine, duration=duration)
+    plan = plan_render(clsim.find_paths(scene, 3), rate, responses="centre", engine=engine, duration=duration)
     made = rendered(plan, int(0.7 * plan.samples))
     assert error_db(plan, formula, source, receiver, 3, *made, rng) < -85.0
 
@@ -80,7 +81,7 @@ def test_chirps(engine: str, rng, rate: float, duration: float) -> None:
         return np.sin(phase) * oracle.rise(t, fade) * oracle.rise(length - t, fade)
 
     scene, source, receiver = moving_scene(rng, signal)
-    plan = plan_render(clsim.find_paths(scene, 3), rate, response_error_db="centre", engine=engine, duration=duration)
+    plan = plan_render(clsim.find_paths(scene, 3), rate, responses="centre", engine=engine, duration=duration)
     made = rendered(plan, int(0.9 * plan.samples))
     assert error_db(plan, formula, source, receiver, 3, *made, rng) < -85.0
 
@@ -90,9 +91,7 @@ def test_ten_minutes_later(engine: str, rng, begin: float) -> None:
     rate = 192e3
     signal, formula = tone_and_formula(0.8 * rate / 2, rate, 0.01, begin + 1.0)
     scene, source, receiver = moving_scene(rng, signal)
-    plan = plan_render(
-        clsim.find_paths(scene, 3), rate, response_error_db="centre", engine=engine, duration=begin + 0.5
-    )
+    plan = plan_render(clsim.find_paths(scene, 3), rate, responses="centre", engine=engine, duration=begin + 0.5)
     start = int(begin * rate) // SEGMENT * SEGMENT
     kind, length = (OpenclEngine, SEGMENT) if engine == "opencl" else (ReferenceEngine, WINDOW)
     made = kind(plan).render(start, start + length)[0]
@@ -105,7 +104,7 @@ def test_lagrange_reaches_its_own_error(engine: str, rng) -> None:
     scene, source, receiver = moving_scene(rng, signal)
     paths = clsim.find_paths(scene, 3)
     plan = plan_render(
-        paths, rate, response_error_db="centre", engine=engine, duration=0.15, interpolator=clsim.Lagrange(order)
+        paths, rate, responses="centre", engine=engine, duration=0.15, interpolator=clsim.Lagrange(order)
     )
     made = rendered(plan, int(0.1 * rate))
     # The interpolating polynomial through 13 samples of exp(-j w t), solved for as a linear system.
@@ -126,7 +125,7 @@ def test_fly_by(engine: str, rng) -> None:
     line = clsim.Trajectory.line((2, 2.5, 2), (4, 2.5, 2), 0.2)  # 10 m/s
     fixed = clsim.Trajectory.fixed((3.0, 2.6, 2.0))  # 0.1 m beside it, passed at 0.1 s
     scene = scene_of(signal, line, fixed)
-    plan = plan_render(clsim.find_paths(scene, 1), rate, response_error_db="centre", engine=engine, duration=0.12)
+    plan = plan_render(clsim.find_paths(scene, 1), rate, responses="centre", engine=engine, duration=0.12)
     whole, start = rendered(plan, int(0.1 * rate) - WINDOW // 2)
     close = slice(int(0.09 * rate) - start, int(0.11 * rate) - start) if engine == "opencl" else slice(None)
     assert error_db(plan, formula, line, fixed, 1, whole[close], start + (close.start or 0), rng) < -80.0
@@ -139,7 +138,7 @@ def test_silent_before_the_first_arrival(engine: str, start: float) -> None:
     line = clsim.Trajectory.line((1, 2, 2), (1.5, 2, 2), 0.07)
     scene = scene_of(clsim.Signal.tone(40e3, 0.05, rate), line, clsim.Trajectory.fixed((5, 2, 2)), start=start)
     paths = clsim.find_paths(scene, 2)
-    reach = plan_render(paths, rate, engine=engine).source_filters[0].reach
+    reach = plan_render(paths, rate, engine=engine).source_filters[0].half_length
     pressure = clsim.render(paths, rate, engine=engine, duration=0.03).pressure[0]
     arrival = int((start + (4.0 - start * 0.5 / 0.07) / AIR.speed_of_sound) * rate)
     assert reach < 200

@@ -8,7 +8,7 @@ import pytest
 from made_responses import Lopsided, OffCentre
 
 import clsim
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -62,18 +62,18 @@ def test_equals_a_sum_over_the_spectrum(complex_walls: bool) -> None:
 
 
 @pytest.mark.parametrize("beams", [(clsim.Piston(0.0047), clsim.FirstOrder(0.5)), (OffCentre(2e-3), Lopsided())])
-@pytest.mark.parametrize("response_error_db", [-90.0, "centre"])
-def test_equals_rendering_path_by_path(beams, response_error_db) -> None:
+@pytest.mark.parametrize("responses", ["band", "centre"])
+def test_equals_rendering_path_by_path(beams, responses) -> None:
     """Beams, real and complex; as exact as what is compared with: -90 dB over the band, or the delay filters'."""
     source = clsim.Trajectory.fixed(A)
     scene = scene_of(source, [at(B, directivity=beams[1], aim=(-1, 0.2, 0.1))], directivity=beams[0], aim=(1, 0.3, 0.2))
     paths = clsim.find_paths(scene, 3)
-    options = {"duration": 0.06, "response_error_db": response_error_db, "interpolator": clsim.Bandlimited(-120.0)}
+    options = {"duration": 0.06, "responses": responses, "interpolator": clsim.Bandlimited(-120.0)}
     convolved, by_path = (
         clsim.render(paths, RATE, convolve_static=choice, **options).pressure for choice in (True, False)
     )
     assert not np.array_equal(convolved, by_path)  # two ways indeed
-    allowed = -88.0 if response_error_db != "centre" else -98.0 if beams[0].is_complex else -110.0
+    allowed = -88.0 if responses == "band" else -98.0 if beams[0].is_complex else -110.0
     assert frozen_sums.error_db(convolved, by_path) < allowed
 
 
@@ -85,7 +85,7 @@ def test_some_receivers_move_and_one_has_a_clock() -> None:
     drifting = clsim.Receiver("drifting", clsim.Trajectory.fixed(B), electronics=clsim.Electronics(clock_ppm=30.0))
     scene = scene_of(clsim.Trajectory.fixed(A), [*receivers, drifting])
     paths = clsim.find_paths(scene, 2)
-    options = {"duration": 0.1, "interpolator": clsim.Bandlimited(-110.0), "response_error_db": "centre"}
+    options = {"duration": 0.1, "interpolator": clsim.Bandlimited(-110.0), "responses": "centre"}
     plan = plan_render(paths, RATE, **options)
     resting = {plan.tracks.groups[i].receiver for i in plan.static_pairs.groups}
     assert resting == {0, 2}
@@ -133,7 +133,7 @@ def test_what_is_at_rest() -> None:
         {"convolve_static": False}, {"engine": "reference"}, {"interpolator": clsim.Lagrange(12)},
     ):  # fmt: skip
         assert not plan_render(paths, RATE, **options).static_pairs.groups
-    with pytest.raises(clsim.InputError, match=r"^convolve_static: must be true or false, but is 'no'"):
+    with pytest.raises(clsim.InputError, match=r"^convolve_static: must be True or False, but is 'no'"):
         plan_render(paths, RATE, convolve_static="no")
 
 

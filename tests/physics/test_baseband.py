@@ -10,7 +10,7 @@ import clsim
 
 RATE, C, CARRIER = 192e3, 343.0, 40e3
 AIR = clsim.Air(speed_of_sound=C)
-STEADY = {"response_error_db": "centre", "amplitude": "static"}
+STEADY = {"responses": "centre", "amplitude": "static"}
 
 
 def mixed_down(sound: np.ndarray, every: int, half: float) -> np.ndarray:

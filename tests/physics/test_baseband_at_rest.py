@@ -6,7 +6,7 @@ import pytest
 from made_responses import POROUS, ROUGH
 
 import clsim
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -54,14 +54,12 @@ def test_equals_a_sum_over_the_spectrum() -> None:
 
 
 @pytest.mark.parametrize("phased", [False, True])
-@pytest.mark.parametrize("error_db", [-90.0, "centre"])
-def test_same_as_path_by_path(phased: bool, error_db: float | str) -> None:
+@pytest.mark.parametrize("responses", ["band", "centre"])
+def test_same_as_path_by_path(phased: bool, responses: str) -> None:
     one = scene(phased=phased, electronics=CLOCK)
     paths = clsim.find_paths(one, 3)
     convolved, summed = (
-        clsim.render(
-            paths, RATE, baseband=BAND, duration=0.2, response_error_db=error_db, convolve_static=convolve
-        ).samples
+        clsim.render(paths, RATE, baseband=BAND, duration=0.2, responses=responses, convolve_static=convolve).samples
         for convolve in (True, False)
     )
     assert np.array_equal(convolved[2], summed[2])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 
 RATE, C = 192e3, 343.0
 AIR = clsim.Air(speed_of_sound=C, relative_humidity=0.4)
@@ -52,7 +52,7 @@ def test_a_chirp_over_ten_metres(engine: str) -> None:
     )
     assert np.linalg.norm(got - wanted) < 10 ** (-75 / 20) * np.linalg.norm(wanted)
     # The air alone tilts the spectrum: at one frequency for all the error would be gross.
-    flat = clsim.render(clsim.find_paths(scene, 0), RATE, engine=engine, duration=0.08, response_error_db="centre")
+    flat = clsim.render(clsim.find_paths(scene, 0), RATE, engine=engine, duration=0.08, responses="centre")
     assert np.linalg.norm(flat.pressure[0][len(made) // 2 :] - made[len(made) // 2 :]) > 0.1 * np.linalg.norm(
         made[len(made) // 2 :]
     )

@@ -192,9 +192,7 @@ def test_company_changes_nothing(engine: str, rng) -> None:
         scene = clsim.Scene(box, AIR, some, listening)
         duration = 0.05 if engine == "opencl" else 0.025
         paths = clsim.find_paths(scene, 1)
-        made = clsim.render(
-            paths, RATE, engine=engine, duration=duration, response_error_db="centre", convolve_static=False
-        )
+        made = clsim.render(paths, RATE, engine=engine, duration=duration, responses="centre", convolve_static=False)
         tones_alone = all(isinstance(source.signal.waveform, Tone) for source in some)
         return checked(made, list(range(len(listening))) if tones_alone else [])
 

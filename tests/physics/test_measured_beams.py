@@ -58,7 +58,7 @@ def by_hand(scene: clsim.Scene, paths: clsim.PathSet, times: np.ndarray, rate: f
         )
         response = response * scene.sources[0].directivity.gain(table.departure[p, :, :1], f, C)
         for wall in walls[walls >= 0]:
-            response *= scene.room.wall_materials[wall].reflection_at(f)
+            response *= scene.room.faces.materials[wall].reflection_at(f)
         out += 2.0 / count * np.real((np.exp(2j * np.pi * f * late[p, :, None]) * response) @ spectrum)
     return out
 
@@ -93,7 +93,7 @@ def test_one_frequency_of_a_complex_beam_tells_what_it_cannot_turn(monkeypatch: 
     monkeypatch.setattr("clsim.numerics.band_filters.LONGEST", 513)
     scene = world(noise(), loudspeaker(), OCTAVES)
     with pytest.warns(clsim.ClsimWarning, match=r"source 0: .* within -\d\d dB from .* phase at \d+ Hz, .*fade the"):
-        plan = clsim.plan_render(clsim.find_paths(scene, 0), 16e3, response_error_db="centre")
+        plan = clsim.plan_render(clsim.find_paths(scene, 0), 16e3, responses="centre")
     assert len(plan.source_filters[0].basis) == 2
 
 

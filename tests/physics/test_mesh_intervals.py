@@ -1,19 +1,18 @@
 """When paths of moving ends are heard, against a brute force that looks at every sample."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 from made_meshes import box, joined, l_room, pillar_room, screen
 from mesh_oracle import Oracle
+from scenes import DATA
 
 import clsim
 from clsim.paths.specular import mesh as mesh_paths
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.scene.room.mesh_files import read_mesh
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 WALL = clsim.Material.from_reflection(0.9)
 C = 343.0
 AIR = clsim.Air(speed_of_sound=C)

@@ -1,18 +1,17 @@
 """Paths in meshes against closed forms and against a brute force that shares no code with them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from made_meshes import box, cut_box, hall, joined, l_room, pillar_room, screen
 from mesh_oracle import Oracle
+from scenes import DATA
 
 import clsim
 from clsim.numerics.quaternions import rotate
 from clsim.paths.path_set import PathSet
 from clsim.scene.room.mesh_files import read_mesh
 
-MESHES = Path(__file__).parents[2] / ".." / "shared" / "data" / "meshes"
+MESHES = DATA / "meshes"
 WALL = clsim.Material.from_reflection(0.9)
 TONE = clsim.Signal.tone(40e3, 0.05, 192e3, fade=0.01)
 
@@ -240,7 +239,7 @@ def test_a_shoebox_as_a_mesh_sounds_like_the_shoebox(per_face: int, engine: str)
     for room in (clsim.MeshRoom(*cut_box((8, 6, 3), per_face), WALL), clsim.Shoebox((8, 6, 3), WALL)):
         scene = scene_of(room, source, (6.1, 3.3, 1.9), signal=signal)
         paths = clsim.find_paths(scene, order, engine=engine)
-        made = clsim.render(paths, 192e3, duration=0.12, engine=engine, interpolator=exact, response_error_db="centre")
+        made = clsim.render(paths, 192e3, duration=0.12, engine=engine, interpolator=exact, responses="centre")
         sounds.append(made.pressure[0].astype(float))
     mesh, closed = sounds
     assert np.linalg.norm(mesh - closed) < 10 ** (-110 / 20) * np.linalg.norm(closed)

@@ -115,7 +115,7 @@ def test_static_room_is_a_convolution(engine: str) -> None:
     )  # fmt: skip
     paths = clsim.find_paths(scene, 2)
     pressure = clsim.render(
-        paths, RATE, engine=engine, duration=0.08, response_error_db="centre", convolve_static=False
+        paths, RATE, engine=engine, duration=0.08, responses="centre", convolve_static=False
     ).pressure[0]
     table = paths.table([0.0])
     count = 2**15
@@ -147,7 +147,7 @@ def test_tracks_from_samples_equal_the_scene(engine: str) -> None:
         ROOM, AIR, [clsim.Source("s", signal, line)], [clsim.Receiver("r", clsim.Trajectory.fixed((9, 4, 3)))]
     )
     paths = clsim.find_paths(scene, 1)
-    whole = checked(clsim.render(paths, RATE, engine=engine, duration=0.1, response_error_db="centre"))[0]
+    whole = checked(clsim.render(paths, RATE, engine=engine, duration=0.1, responses="centre"))[0]
     times = np.linspace(0.0, 0.1, 201)
     table = paths.table(times)
     tracks = clsim.Tracks.from_samples(times, table.delay, table.gain)

@@ -6,7 +6,7 @@ from made_responses import POROUS, ROUGH, Lopsided, OffCentre, porous_factor, ro
 
 import clsim
 from clsim.numerics.band_filters import band_filters
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 
 RATE, C = 192e3, 343.0
 AIR = clsim.Air(speed_of_sound=C, relative_humidity=0.4)
@@ -91,7 +91,7 @@ def by_hand(world: clsim.Scene, paths, times: np.ndarray) -> np.ndarray:
         for bounce in paths.walls.T:
             for p in np.flatnonzero(bounce >= 0):  # unfolded, a ray meets all walls across an axis at one angle
                 cosine = np.abs(table.departure[p, :, bounce[p] // 2])
-                response[p] *= sent_back(world.room.wall_materials[bounce[p]], f, cosine)
+                response[p] *= sent_back(world.room.faces.materials[bounce[p]], f, cosine)
         sounding = (late > -1e-3) & (late < signal.duration + 1e-3)
         out += 2.0 / count * np.real(spectrum[k] * (np.exp(2j * np.pi * f * late) * response * sounding).sum(axis=0))
     return out
@@ -146,7 +146,7 @@ def test_one_frequency_for_all_keeps_the_phase(engine: str) -> None:
         RATE,
         engine=engine,
         duration=0.04,
-        response_error_db="centre",
+        responses="centre",
         convolve_static=False,
     ).pressure[0]
     gain = OffCentre(2e-3).gain(1.0, 40e3, C) * 10 ** (-AIR.absorption_at(40e3) * 2.0 / 20) / 3.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.render.plan import plan_render
+from clsim.render.planning import plan_render
 from clsim.tracks.pruning import _bounds
 from clsim.tracks.tracks import track
 
@@ -38,7 +38,7 @@ def test_what_is_lost_is_less_than_said(engine: str) -> None:
     world = scene()
     paths = clsim.find_paths(world, 5)
     whole, part = (
-        clsim.render(paths, RATE, engine=engine, duration=0.1, response_error_db="centre", prune_below_db=level)
+        clsim.render(paths, RATE, engine=engine, duration=0.1, responses="centre", prune_below_db=level)
         for level in (None, -60.0)
     )
     said = next(note for note in part.notes if "left out" in note)

@@ -135,7 +135,7 @@ def test_what_float32_does_not_hold_is_refused_when_it_arises(engine: str, reque
     with pytest.raises(
         InputError, match=r"^receivers\[0\]: must hear what float32 holds, but sample \d+ is -?(inf|nan)"
     ):
-        clsim.render(paths, 192e3, engine=engine, response_error_db="centre", duration=0.01)
+        clsim.render(paths, 192e3, engine=engine, responses="centre", duration=0.01)
 
 
 def test_paths_that_walls_of_reflection_0_silence_are_left_out() -> None:

@@ -13,7 +13,7 @@ import clsim
 
 PACKAGE = Path(clsim.__file__).parent
 LAYERS = [
-    ("errors", "arrays"),
+    ("errors", "arrays", "version"),
     ("files", "numerics"),
     ("acoustics",),
     ("scene",),

@@ -113,9 +113,8 @@ class SpecularPaths(PathFamily):
         now, walls = np.array([time]), self.objects[rows]
         delay = 0.0 if motion == "quasi-static" else self.arrivals(rows, now, motion).delay[:, 0]
         emitted_at = source.position(np.full(len(walls), time) - delay)
-        return path_vertices(
-            self.scene.room.planes, walls, emitted_at, np.broadcast_to(receiver.position(now), emitted_at.shape)
-        )
+        faces, heard_at = self.scene.room.faces, np.broadcast_to(receiver.position(now), emitted_at.shape)
+        return path_vertices((faces.normals, faces.offsets), walls, emitted_at, heard_at)
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return distances (P,) from the images of places (P, 3) to others, m."""

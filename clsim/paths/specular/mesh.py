@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import Intervals
     from clsim.paths.trajectory_tables import TrajectoryTables
+    from clsim.scene.ends import Source
     from clsim.scene.motion.motion import Motion
     from clsim.scene.room.mesh import MeshRoom
     from clsim.scene.room.walls import Walls
-    from clsim.scene.scene import Scene, Source
+    from clsim.scene.scene import Scene
 
     Progress = Callable[[float], None]
     Search = Callable[[NDArray[np.int32], NDArray[np.int64]], Intervals]

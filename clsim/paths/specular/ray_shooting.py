@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.trajectory_tables import BoundingSpheres
-    from clsim.scene.flush import Mount
     from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.faces import Mount
     from clsim.scene.room.mesh import MeshRoom
 
 RAYS = 1_000_000  # from all positions of a source together, and at least the next number from each

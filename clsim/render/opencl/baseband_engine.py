@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.device import work
-from clsim.render.baseband import WIDEST_GROUP
+from clsim.render.baseband import WIDEST_SUBBLOCK
 from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.opencl.fades import find_fades
@@ -81,7 +81,7 @@ class _BasebandRun(Run):
         engine, begin = self._engine, segment * self._plan.segment
         self._render_fades(nodes, segment, end, block, first_block)
         lanes = engine._layout.lanes
-        vectors = min(block, WIDEST_GROUP) // lanes if lanes > 1 else 1
+        vectors = min(block, WIDEST_SUBBLOCK) // lanes if lanes > 1 else 1
         spans = (end - begin) // (vectors * lanes)
         size = work(spans, len(self._slots.groups), group=1 if lanes > 1 else math.gcd(spans, 32))
         launch = self._launch(nodes, begin, block, first_block)
@@ -119,7 +119,7 @@ class _BasebandRun(Run):
             "LANES": self._engine._layout.lanes,
             "DELAY_TERMS": self._plan.delay_terms,
             "FUNCTIONS": self._functions,
-            "GROUP": filters.bank.group,
+            "GROUP": filters.bank.subblock,
         }
         turn = round(filters.mixer.turn * 2**64) % 2**64
         return _Launch(

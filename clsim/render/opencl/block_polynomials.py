@@ -37,7 +37,7 @@ def block_polynomials(
         Samples in a block.
     sampling_rate : float
         Hz.
-    late : float
+    delay_samples : float
         Added to the delay, samples of the branch signals.
     oversampling : int
         Samples of the branch signals, in which delays are told, in one of the block.

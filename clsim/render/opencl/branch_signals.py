@@ -109,7 +109,7 @@ class BranchSignals:
         width = -(-needed // step) * step
         first = times * start - most
         before, after = (max(side(bank) for bank in filters.banks) for side in (_taps_before, _taps_after))
-        places, values = filters.sounding(first - before, first + width + after)
+        places, values = filters.active(first - before, first + width + after)
         if not len(places):
             return None
         found = sounding(places, width, before, after)

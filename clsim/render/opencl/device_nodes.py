@@ -28,8 +28,10 @@ if TYPE_CHECKING:
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
-    from clsim.scene.scene import Receiver, Scene
+    from clsim.scene.ends import Receiver
+    from clsim.scene.scene import Scene
     from clsim.tracks.basis import Basis
+    from clsim.tracks.tracks import SceneTracks
 
     Walls = NDArray[np.signedinteger[Any]]
 
@@ -65,12 +67,14 @@ class _Chunk:
 class DeviceTracks:
     """Makes block polynomials with ``tracks.cl``."""
 
-    def __init__(self, plan: Plan, family: Any, queue: Any, compiler: Compiler, together: int) -> None:
-        self._plan, self._tracks, self._queue, self._compiler = plan, plan.tracks, queue, compiler
+    def __init__(
+        self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
+    ) -> None:
+        self._plan, self._tracks, self._queue, self._compiler = plan, tracks, queue, compiler
         self._family: SpecularPaths = family
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
-        scene, tracks = family.scene, plan.tracks
+        scene = tracks.scene
         self._knot_rates = []
         for source, filters in zip(scene.sources, plan.source_filters, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
@@ -108,7 +112,7 @@ class DeviceTracks:
 
         Where `sounding` is given, what is silent is left out; `first` is the sample at which branch signals begin.
         """
-        plan, scene = self._plan, self._family.scene
+        plan, scene = self._plan, self._tracks.scene
         around, pairs = self._surroundings[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[slots.path[slots.of_group(i)]] for i, g in enumerate(slots.groups)])
         walls = self._family.walls[rows]
@@ -151,7 +155,7 @@ class DeviceTracks:
             self._queue, *work(slots.count, ends), *images[:3],
             self._upload(self._receivers_at(slots, times)), np.int32(ends), *motion,
             np.float64(start / rate), np.float64(segment / rate),
-            np.float64(self._family.scene.air.speed_of_sound), out,
+            np.float64(self._tracks.scene.air.speed_of_sound), out,
         )  # fmt: skip
         return out
 
@@ -161,7 +165,7 @@ class DeviceTracks:
         """Make the polynomials of `blocks` blocks from a sample on; something else can be done meanwhile."""
         import pyopencl as cl
 
-        plan, scene, slots = self._plan, self._family.scene, chunk.slots
+        plan, scene, slots = self._plan, self._tracks.scene, chunk.slots
         filters = plan.source_filters[chunk.source]
         rate, c = plan.sampling_rate, scene.air.speed_of_sound
         walks = -(-blocks * block // plan.segment)
@@ -221,7 +225,7 @@ class DeviceTracks:
         return self._motion_constants(source) | {
             "BLOCK": block,
             "TOGETHER": self._together,
-            "GROUP": self._plan.group(source, block),
+            "GROUP": self._plan.subblock(source, block),
             "FINE": int(self._plan.is_fine(block)),
             "OVERSAMPLING": self._plan.source_filters[source].oversampling,
             "CELL": CELL,
@@ -246,7 +250,7 @@ class DeviceTracks:
         times = times[:1] if self._still else times
         out = np.empty((len(slots.groups), len(times), 14))
         for i, r in enumerate(slots.receiver):
-            out[i] = self._at_rest[r] if r in self._at_rest else _receiver_at(self._family.scene.receivers[r], times)
+            out[i] = self._at_rest[r] if r in self._at_rest else _receiver_at(self._tracks.scene.receivers[r], times)
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:
@@ -287,7 +291,7 @@ class _Surroundings:
         tables = [beam_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
         bands = len(tables[0]) // min(self.count, 8)
         self.beam_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
-        materials, angular = scene.room.wall_materials, self._responses.angular
+        materials, angular = scene.room.faces.materials, self._responses.angular
         different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
         kind = {key: i for i, key in enumerate(different)}
         self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)

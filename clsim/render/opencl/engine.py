@@ -35,26 +35,26 @@ _TOGETHER = 8  # functions of frequency that are summed at a time
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How the sum of paths is spread over a device: a group of samples over lanes of vectors, or over work-items."""
+    """How the sum of paths is spread over a device: a subblock of samples over lanes of vectors, or over work-items."""
 
     lanes: int
-    span: int  # groups to a work-item, or group of them
+    span: int  # subblocks to a work-item, or to a group of them
     sparse_span: int  # the same where signals pause
     nodes: int  # of a path, whose delays are solved side by side
 
-    def constants(self, group: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
-        """Return the compile-time constants of the render kernel for a group length."""
-        workers = 1 if self.lanes > 1 else group
+    def constants(self, subblock: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
+        """Return the compile-time constants of the render kernel for a subblock's length."""
+        workers = 1 if self.lanes > 1 else subblock
         return {
             "LANES": self.lanes,
-            "VECTORS": group // (workers * self.lanes),
+            "VECTORS": subblock // (workers * self.lanes),
             "WORKERS": workers,
             "SPARSE": int(sparse),
             "FINE": int(fine),
             "OVERSAMPLING": oversampling,
             **({} if sparse else {"BATCH": BATCH}),
             "TILE": _TILE,
-            "SPAN": (self.sparse_span if sparse else self.span) * (32 // group),
+            "SPAN": (self.sparse_span if sparse else self.span) * (32 // subblock),
         }
 
 
@@ -84,7 +84,7 @@ class OpenclEngine:
         import pyopencl as cl
 
         self._plan = plan
-        self._info, device = find_device(plan.device)
+        self._info, device = find_device(plan.options.device)
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
         self._context, self._compiler = opened(device)
         self._queue = cl.CommandQueue(self._context)
@@ -136,13 +136,14 @@ class OpenclEngine:
 
     def maker(self, group: int) -> NodeMaker:
         """Return what makes the nodes of a group: the device, where it has float64 and a program for such paths."""
-        family = self._plan.tracks.family(group)
-        program = NODE_PROGRAMS.get(family.device or "") if family is not None and self._info.fp64 else None
+        plan, of_scene = self._plan, self._plan.tracks.of_scene
+        family = None if of_scene is None or not self._info.fp64 else of_scene.pair_paths[group].family
+        program = None if family is None else NODE_PROGRAMS.get(family.device or "")
         kind = None if program is None else family
         if kind not in self._makers:
             self._makers[kind] = (
-                HostTracks(self._plan, self._queue) if program is None or family is None
-                else program(self._plan, family, self._queue, self._compiler, self._layout.nodes)
+                HostTracks(plan, self._queue) if program is None or of_scene is None
+                else program(plan, of_scene, family, self._queue, self._compiler, self._layout.nodes)
             )  # fmt: skip
         return self._makers[kind]
 
@@ -263,14 +264,14 @@ class Run:
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, filters = self._engine, self._plan.source_filters[self._source]
         self._render_fades(nodes, segment, end, block, first_block)
-        group, fine = self._plan.group(self._source, block), self._plan.is_fine(block)
+        subblock, fine = self._plan.subblock(self._source, block), self._plan.is_fine(block)
         constants = engine._layout.constants(
-            group, sparse=nodes.spans is not None, fine=fine, oversampling=filters.oversampling
+            subblock, sparse=nodes.spans is not None, fine=fine, oversampling=filters.oversampling
         )
         spans = nodes.delay if nodes.spans is None else nodes.spans
         begin = segment * self._plan.segment
-        groups = (end - begin) // group
-        size = (-(-groups // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
+        subblocks = (end - begin) // subblock
+        size = (-(-subblocks // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
         counts = [len(bank.taps) for bank in filters.banks]
         together = _TOGETHER if nodes.spans is not None else 1
         for k in range(0, len(counts), together):
@@ -282,8 +283,8 @@ class Run:
                 engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
                 np.int32(filters.rows[k]), np.int32(self._functions), np.int32(k),
                 np.int32(self._lead(begin)), nodes.delay, nodes.cubics, self._first_slot,
-                np.int32(self._slots.count), np.int32(block // group), np.int32(first_block),
-                np.int32(groups), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
+                np.int32(self._slots.count), np.int32(block // subblock), np.int32(first_block),
+                np.int32(subblocks), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
             )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:

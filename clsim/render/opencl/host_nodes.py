@@ -81,7 +81,7 @@ class HostTracks:
                 delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, plan.delay_terms
             )
             sized = gain * filters.basis.strengths[:, None, None]
-            part = 0.0 if plan.is_fine(block) else plan.group(source, block) / block
+            part = 0.0 if plan.is_fine(block) else plan.subblock(source, block) / block
             swiftness = 2.0 * math.pi * filters.swiftness
             wrong = block_error(delay, change, sized, swiftness, block / rate, part, plan.delay_terms)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)

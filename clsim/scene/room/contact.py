@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.scene.room.faces import NEAREST
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.scene.room.walls import Walls
 
-NEAREST = 1e-6  # m; what is nearer to a wall is on it
 _STRETCH = 64  # positions looked at together
 
 

@@ -6,16 +6,18 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.material.material import Material
+from clsim.scene.room.contact import first_contact, first_off, walls_at
+from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
-from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, mesh_shape
-from clsim.scene.room.shoebox import WALLS, Shoebox
+from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, mesh_shape
+from clsim.scene.room.report import describe_mesh
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls
 
 if TYPE_CHECKING:
@@ -28,6 +30,13 @@ Materials = Material | Mapping[str, Material] | Sequence[Material]
 # Directions that no wall is likely to lie along; where one of them meets an edge, the two others outvote it.
 _RAYS = np.array([[0.3607, 0.4783, 0.8007], [-0.7321, 0.5519, -0.3991], [0.5297, -0.8081, 0.2577]])
 _BENT = 10.0  # m, beyond which nothing is flat
+_CLEAR = 2.0  # steps off a wall at which an end in it is clear of this wall, and of no other
+_PAIRS = 500_000  # of positions and walls at a time
+
+
+@runtime_checkable
+class _Part(Protocol):
+    def as_mesh(self) -> MeshRoom: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +64,10 @@ class MeshRoom:
     ----------
     walls : Walls
         The triangles merged into flat walls.
-    wall_names : tuple of str
-        A name for each wall.
+    faces : Faces
+        Planes, names and materials of the walls.
+    shape : MeshShape
+        How the triangles hang together.
     notes : tuple of str
         What was repaired.
 
@@ -81,9 +92,8 @@ class MeshRoom:
     notes: tuple[str, ...] = ()
     scale: float | None = None
     walls: Walls = field(init=False)
-    wall_names: tuple[str, ...] = field(init=False)
+    faces: Faces = field(init=False)
     shape: MeshShape = field(init=False)
-    wall_materials: tuple[Material, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         vertices = as_floats("vertices", self.vertices, (None, 3), within=FARTHEST, unit="m")
@@ -98,6 +108,7 @@ class MeshRoom:
         kinds = {id(m): i for i, m in enumerate({id(m): m for m in kept}.values())}
         walls = build_walls(clean.vertices, clean.triangles, np.array([kinds[id(m)] for m in kept]), flatness)
         first = np.unique(walls.of_triangle, return_index=True)[1]
+        names = _wall_names([labels[clean.kept[i]] for i in first])
         values: dict[str, Any] = {
             "vertices": read_only(clean.vertices),
             "triangles": read_only(clean.triangles),
@@ -106,9 +117,8 @@ class MeshRoom:
             "labels": tuple(labels[i] for i in clean.kept),
             "notes": (*self.notes, *clean.notes),
             "walls": walls,
-            "wall_names": _wall_names([labels[clean.kept[i]] for i in first]),
+            "faces": Faces(walls.normal, walls.offset, names, tuple(kept[i] for i in first)),
             "shape": mesh_shape(clean.vertices, clean.triangles),
-            "wall_materials": tuple(kept[i] for i in first),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -192,12 +202,12 @@ class MeshRoom:
         return MeshRoom(vertices, triangles, [of_label[label] for label in labels], labels=labels)
 
     @staticmethod
-    def joined(parts: Sequence[MeshRoom | Shoebox]) -> MeshRoom:
+    def joined(parts: Sequence[_Part]) -> MeshRoom:
         """Return one room made of several: a room and what stands in it.
 
         Parameters
         ----------
-        parts : sequence of MeshRoom or Shoebox
+        parts : sequence of Room
             Room, furniture, screens.
 
         Raises
@@ -207,6 +217,7 @@ class MeshRoom:
 
         Examples
         --------
+        >>> from clsim import Shoebox
         >>> wall = Material.from_reflection(0.9)
         >>> corners = [(2, 2, 0), (4, 2, 0), (4, 2, 1), (2, 2, 1)]
         >>> screen = MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], wall)
@@ -215,24 +226,21 @@ class MeshRoom:
         """
         if not parts:
             raise InputError("parts", "must hold at least one room, but is empty")
-        vertices, triangles, labels, notes = [], [], [], []
-        materials: list[Material] = []
-        flatness, count = 0.0, 0
-        scales = {part.scale for part in parts if isinstance(part, MeshRoom) and part.scale is not None}
+        meshes = []
         for i, part in enumerate(parts):
-            if isinstance(part, Shoebox):
-                part = _as_mesh(part)
-            if not isinstance(part, MeshRoom):
-                raise InputError(f"parts[{i}]", f"must be a MeshRoom or Shoebox, but is {part!r:.80}")
-            vertices.append(part.vertices)
-            triangles.append(part.triangles + count)
-            materials += part.materials  # type: ignore[arg-type]
-            labels += list(part.labels or ())
-            notes += list(part.notes)
-            flatness, count = max(flatness, part.flatness), count + len(part.vertices)
-        scale = scales.pop() if len(scales) == 1 else None
+            if isinstance(part, type) or not isinstance(part, _Part):
+                raise InputError(f"parts[{i}]", f"must be a room, but is {part!r:.80}")
+            meshes.append(part.as_mesh())
+        first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+        scales = {mesh.scale for mesh in meshes if mesh.scale is not None}
         return MeshRoom(
-            np.concatenate(vertices), np.concatenate(triangles), materials, flatness, labels, tuple(notes), scale
+            np.concatenate([mesh.vertices for mesh in meshes]),
+            np.concatenate([mesh.triangles + count for mesh, count in zip(meshes, first, strict=True)]),
+            [material for mesh in meshes for material in mesh.triangle_materials],
+            max(mesh.flatness for mesh in meshes),
+            [label for mesh in meshes for label in mesh.labels or ()],
+            tuple(note for mesh in meshes for note in mesh.notes),
+            scales.pop() if len(scales) == 1 else None,
         )
 
     @property
@@ -241,14 +249,44 @@ class MeshRoom:
         return self.vertices.min(axis=0), self.vertices.max(axis=0)
 
     @property
-    def planes(self) -> tuple[Floats, Floats]:
-        """Unit normals (W, 3) and offsets (W,) of the walls: ``normal @ x = offset``, m."""
-        return self.walls.normal, self.walls.offset
+    def triangle_materials(self) -> tuple[Material, ...]:
+        """The material of each triangle."""
+        return tuple(self.faces.materials[wall] for wall in self.walls.of_triangle)
+
+    @property
+    def volume(self) -> float | None:
+        """Volume that a watertight mesh encloses, m³; None where it is open."""
+        return abs(self.shape.volume) if self.is_closed else None
+
+    @property
+    def surface_area(self) -> float:
+        """Area of all triangles, one side of each, m²."""
+        return float(0.5 * np.linalg.norm(cross_products(self.vertices[self.triangles]), axis=1).sum())
+
+    @property
+    def is_convex(self) -> bool:
+        """False: what lies between two places may be walls, whatever the shape."""
+        return False
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the mesh is watertight."""
+        return self.shape.watertight
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return every wall's reflection factor at normal incidence, (walls, ...), for frequencies (...) in Hz."""
-        factors = {id(m): m.reflection_at(frequency) for m in {id(m): m for m in self.wall_materials}.values()}
-        return np.array([factors[id(m)] for m in self.wall_materials])
+        """Return every wall's reflection factor at normal incidence; see `Faces.reflections`.
+
+        Parameters
+        ----------
+        frequency : array_like (...)
+            Positive, Hz.
+
+        Returns
+        -------
+        ndarray (W, ...)
+            Factors for every frequency, complex where a wall's is.
+        """
+        return self.faces.reflections(frequency)
 
     def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:
         """Return which positions (n, 3) lie inside: most rays from them meet the walls an odd number of times.
@@ -266,6 +304,63 @@ class MeshRoom:
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         return np.asarray(np.all([self._met(x, sign * ray) > 0 for ray in _RAYS for sign in (1.0, -1.0)], axis=0))
 
+    def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
+        """Return how far positions (n, 3) surely are away from every wall, (n,) m; see `Room.clearance`.
+
+        What is in a wall is on one.
+        """
+        if mount is not None:
+            return np.minimum(mount.clearance(positions), 0.0)
+        walls, found = self.walls, np.empty(len(positions))
+        step = max(1, _PAIRS // len(walls))
+        for first in range(0, len(positions), step):
+            some = slice(first, first + step)
+            beside = np.abs(positions[some] @ walls.normal.T - walls.offset)
+            away = np.linalg.norm(positions[some, None] - walls.centre, axis=2) - walls.radius
+            found[some] = np.maximum(beside, away).min(axis=1) - NEAREST
+        return found
+
+    def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
+        """Return where a motion first is on a wall, goes through one, or leaves the wall that it is in."""
+        if mount is None:
+            return self._first_met(positions, "; an end in a wall needs flush=")
+        off = first_off(self.walls, mount.wall, positions)
+        rule = f"must stay on the wall that it is flush with, {self.faces.names[mount.wall]!r}"
+        return first_of(
+            mount.first_off(positions),
+            None if off is None else Contact(off, rule, "is"),
+            self._first_met(mount.lifted(positions, _CLEAR), ""),
+        )
+
+    def _first_met(self, positions: Floats, hint: str) -> Contact | None:
+        met = first_contact(self.walls, positions)
+        if met is None:
+            return None
+        rule = f"must stay {NEAREST:g} m away from every wall and walk through none"
+        return Contact(met[0], rule, f"meets the wall {self.faces.names[met[1]]!r}", hint)
+
+    def walls_at(self, position: Floats) -> NDArray[np.int64]:
+        """Return the walls that a position (3,) is on; walls of one plane are one."""
+        found = walls_at(self.walls, position)
+        return found[np.unique(self.walls.plane[found], return_index=True)[1]]
+
+    def as_mesh(self) -> MeshRoom:
+        """Return the room itself."""
+        return self
+
+    def describe(self) -> list[str]:
+        r"""Return what the mesh is like, a line each: size, walls, shells, holes, winding, repairs.
+
+        Examples
+        --------
+        >>> from clsim import Shoebox
+        >>> box = Shoebox((8.0, 6.0, 3.0), Material.from_reflection(0.9)).as_mesh()
+        >>> print(*box.describe(), sep="\n")
+        room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m
+        room: watertight
+        """
+        return describe_mesh(self.vertices, self.triangles, self.walls, self.shape, self.notes)
+
     def _met(self, x: Floats, ray: Floats) -> NDArray[np.int64]:
         """Return how often rays from positions (n, 3) meet the walls."""
         count, walls = np.zeros(len(x), dtype=int), self.walls
@@ -275,16 +370,6 @@ class MeshRoom:
             if len(ahead):
                 count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * ray)
         return count
-
-
-def _as_mesh(box: Shoebox) -> MeshRoom:
-    """Return a shoebox as twelve triangles."""
-    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * box.size
-    # In the order of WALLS, turning outwards.
-    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
-    materials = [m for m in box.wall_materials for _ in range(2)]
-    return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
 
 
 def _checked_triangles(value: object, count: int) -> NDArray[np.int64]:

@@ -6,43 +6,41 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.scene.placement import first_place
-from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.mesh_cleaning import clusters
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.scene.scene import Scene
+    from clsim.scene.room.mesh_cleaning import MeshShape
+    from clsim.scene.room.walls import Walls
 
 _HOLES_LISTED = 5
 
 
-def diagnose(room: MeshRoom) -> list[str]:
-    r"""Return what a mesh is like, a line each: size, walls, shells, holes, winding, repairs.
+def describe_mesh(
+    vertices: Floats, triangles: NDArray[np.int64], walls: Walls, shape: MeshShape, notes: tuple[str, ...]
+) -> list[str]:
+    """Return what a mesh is like, a line each; see `MeshRoom.describe`.
 
     Parameters
     ----------
-    room : MeshRoom
-        The mesh.
-
-    Examples
-    --------
-    >>> from clsim import Material, Shoebox
-    >>> box = MeshRoom.joined([Shoebox((8.0, 6.0, 3.0), Material.from_reflection(0.9))])
-    >>> print(*diagnose(box), sep="\n")
-    room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m
-    room: watertight
+    vertices, triangles : ndarray (V, 3), (T, 3)
+        Corners, m, and their indices.
+    walls : Walls
+        What the triangles were merged into.
+    shape : MeshShape
+        How they hang together.
+    notes : tuple of str
+        What was repaired.
     """
-    low, high = room.extent
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low
-    shape = room.shape
     lines = [
-        f"{len(room.triangles)} triangles, {len(room.walls)} walls in {room.walls.plane.max() + 1} planes, "
+        f"{len(triangles)} triangles, {len(walls)} walls in {walls.plane.max() + 1} planes, "
         f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} m from ({low[0]:.4g}, {low[1]:.4g}, {low[2]:.4g}) m"
     ]
-    shells, closed = _shells(room.triangles)
+    shells, closed = _shells(triangles)
     if shells > 1:
         lines.append(f"{shells} separate shells, {closed} of them closed")
     lines += ["watertight"] if shape.watertight else _openings(shape.open_edges)
@@ -50,19 +48,7 @@ def diagnose(room: MeshRoom) -> list[str]:
         lines.append(f"mixed winding at {shape.flipped_edges} edges; harmless, since walls are two-sided")
     elif shape.watertight and shape.volume < 0.0:
         lines.append("all triangles face inwards; harmless, since walls are two-sided")
-    return [f"room: {line}" for line in (*lines, *room.notes)]
-
-
-def diagnose_ends(scene: Scene) -> list[str]:
-    """Return which sources and receivers are inside at 0 s, a line each; nothing for rooms that are not watertight."""
-    room = scene.room
-    if not isinstance(room, MeshRoom) or not room.shape.watertight:
-        return []
-    lines = []
-    for field, item in scene.named_ends():
-        inside = bool(room.contains(first_place(scene, item))[0])
-        lines.append(f"{field}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")
-    return lines
+    return [f"room: {line}" for line in (*lines, *notes)]
 
 
 def _shells(triangles: NDArray[np.int64]) -> tuple[int, int]:

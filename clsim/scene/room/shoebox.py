@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,15 +11,18 @@ import numpy as np
 from clsim.arrays import LARGEST_ROOM, SMALLEST_ROOM, Complexes, Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.material.material import Material
+from clsim.scene.room.convex import ConvexRoom
+from clsim.scene.room.faces import Faces
+from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shoebox:
+class Shoebox(ConvexRoom):
     """A box-shaped room from the origin to its size.
 
     Parameters
@@ -29,6 +32,11 @@ class Shoebox:
     walls : Material or mapping or sequence of 6
         One material for all walls; or materials by the names ``x_min x_max y_min y_max z_min z_max``, where
         ``default`` stands for those not named; or six of them in this order. Kept as the six.
+
+    Attributes
+    ----------
+    faces : Faces
+        Planes, names and materials of the six walls, in this order.
 
     Raises
     ------
@@ -46,75 +54,60 @@ class Shoebox:
     size: Floats
     walls: Material | Mapping[str, Material] | Sequence[Material]
 
+    faces: Faces = field(init=False)
+
     def __post_init__(self) -> None:
         size = as_floats("size", self.size, (3,))
         for i, length in enumerate(size):
             as_number(f"size[{i}]", length, at_least=SMALLEST_ROOM, at_most=LARGEST_ROOM, unit="m")
-        object.__setattr__(self, "size", size)
-        object.__setattr__(self, "walls", _checked_walls(self.walls))
-
-    @property
-    def wall_materials(self) -> tuple[Material, ...]:
-        """The six materials, in the order of `WALLS`."""
-        assert isinstance(self.walls, tuple)
-        return self.walls
-
-    @property
-    def planes(self) -> tuple[Floats, Floats]:
-        """Unit normals (6, 3) and offsets (6,) of the walls: ``normal @ x = offset``, m."""
-        return np.repeat(np.eye(3), 2, axis=0), np.stack([np.zeros(3), self.size], axis=1).ravel()
-
-    @property
-    def wall_names(self) -> tuple[str, ...]:
-        """Names of the six walls."""
-        return WALLS
+        walls = _checked_walls(self.walls)
+        inwards = np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3)
+        offsets = np.stack([np.zeros(3), -size], axis=1).ravel()
+        for name, value in {"size": size, "walls": walls, "faces": Faces(inwards, offsets, WALLS, walls)}.items():
+            object.__setattr__(self, name, value)
 
     @property
     def extent(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner, (3,) m each."""
         return read_only(np.zeros(3)), self.size
 
+    @property
+    def volume(self) -> float:
+        """Volume of the air, m³."""
+        return float(self.size.prod())
+
+    @property
+    def surface_area(self) -> float:
+        """Area of all walls, m²."""
+        return float(2.0 * self.size @ np.roll(self.size, 1))
+
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return the reflection factor of sound pressure of every wall at normal incidence.
+        """Return the reflection factor of sound pressure of every wall at normal incidence; see `Faces.reflections`.
 
         Parameters
         ----------
-        frequency : array_like
+        frequency : array_like (...)
             Positive, Hz.
 
         Returns
         -------
         ndarray (6, ...)
-            Factors in the order of `WALLS` for every frequency, complex where a wall is.
+            Factors in the order of `WALLS` for every frequency, complex where a wall's is.
         """
-        # Each material once, so that one that warns does so once.
-        factors = {id(m): m.reflection_at(frequency) for m in dict.fromkeys(self.wall_materials)}
-        return np.array([factors[id(m)] for m in self.wall_materials])
+        return self.faces.reflections(frequency)
 
-    def contains(self, positions: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Return which positions lie inside the room, strictly.
+    def as_mesh(self) -> MeshRoom:
+        """Return the box as twelve triangles, turning outwards."""
+        corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * self.size
+        sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]  # as in WALLS
+        triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
+        materials = [m for m in self.faces.materials for _ in range(2)]
+        return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
 
-        Parameters
-        ----------
-        positions : array_like (n, 3)
-            Positions, m.
-        margin : float
-            Distance from every wall that is asked for, m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            False on a wall, at the margin and for NaN.
-
-        Examples
-        --------
-        >>> room = Shoebox((8.0, 6.0, 3.0), Material.from_reflection(0.9))
-        >>> room.contains([(1.0, 1.0, 1.0), (1.0, 1.0, 3.0)]).tolist()
-        [True, False]
-        """
-        x = np.asarray(positions, dtype=np.float64)
-        inside: NDArray[np.bool_] = np.all((x > margin) & (x < self.size - margin), axis=-1)
-        return inside
+    def describe(self) -> list[str]:
+        """Return the room's size in a line."""
+        x, y, z = self.size
+        return [f"room: a shoebox of {x:.4g} x {y:.4g} x {z:.4g} m"]
 
 
 def _checked_walls(walls: object) -> tuple[Material, ...]:

@@ -1,0 +1,34 @@
+"""Arguments that several commands have, and how their texts are read."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """Add the scene file."""
+    parser.add_argument("scene", type=Path, help="scene file (TOML)")
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add leave to write over a file."""
+    parser.add_argument("--force", action="store_true", help="write over a file that is already there")
+
+
+def as_path(text: str) -> Path:
+    """Return the path of what is written; an empty text is none."""
+    if not text:
+        raise argparse.ArgumentTypeError("must name a file or a folder, but is empty")
+    return Path(text)
+
+
+def as_whole(text: str) -> int:
+    """Return a whole number, however it is written: 1000 or 1e3."""
+    try:
+        number = float(text)
+        if not number.is_integer():
+            raise ValueError
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(f"must be a whole number, but is {text!r:.80}") from None
+    return int(number)

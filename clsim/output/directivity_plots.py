@@ -1,0 +1,193 @@
+"""Pictures of directivities, and of what air absorbs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.air import absorption_iso9613
+from clsim.errors import InputError
+from clsim.files.atomic import atomic_path
+
+if TYPE_CHECKING:
+    import os
+
+    from matplotlib.figure import Figure
+
+    from clsim.arrays import Floats
+    from clsim.scene.air import Air
+    from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern
+
+_FLOOR_DB = -40.0
+_COLUMNS = 3
+_DPI = 90
+_ANGLES = np.radians(np.arange(-180.0, 180.01, 0.5))
+_BEACON = 40e3  # Hz
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectivityDiagram:
+    """What one polar diagram shows.
+
+    Parameters
+    ----------
+    title : str
+        Above it.
+    directivity : Directivity or SphericalDirectivity
+        Whose gain.
+    frequencies : ndarray (f,)
+        A curve for each, Hz.
+    speed_of_sound : float
+        m/s.
+    """
+
+    title: str
+    directivity: AxialPattern | DirectionalPattern
+    frequencies: Floats
+    speed_of_sound: float
+
+
+def directivity_levels(diagram: DirectivityDiagram, angles: Floats, *, upright: bool = False) -> Floats:
+    """Return the level of a directivity in dB by angle from the axis and frequency, (n, f), at most 0 and at least -40.
+
+    Parameters
+    ----------
+    diagram : DirectivityDiagram
+        What is drawn.
+    angles : ndarray (n,)
+        From the axis +x, towards +y (to the left) or, if `upright`, towards +z, rad.
+    upright : bool
+        Which plane; only directivities that differ round the axis care.
+
+    Notes
+    -----
+    0 dB is the gain 1, or the largest gain shown if that is more.
+    """
+    gain = _gain(diagram, angles, upright)
+    level = 20.0 * np.log10(np.maximum(np.abs(gain), 1e-30))
+    return np.asarray(np.maximum(level - max(_loudest(diagram), 0.0), _FLOOR_DB))
+
+
+def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathLike[str]) -> None:
+    """Draw polar diagrams, 0 to -40 dB, a curve per frequency.
+
+    Parameters
+    ----------
+    diagrams : list of DirectivityDiagram
+        What is drawn. Directivities that differ round the axis show the horizontal plane, and the vertical one dashed.
+    path : path-like
+        Of the PNG.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    columns = min(len(diagrams), _COLUMNS)
+    rows = -(-len(diagrams) // columns)
+    figure = Figure(figsize=(4.6 * columns, 5.0 * rows))
+    figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1)
+    for k, diagram in enumerate(diagrams):
+        axes: Any = figure.add_subplot(rows, columns, k + 1, projection="polar")
+        colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(diagram.frequencies)))
+        level = directivity_levels(diagram, _ANGLES)
+        above = directivity_levels(diagram, _ANGLES, upright=True) if _is_spherical(diagram) else None
+        widths = np.linspace(2.6, 1.2, len(diagram.frequencies))  # so that curves that coincide are seen
+        for i, frequency in enumerate(diagram.frequencies):
+            axes.plot(_ANGLES, level[:, i], color=colours[i], linewidth=widths[i], label=_in_words(float(frequency)))
+            if above is not None:
+                axes.plot(_ANGLES, above[:, i], "--", color=colours[i], linewidth=1.1)
+        axes.set_theta_zero_location("N")
+        axes.set_rlim(_FLOOR_DB, 0.0)
+        axes.set_rgrids([-30.0, -20.0, -10.0, 0.0], ["-30", "-20", "-10", "0 dB"], angle=112.0, fontsize=8)
+        axes.set_thetagrids(np.arange(0, 360, 30), [f"{a if a <= 180 else a - 360}°" for a in range(0, 360, 30)])
+        axes.tick_params(labelsize=8)
+        axes.grid(alpha=0.4, linewidth=0.6)
+        loudest = _loudest(diagram)
+        notes = [f"0 dB is a gain of {loudest:.1f} dB"] if loudest > 0.05 else []
+        notes += ["solid: to the left, dashed: upwards"] if above is not None else []
+        axes.set_title("\n".join([diagram.title, *notes]), fontsize=11, parse_math=False)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=4, fontsize=8, frameon=False)
+    _save(figure, path)
+
+
+def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
+    """Draw the absorption of air by frequency for some humidities, and by humidity for some frequencies.
+
+    Parameters
+    ----------
+    airs : list of Air
+        Of one temperature and pressure: a curve for each by frequency.
+    path : path-like
+        Of the PNG.
+
+    Raises
+    ------
+    InputError
+        If one does not absorb.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    for i, air in enumerate(airs):
+        if not air.absorption:
+            raise InputError(f"airs[{i}].absorption", "must be True to be drawn, but is False")
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    temperature, pressure = airs[0].temperature_celsius, airs[0].pressure
+    figure.suptitle(f"Absorption of air by ISO 9613-1, {temperature:g} °C, {pressure / 1e3:g} kPa", fontsize=12)
+    frequencies = np.geomspace(1e3, 200e3, 400)
+    colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(airs)))
+    for air, colour in zip(airs, colours, strict=True):
+        left.loglog(
+            frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.relative_humidity:g} %"
+        )
+    left.set(xlabel="frequency (kHz)", ylabel="absorption (dB/m)", title="by frequency", xlim=(1.0, 200.0))
+    left.legend(title="relative humidity", fontsize=9)
+    for axis in (left.xaxis, left.yaxis):
+        axis.set_major_formatter("{x:g}")
+    humidity = np.linspace(0.0, 1.0, 401)
+    shown = (20e3, _BEACON, 80e3)
+    for frequency, colour in zip(shown, mpl.colormaps["plasma"](np.linspace(0.0, 0.75, len(shown))), strict=True):
+        absorption = np.array([float(absorption_iso9613(frequency, temperature, h, pressure)) for h in humidity])
+        width = 2.4 if frequency == _BEACON else 1.3
+        right.plot(100 * humidity, absorption, color=colour, label=_in_words(frequency), linewidth=width)
+    right.set(xlabel="relative humidity (%)", ylabel="absorption (dB/m)", title="by humidity", xlim=(0.0, 100.0))
+    right.set_ylim(0.0, None)
+    right.legend(fontsize=9)
+    for axes in (left, right):
+        axes.grid(which="both", alpha=0.25, linewidth=0.6)
+    _save(figure, path)
+
+
+def _is_spherical(diagram: DirectivityDiagram) -> bool:
+    return hasattr(diagram.directivity, "gain_towards")
+
+
+def _gain(diagram: DirectivityDiagram, angles: Floats, upright: bool) -> Any:
+    """Return the gain (n, f) in a plane through the axis."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    if not hasattr(diagram.directivity, "gain_towards"):
+        gain = diagram.directivity.gain(cosine[:, None], diagram.frequencies, diagram.speed_of_sound)
+        return np.broadcast_to(gain, (len(angles), len(diagram.frequencies)))
+    none = np.zeros_like(angles)
+    towards = np.column_stack([cosine, none, sine] if upright else [cosine, sine, none])
+    return diagram.directivity.gain_towards(towards[:, None, :], diagram.frequencies, diagram.speed_of_sound)
+
+
+def _loudest(diagram: DirectivityDiagram) -> float:
+    """Return the largest level in either plane, dB."""
+    gains = [_gain(diagram, _ANGLES, upright) for upright in (False, True)]
+    return 20.0 * float(np.log10(max(float(np.abs(gain).max()) for gain in gains) + 1e-30))
+
+
+def _in_words(frequency: float) -> str:
+    return f"{frequency / 1e3:.4g} kHz" if frequency >= 1e3 else f"{frequency:.4g} Hz"
+
+
+def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=_DPI, format="png", pil_kwargs={"optimize": True})

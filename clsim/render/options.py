@@ -1,0 +1,189 @@
+"""The options of a rendering: their types, defaults, bounds and docstring stand here and nowhere else."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from dataclasses import KW_ONLY, dataclass, field, fields
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, Protocol, TypeVar, get_args
+
+from clsim.arrays import as_choice, as_count, as_flag, as_number
+from clsim.errors import InputError
+from clsim.paths.path_set import PathSet
+from clsim.render.baseband import Baseband, as_baseband
+from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Motion = Literal["retarded", "quasi-static"]
+Amplitude = Literal["wave-equation", "static", "convective"]
+Responses = Literal["band", "centre"]
+Engine = Literal["opencl", "reference"]
+
+_BANDLIMITED = Bandlimited()
+_OF_TRACKS = {"of_tracks": True}  # metadata of options that `track` and `pruned` carry out
+_WORDS = {"motion": Motion, "amplitude": Amplitude, "responses": Responses, "engine": Engine}
+
+P = ParamSpec("P")
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """How a scene's paths are rendered, checked as a whole.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        Of the recording, Hz; signals are brought to it. In baseband that of the signals.
+    interpolator : Bandlimited, Lagrange or TruncatedLagrange
+        The fractional-delay filter.
+    motion : {"retarded", "quasi-static"}
+        Whether an image is where it was when the sound was emitted, or where it is when it is received.
+    amplitude : {"wave-equation", "static", "convective"}
+        Exponent 1, 0 or 2 of ``1 / (1 - M)``, M the Mach number of the image towards the receiver.
+    transition : float
+        Seconds, up to 1, in which a path begins and ends, by a raised cosine centred on the boundary. With 0 it does so
+        at once, which splatters.
+    responses : {"band", "centre"}
+        Whether air, walls and directivities are what they are at each frequency of a signal's band, or everywhere what
+        they are at the centre of the band.
+    response_error_db : float
+        With ``responses="band"``, bound on the error that the responses of all paths add up to, over the signal's band,
+        -120 to -20 dB relative to what is heard within some 40 ms.
+    baseband : (carrier, bandwidth), optional
+        Render complex envelopes about a carrier, Hz, instead of the sound: what mixing it with
+        ``exp(-2 pi j carrier t)``, a low-pass and decimation would give, several times faster. The bandwidth, both
+        sides together, must hold signals and Doppler shifts; a third number chooses the sampling rate: see `Baseband`.
+    prune_below_db : float, optional
+        Leave out paths that stay below this level, -300 to -20 dB relative to the strongest arrival at the same
+        receiver; the recording's notes tell how many, and a bound of what they add up to.
+    engine : {"opencl", "reference"}
+        The fast one or the exact one.
+    device : str, optional
+        An OpenCL device by id or part of its name (see ``clsim devices``); the best one when left out.
+    duration : float, optional
+        Length of the recording, s. Left out: until all that was emitted has been heard, or until the first moving
+        receiver's trajectory ends.
+    chunk : int, optional
+        Samples that are held at a time, rounded up to whole segments (of 18432 samples; in baseband of 32 blocks).
+    convolve_static : bool
+        Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
+        instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
+
+    Raises
+    ------
+    InputError
+        If an option breaks a rule; the message names option, rule and value.
+
+    Examples
+    --------
+    >>> RenderOptions(192e3, engine="reference").transition
+    0.001
+    >>> RenderOptions(192e3, chunk=0)
+    Traceback (most recent call last):
+        ...
+    clsim.errors.InputError: chunk: must be at least 1, but is 0
+    """
+
+    sampling_rate: float
+    _: KW_ONLY
+    interpolator: Interpolator = _BANDLIMITED
+    motion: Motion = field(default="retarded", metadata=_OF_TRACKS)
+    amplitude: Amplitude = field(default="wave-equation", metadata=_OF_TRACKS)
+    transition: float = field(default=DEFAULT_TRANSITION, metadata=_OF_TRACKS)
+    responses: Responses = "band"
+    response_error_db: float = -90.0
+    baseband: Baseband | tuple[float, ...] | None = None
+    prune_below_db: float | None = field(default=None, metadata=_OF_TRACKS)
+    engine: Engine = "opencl"
+    device: str | None = None
+    duration: float | None = None
+    chunk: int | None = None
+    convolve_static: bool = True
+
+    def __post_init__(self) -> None:
+        rate = as_number("sampling_rate", self.sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
+        for name, words in _WORDS.items():
+            as_choice(name, getattr(self, name), get_args(words))
+        if not isinstance(self.interpolator, Bandlimited | Lagrange | TruncatedLagrange):
+            raise InputError("interpolator", f"must be an interpolator, but is {self.interpolator!r:.80}")
+        if self.device is not None and not isinstance(self.device, str):
+            raise InputError("device", f"must be an id or part of a name, but is {self.device!r:.80}")
+        checked: dict[str, Any] = {
+            "sampling_rate": rate,
+            "transition": as_transition(self.transition),
+            "response_error_db": as_number(
+                "response_error_db", self.response_error_db, at_least=-120.0, at_most=-20.0, unit="dB"
+            ),
+            "convolve_static": as_flag("convolve_static", self.convolve_static),
+        }
+        if self.baseband is not None:
+            checked["baseband"] = as_baseband(self.baseband, rate)
+            if not isinstance(self.interpolator, Bandlimited):
+                raise InputError("interpolator", f"must be Bandlimited in baseband, but is {self.interpolator!r:.80}")
+        if self.prune_below_db is not None:
+            level = as_number("prune_below_db", self.prune_below_db, at_least=-300.0, at_most=-20.0, unit="dB")
+            checked["prune_below_db"] = level
+        if self.duration is not None:
+            checked["duration"] = as_number("duration", self.duration, above=0.0, unit="s")
+        if self.chunk is not None:
+            checked["chunk"] = as_count("chunk", self.chunk, at_least=1)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def for_tracks(cls, sampling_rate: float, **options: Any) -> RenderOptions:
+        """Return the options of rendering tracks that are made already.
+
+        Raises
+        ------
+        InputError
+            If an option breaks a rule, or is one by which tracks are made.
+        """
+        for name in (f.name for f in fields(cls) if f.metadata.get("of_tracks") and f.name in options):
+            raise InputError(name, f"must be left out, for the tracks have it already, but is {options[name]!r:.80}")
+        return cls(sampling_rate, **options)
+
+
+class OfPaths(Protocol[P, T_co]):
+    """A function of paths and render options, each of which is a keyword."""
+
+    def __call__(self, paths: PathSet, *args: P.args, **kwargs: P.kwargs) -> T_co:
+        """Return what is made of the paths with these options."""
+        ...
+
+
+def keywords_of(
+    make: Callable[P, RenderOptions],
+) -> Callable[[Callable[[PathSet, RenderOptions], T]], OfPaths[P, T]]:
+    """Return a decorator for functions of paths and options, which makes each option a keyword.
+
+    Signature and docstring list them all, so that editors and ``help`` know them.
+    """
+
+    def decorated(function: Callable[[PathSet, RenderOptions], T]) -> OfPaths[P, T]:
+        def call(paths: PathSet, *args: P.args, **kwargs: P.kwargs) -> T:
+            if not isinstance(paths, PathSet):
+                raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
+            return function(paths, make(*args, **kwargs))
+
+        own, options = inspect.signature(function), inspect.signature(make)
+        parameters = [own.parameters["paths"], *options.parameters.values()]
+        functools.update_wrapper(call, function)
+        vars(call)["__signature__"] = own.replace(parameters=parameters)
+        call.__doc__ = with_options_listed(function.__doc__)
+        return call
+
+    return decorated
+
+
+def with_options_listed(docstring: str | None) -> str:
+    """Return a docstring in which the line of the options, and what is indented below, is what their own one says."""
+    own = inspect.cleandoc(RenderOptions.__doc__ or "").partition("----------\n")[2].partition("\n\nRaises")[0]
+    before, _, after = inspect.cleandoc(docstring or "").partition("options : RenderOptions\n")
+    rest = after.partition("\n\n")
+    return before + own + rest[1] + rest[2] if after else before

@@ -1,0 +1,98 @@
+"""The contribution of the paths that are rendered one by one: their sum, by either engine."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from clsim.render.contributions import Stateless
+from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.engine import OpenclEngine
+from clsim.render.reference import ReferenceEngine
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.render.plan import Plan
+
+
+def path_sum(plan: Plan) -> PathSum | None:
+    """Return the sum over a plan's paths, but for those that are convolved; None if there are no others."""
+    return None if len(plan.static_pairs.groups) == len(plan.tracks.groups) else PathSum(plan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathSum:
+    """The sum over paths.
+
+    Attributes
+    ----------
+    plan : Plan
+        What the engine carries out.
+    """
+
+    plan: Plan
+
+    @property
+    def name(self) -> str:
+        """Name of its kind."""
+        return "path sum"
+
+    def describe(self) -> list[str]:
+        """Return how each source's delays and responses are carried, and the bound of the error."""
+        lines = []
+        for i, filters in enumerate(self.plan.source_filters):
+            if not self.plan.static_pairs.holds(self.plan.tracks, i):
+                lines += [f"source {i}: {filters.describe_filters()}", f"source {i}: {filters.describe()}"]
+                lines.append(
+                    f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"
+                )
+        return lines
+
+    def promised_db(self, source: int) -> float:
+        """Return the bound on the error of what is rendered path by path, relative to what is heard at any moment, dB.
+
+        Errors of delay filters, of responses and of motion between nodes are independent: their squares add up.
+        """
+        filters = self.plan.source_filters[source]
+        parts_db = [filters.bank.error_db, filters.basis.error_db, self.plan.motion_error_db]
+        return 10.0 * math.log10(sum(10.0 ** (part / 10.0) for part in parts_db))
+
+    def digest(self) -> str:
+        """Return a text that changes with the filters: linear algebra on other threads may round them otherwise."""
+        plan = self.plan
+        found = hashlib.sha256(repr((sorted(plan.static_pairs.groups), plan.segment, plan.blocks)).encode())
+        for filters in plan.source_filters:
+            found.update(filters.digest().encode())
+        return found.hexdigest()
+
+    def begin(self) -> _Sum:
+        """Return what adds it."""
+        return _Sum(self.plan)
+
+
+class _Sum(Stateless):
+    """Adds the sum over paths; the engine starts with the first piece."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._engine: OpenclEngine | ReferenceEngine | None = None
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        if self._engine is None:
+            self._engine = _engine(self._plan)
+        pressure += self._engine.render(start, start + pressure.shape[1])
+
+    def warn(self) -> None:
+        """Warn of what the engine could not hold as well as asked."""
+        if self._engine is not None:
+            self._engine.warn()
+
+
+def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine:
+    if plan.options.engine == "reference":
+        return ReferenceEngine(plan)
+    return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)

@@ -1,0 +1,171 @@
+"""From options to a plan, in whole values: options, tracks, static pairs, source filters, blocks and chunks, plan."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from threadpoolctl import threadpool_limits
+
+from clsim.errors import InputError
+from clsim.render.baseband import check_ends, segmented
+from clsim.render.envelope import design_envelope
+from clsim.render.options import RenderOptions, keywords_of
+from clsim.render.path_sum import path_sum
+from clsim.render.plan import BLOCKS, SEGMENT, Plan, max_rate
+from clsim.render.source_filters import SourceFilters, design_source_filters
+from clsim.render.static_convolution import static_convolution
+from clsim.render.static_pairs import StaticPairs, find_static_pairs
+from clsim.tracks.pruning import pruned
+from clsim.tracks.tracks import track
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from clsim.paths.path_set import PathSet
+    from clsim.render.contributions import Contribution
+    from clsim.scene.scene import Scene
+    from clsim.scene.signal.signal import Signal
+    from clsim.tracks.tracks import SceneTracks, Tracks
+
+# What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
+BUILDERS: list[Callable[[Plan], Contribution | None]] = [path_sum, static_convolution]
+
+_PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
+_LONG_CHUNK = 48  # segments, beyond which a chunk gains nothing
+
+
+@keywords_of(RenderOptions)
+def plan_render(paths: PathSet, options: RenderOptions) -> Plan:
+    """Return the plan of a rendering without carrying it out.
+
+    Parameters
+    ----------
+    paths : PathSet
+        The paths of a scene, from `find_paths`.
+    options : RenderOptions
+        Each is a keyword, but for the first, the sampling rate, which may also stand behind the paths.
+
+    Returns
+    -------
+    Plan
+        For `render_chunks`, or to be looked at: samples, filters, errors, memory.
+
+    Raises
+    ------
+    InputError
+        If an argument breaks a rule.
+
+    Warns
+    -----
+    ClsimWarning
+        If a signal, a wall or a directivity cannot be held as well as asked.
+    """
+    return plan_paths(paths, options)
+
+
+def plan_paths(paths: PathSet, options: RenderOptions) -> Plan:
+    """Return the plan of rendering a scene's paths; see `plan_render`."""
+    scene = paths.scene
+    if options.baseband is not None:
+        check_ends(scene)
+    ringing = _check_receivers(scene, options.sampling_rate)
+    tracks, left_out = _tracks(paths, options)
+    emissions = [(source.emitted, source.start) for source in scene.sources]
+    return plan_tracks(emissions, tracks, options, ringing=ringing, left_out=left_out)
+
+
+def plan_tracks(
+    emissions: Sequence[tuple[Signal, float]],
+    tracks: Tracks,
+    options: RenderOptions,
+    *,
+    ringing: float = 0.0,
+    left_out: str = "",
+) -> Plan:
+    """Return the plan of rendering signals, each from its start (s) on, along tracks.
+
+    Receivers ring on for a while, s, and `left_out` tells what of the scene is not in the tracks.
+    """
+    rate = options.sampling_rate
+    heard_at = rate if options.baseband is None else options.baseband[2] or rate
+    samples = _samples(emissions, tracks, heard_at, options.duration, ringing)
+    pairs = find_static_pairs(tracks, options)
+    filters = _source_filters(emissions, tracks, pairs, options, samples / heard_at)
+    segment, blocks = _blocks(tracks, options, heard_at)
+    chunk = _chunk(tracks, options, samples, heard_at, segment)
+    return Plan(options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, left_out, BUILDERS)
+
+
+def _check_receivers(scene: Scene, rate: float) -> float:
+    """Check that transducers and electronics work at the sampling rate; return how long a receiver rings, s."""
+    longest = 0
+    for i, receiver in enumerate(scene.receivers):
+        try:
+            if receiver.transducer is not None:
+                longest = max(longest, len(receiver.transducer.impulse_response(rate)) - 1)
+            if receiver.electronics is not None:
+                receiver.electronics.check_rate(rate)
+        except InputError as error:
+            inside = "" if error.field.startswith("transducer") else ".electronics"
+            raise error.within(f"receivers[{i}]{inside}") from error
+    return longest / rate
+
+
+def _tracks(paths: PathSet, options: RenderOptions) -> tuple[SceneTracks, str]:
+    """Return the tracks of the paths that may matter, and what is said of the others."""
+    tracks = track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition)
+    if options.prune_below_db is None:
+        return tracks, ""
+    end = min(max(source.start + source.emitted.duration for source in paths.scene.sources), tracks.last_time())
+    until = min(options.duration or end + tracks.longest_delay(end, end), tracks.last_time())
+    return pruned(tracks, options.prune_below_db, until)
+
+
+def _samples(
+    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, rate: float, duration: float | None, ringing: float
+) -> int:
+    """Return the length: as asked, or until all that was emitted has been heard."""
+    last = tracks.last_time()
+    if duration is None:
+        end = max(start + signal.duration for signal, start in emissions)
+        known = end if math.isinf(last) else min(end, last)
+        duration = min(last, end + tracks.longest_delay(known, known) + ringing)
+    elif duration > last * (1 + 1e-12) + 0.5 / rate:
+        raise InputError(
+            "duration",
+            f"must end while every receiver's trajectory lasts, {last:g} s, but is {duration:g} s",
+        )
+    return max(1, math.ceil(duration * rate - 1e-6))
+
+
+def _source_filters(
+    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, pairs: StaticPairs, options: RenderOptions, until: float
+) -> tuple[SourceFilters, ...]:
+    """Return what each source emits, and its filters, for a run that ends at `until`, s."""
+    design = design_source_filters if options.baseband is None else design_envelope
+    # Matrices are small: threads of the linear algebra would wait for each other, the longer the busier the machine.
+    with threadpool_limits(1, "blas"):
+        return tuple(
+            design(i, signal, start, tracks, options, until=until, static=pairs.holds(tracks, i))
+            for i, (signal, start) in enumerate(emissions)
+        )
+
+
+def _blocks(tracks: Tracks, options: RenderOptions, rate: float) -> tuple[int, tuple[int, ...]]:
+    """Return the lengths of segments and blocks, samples."""
+    if options.baseband is None:
+        return SEGMENT, BLOCKS
+    return segmented(tracks, rate, options.baseband[0], max_rate(tracks))
+
+
+def _chunk(tracks: Tracks, options: RenderOptions, samples: int, rate: float, segment: int) -> int:
+    """Return the chunk's length in whole segments: as asked, or long against the delays and small in memory."""
+    whole = math.ceil(samples / segment)
+    if options.chunk is not None:
+        return segment * min(whole, math.ceil(options.chunk / segment))
+    span = tracks.longest_delay(0.0, samples / rate) * rate
+    wanted = min(math.ceil(4.0 * span / segment), _LONG_CHUNK)
+    affordable = _PRESSURE_BUDGET // (4 * segment * len(tracks.receiver_names))
+    least = 8 if options.baseband is None else _LONG_CHUNK
+    return segment * max(1, min(whole, max(least, wanted), affordable))

@@ -1,0 +1,86 @@
+"""A plan while it is carried out: what adds to the pressure, and what the receivers make of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.opencl.device import find_device
+from clsim.render.receiver_chain import ReceiverChain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.render.contributions import State
+    from clsim.render.plan import Plan
+
+
+class Rendering:
+    """A plan's contributions and receivers, with all that they remember of what is rendered.
+
+    Parameters
+    ----------
+    plan : Plan
+        From `plan_render`.
+
+    Raises
+    ------
+    DeviceError
+        If the plan's device is missing, even where nothing needs it.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        if plan.options.engine == "opencl":
+            find_device(plan.options.device)
+        self._plan = plan
+        self._adding = tuple(contribution.begin() for contribution in plan.contributions)
+        self._receivers = ReceiverChain(plan)
+
+    @property
+    def clipped(self) -> tuple[int, ...]:
+        """Samples at each receiver that its converter clipped so far."""
+        return self._receivers.clipped
+
+    def pieces(self, first: int = 0) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Yield first sample and samples (receivers, n) of each chunk from sample `first` on, a whole chunk's first."""
+        plan = self._plan
+        for start in range(first, plan.samples, plan.chunk):
+            stop = min(start + plan.chunk, plan.samples)
+            pressure = np.zeros((plan.receiver_count, stop - start), plan.pressure_type)
+            for adding in self._adding:
+                adding.add(pressure, start)
+            yield start, self._receivers(start, pressure)
+        for adding in self._adding:
+            adding.warn()
+        self._receivers.warn()
+
+    def state(self) -> State:
+        """Return all that is remembered of the pieces so far: what another process needs to go on bit for bit."""
+        parts = {f"receivers.{name}": value for name, value in self._receivers.state().items()}
+        for i, adding in enumerate(self._adding):
+            parts |= {f"contribution{i}.{name}": value for name, value in adding.state().items()}
+        return parts
+
+    def restore(self, state: State) -> None:
+        """Go on where another one of the same plan was.
+
+        Parameters
+        ----------
+        state : dict of ndarray
+            What that one's `state` returned.
+        """
+        self._receivers.restore(_below("receivers.", state))
+        for i, adding in enumerate(self._adding):
+            adding.restore(_below(f"contribution{i}.", state))
+
+    def describe(self) -> list[str]:
+        """Return what became of it, a line each."""
+        return self._receivers.describe()
+
+
+def _below(prefix: str, state: State) -> State:
+    """Return the part of a state whose names begin with a prefix, without it."""
+    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}

@@ -1,0 +1,146 @@
+"""The contribution of static pairs: one impulse response each, convolved with the emitted signal."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_response
+from clsim.render.contributions import Stateless
+from clsim.scene.signal.occupied_bandwidth import shares
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.render.plan import Plan
+    from clsim.render.source_filters import SourceFilters
+    from clsim.tracks.tracks import SceneTracks
+
+_WIDEST = 0.95  # of Nyquist
+_SHARE = 1e-12  # of a signal's energy that may lie beyond the band to either side
+_LOWEST = 0.02  # of the sampling rate, below which a band goes on down to 0 Hz: an edge there would ring for long
+_LOWEST_COMPLEX = 1e-3  # the same for complex responses, which may bend at 0 Hz
+
+
+def static_convolution(plan: Plan) -> StaticConvolution | None:
+    """Return the contribution of a plan's static pairs; None if there are none."""
+    of_scene = plan.tracks.of_scene
+    if of_scene is None or not plan.static_pairs.groups:
+        return None
+    return StaticConvolution(
+        of_scene, plan.source_filters, tuple(sorted(plan.static_pairs.groups)), plan.options.responses == "centre"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticConvolution:
+    """Emitted signals, convolved with the impulse responses of static pairs.
+
+    Attributes
+    ----------
+    tracks : SceneTracks
+        Of all paths.
+    source_filters : tuple of SourceFilters
+        By source.
+    groups : tuple of int
+        Indices of the pairs among the tracks' groups.
+    at_centre : bool
+        Whether air, walls and directivities are those at the centre frequency of the source's signal.
+    """
+
+    tracks: SceneTracks
+    source_filters: tuple[SourceFilters, ...]
+    groups: tuple[int, ...]
+    at_centre: bool
+
+    @property
+    def name(self) -> str:
+        """Name of its kind."""
+        return "static pairs"
+
+    def describe(self) -> list[str]:
+        """Return how many pairs are convolved, a line."""
+        return [f"{len(self.groups)} of {len(self.tracks.groups)} pairs never move: impulse responses, convolved"]
+
+    def digest(self) -> str:
+        """Return a text that changes with the pairs and with what is emitted."""
+        found = hashlib.sha256(repr((self.groups, self.at_centre)).encode())
+        for filters in self.source_filters:
+            found.update(filters.digest().encode())
+        return found.hexdigest()
+
+    def begin(self) -> _Convolution:
+        """Return what adds it."""
+        return _Convolution(self)
+
+    def responses(self, source: int) -> list[tuple[int, ImpulseResponse]]:
+        """Return receivers and impulse responses of a source."""
+        filters, scene = self.source_filters[source], self.tracks.scene
+        centre = filters.signal.centre_frequency if self.at_centre else None
+        rate = filters.signal.sampling_rate
+        band, found = _band(filters, complex_responses=self.tracks.paths.is_complex), []
+        for i in self.groups:
+            pair = self.tracks.pair_paths[i]
+            if pair.source == source:
+                clock_error = float(scene.receivers[pair.receiver].clock_error(np.zeros(1))[0])
+                later = filters.start - clock_error
+                response = frozen_response(pair, 0.0, rate, band, later=later, centre=centre)
+                found.append((pair.receiver, filters.acting(response)))
+        return found
+
+
+class _Convolution(Stateless):
+    """Adds a convolution; the responses are made when the first piece asks for them."""
+
+    def __init__(self, what: StaticConvolution) -> None:
+        self._what = what
+        self._responses: dict[int, list[tuple[int, ImpulseResponse]]] = {}
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        all_filters = self._what.source_filters
+        if not self._responses:
+            self._responses = {source: self._what.responses(source) for source in range(len(all_filters))}
+        stop = start + pressure.shape[1]
+        for source, responses in self._responses.items():
+            if not responses:
+                continue
+            last = max(response.last for _, response in responses)
+            first = min(response.first for _, response in responses)
+            emitted = all_filters[source].emitted(start - last, stop - first)
+            if not np.any(emitted):
+                continue
+            for receiver, response in responses:
+                pressure[receiver] += _convolved(emitted[last - response.last :], response, stop - start)
+
+
+def _band(filters: SourceFilters, *, complex_responses: bool) -> ResponseBand:
+    """Return the band that holds a signal, with edges as wide as there is room, so that arrivals are short."""
+    rate = filters.signal.sampling_rate
+    low, high = np.clip(shares(filters.signal.energy_spectrum(), _SHARE), *filters.held)
+    high = min(max(high, 0.025 * rate), max(0.5 * _WIDEST * rate, filters.band))
+    low, above = min(low, high), 0.5 * rate - high
+    least = (_LOWEST_COMPLEX if complex_responses else _LOWEST) * rate
+    return ResponseBand(low, high, low if low >= least else 0.0, above)
+
+
+def _convolved(emitted: NDArray[Any], response: ImpulseResponse, count: int) -> NDArray[Any]:
+    """Return samples (count,) of a response to what was emitted from as many samples before as it is long."""
+    from scipy.signal import oaconvolve
+
+    taps = response.taps
+    heard = emitted[: count + len(taps) - 1]
+    out, active = np.zeros(count, dtype=heard.dtype), np.flatnonzero(heard)
+    if not len(active):
+        return out
+    begin, end = int(active[0]), int(active[-1]) + 1
+    whole = oaconvolve(heard[begin:end], taps)
+    first, last = max(begin - len(taps) + 1, 0), min(end, count)
+    out[first:last] = whole[first + len(taps) - 1 - begin : last + len(taps) - 1 - begin]
+    # Where nothing sounds there is silence, without the rounding of the transforms.
+    active_before = np.concatenate([[0], np.cumsum(heard != 0.0)])
+    out[active_before[len(taps) :] == active_before[:count]] = 0.0
+    return out

@@ -1,0 +1,159 @@
+"""The walls of a room as planes, the wall that an end sits in, and where a motion meets one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import as_floats, read_only
+from clsim.errors import InputError
+from clsim.scene.material.material import Material
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from clsim.arrays import Complexes, Floats
+
+NEAREST = 1e-6  # m; what is nearer to a wall is on it
+_UNIT = 1e-9  # by which the length of a normal may differ from 1
+_FINEST = 1e-8  # of the room's size: less could not be told from rounding where a wall blocks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Faces:
+    """The walls of a room, F of them: a wall's index is its row here.
+
+    Parameters
+    ----------
+    normals : ndarray (F, 3)
+        Unit normals. They point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
+    offsets : ndarray (F,)
+        The plane of wall i is ``normals[i] @ x = offsets[i]``, m.
+    names : tuple of str
+        A name for each wall.
+    materials : tuple of Material
+        The material of each wall.
+
+    Raises
+    ------
+    InputError
+        If they are not as many of each, a normal is no unit vector, or a material is none.
+    """
+
+    normals: Floats
+    offsets: Floats
+    names: tuple[str, ...]
+    materials: tuple[Material, ...]
+
+    def __post_init__(self) -> None:
+        normals = as_floats("faces.normals", self.normals, (None, 3))
+        count = len(normals)
+        offsets = as_floats("faces.offsets", self.offsets, (count,))
+        length = np.linalg.norm(normals, axis=1)
+        for i in np.flatnonzero(np.abs(length - 1.0) > _UNIT)[:1]:
+            raise InputError(f"faces.normals[{i}]", f"must be a unit vector, but has the length {length[i]:.9g}")
+        for field in ("names", "materials"):
+            object.__setattr__(self, field, tuple(getattr(self, field)))
+            if len(getattr(self, field)) != count:
+                raise InputError(
+                    f"faces.{field}", f"must be one per wall, {count}, but are {len(getattr(self, field))}"
+                )
+        for i, material in enumerate(self.materials):
+            if not isinstance(material, Material):
+                raise InputError(f"faces.materials[{i}]", f"must be a Material, but is {material!r:.80}")
+        object.__setattr__(self, "normals", read_only(normals))
+        object.__setattr__(self, "offsets", read_only(offsets))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
+        """Return every wall's reflection factor of sound pressure at normal incidence.
+
+        Parameters
+        ----------
+        frequency : array_like (...)
+            Positive, Hz.
+
+        Returns
+        -------
+        ndarray (F, ...)
+            Factors for every frequency, complex where a wall's is.
+        """
+        # Each material once, so that one that warns does so once.
+        factors = {id(m): m.reflection_at(frequency) for m in dict.fromkeys(self.materials)}
+        return np.array([factors[id(m)] for m in self.materials])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """Where a motion leaves a room or meets a wall, in the words of the error: rule, but NAME event at PLACE hint.
+
+    Attributes
+    ----------
+    index : int
+        Of the position.
+    rule : str
+        What is asked for: "must stay inside the room".
+    event : str
+        What happens instead: "is", "meets the wall 'x_min'".
+    hint : str
+        What to do about it, with its comma or semicolon.
+    """
+
+    index: int
+    rule: str
+    event: str
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mount:
+    """The wall that an end sits in.
+
+    Attributes
+    ----------
+    wall : int
+        Its index; in a mesh one of its plane.
+    normal : ndarray (3,)
+        Unit vector off the wall, to the side of the air that the end is heard in.
+    offset : float
+        The wall's plane is ``normal @ x = offset``, m.
+    step : float
+        How far in front of the wall the end is taken to be where that decides what reaches it, m.
+    """
+
+    wall: int
+    normal: Floats
+    offset: float
+    step: float
+
+    @staticmethod
+    def on(faces: Faces, wall: int, sign: float, size: float) -> Mount:
+        """Return the mount on a side of a wall, 1 that of its normal and -1 the other, in a room of a size, m."""
+        return Mount(wall, sign * faces.normals[wall], sign * float(faces.offsets[wall]), max(NEAREST, _FINEST * size))
+
+    def height(self, positions: Floats) -> Floats:
+        """Return how far in front of the wall positions (n, 3) are, (n,) m."""
+        return np.asarray(positions @ self.normal - self.offset)
+
+    def lifted(self, positions: Floats, steps: float = 1.0) -> Floats:
+        """Return positions (n, 3) a step, or some, in front of the wall."""
+        return np.asarray(positions + (steps * self.step - self.height(positions))[:, None] * self.normal)
+
+    def clearance(self, positions: Floats) -> Floats:
+        """Return how far positions (n, 3) may go off the plane of the wall, (n,) m; 0 or less where they are off it."""
+        return np.asarray(NEAREST - np.abs(self.height(positions)))
+
+    def first_off(self, positions: Floats) -> Contact | None:
+        """Return where positions (n, 3) first are off the plane of the wall."""
+        off = np.flatnonzero(self.clearance(positions) <= 0.0)
+        rule = f"must stay in the plane of the wall that it is flush with, within {NEAREST:g} m"
+        return Contact(int(off[0]), rule, "is") if len(off) else None
+
+
+def first_of(*contacts: Contact | None) -> Contact | None:
+    """Return the contact that comes first; of several at one position the one that is named first."""
+    return min((contact for contact in contacts if contact), key=lambda contact: contact.index, default=None)

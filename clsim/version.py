@@ -1,0 +1,3 @@
+"""The version, in one place: the package's metadata are made from here."""
+
+__version__ = "0.2.0"

@@ -1,0 +1,189 @@
+"""Where envelopes go: stores, runs that are gone on with, studies, and quiet paths left out."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+import clsim
+from clsim.cli import main
+from clsim.workflow.journal import Journal
+
+pytestmark = pytest.mark.usefixtures("device")
+
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [4.0, 3.0, 2.5]
+walls = { reflection = 0.9 }
+[[sources]]
+name = "robot"
+signal = { kind = "tone", frequency = 40e3, duration = %s, sampling_rate = 192e3, fade = 0.05 }
+trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1000.0 }
+[[receivers]]
+name = "left"
+trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
+electronics = { clock_ppm = 50.0 }
+[[receivers]]
+name = "right"
+trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
+[paths]
+max_order = %d
+[render]
+sampling_rate = 192e3
+baseband = { carrier = 40e3, bandwidth = 1e3 }
+chunk = 1
+"""
+SHORT, LONG = SCENE % (0.3, 1), SCENE % (40.0, 7)
+KINDS = ("wav", "zarr", "hdf5")
+ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    (tmp_path / "scene.toml").write_text(SHORT, "utf-8")
+    return tmp_path / "scene.toml"
+
+
+def command(scene: Path, out: Path, kind: str, *more: str) -> list[str]:
+    return ["run", str(scene), "-o", str(out), "--store", kind, "--table", "none", *more]
+
+
+def run_alone(arguments: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process of its own, where linear algebra has as many threads as in the one that was killed."""
+    return subprocess.run(
+        [sys.executable, "-m", "clsim.cli", *arguments], env=ENVIRONMENT, capture_output=True, text=True, check=False
+    )
+
+
+def envelopes(out: Path) -> np.ndarray:
+    """Return what WAV files with I and Q hold."""
+    found = [soundfile.read(out / f"{name}.wav", dtype="float32") for name in ("left", "right")]
+    assert {rate for _, rate in found} == {2560}
+    return np.stack([frames[:, 0] + 1j * frames[:, 1] for frames, _ in found])
+
+
+def test_stores_hold_the_same_envelopes(scene: Path, tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("zarr")
+    pytest.importorskip("h5netcdf")
+    for kind in KINDS:
+        assert main(command(scene, tmp_path / kind, kind, "--duration", "0.25")) == 0
+    wanted = envelopes(tmp_path / "wav")
+    assert wanted.shape == (2, 640)
+    assert np.abs(wanted.imag).max() > 0.1
+    for kind in KINDS[1:]:
+        with clsim.open_store(tmp_path / kind) as found:
+            assert found.sound.dtype == np.complex64
+            np.testing.assert_array_equal(found.sound.values, wanted)
+            np.testing.assert_allclose(found.time.values, np.arange(640) / 2560.0, rtol=1e-15)
+            assert (found.attrs["carrier"], found.attrs["sampling_rate"]) == (40e3, 2560.0)
+            assert found.sound.attrs["units"] == "Pa"
+    with xarray.open_dataset(tmp_path / "hdf5" / "recording.h5", engine="h5netcdf") as plain:
+        np.testing.assert_array_equal(plain.sound.values, wanted)
+    pictures = [(tmp_path / kind / "right_spectrogram.png").read_bytes() for kind in KINDS]
+    assert pictures[0] == pictures[1] == pictures[2]
+    truth = np.load(tmp_path / "wav" / "ground_truth.npz")
+    assert truth["delay"].shape[:2] == (1, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["wav", "zarr"])
+def test_a_killed_run_is_gone_on_with(kind: str, tmp_path: Path) -> None:
+    if kind != "wav":
+        pytest.importorskip("zarr")
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    scene.write_text(LONG, "utf-8")
+    arguments = command(scene, out, kind, "--no-plots")
+    process = subprocess.Popen([sys.executable, "-m", "clsim.cli", *arguments], env=ENVIRONMENT, stderr=subprocess.PIPE)
+    journal = Journal(out / ".partial")
+    while process.poll() is None and not journal.exists():
+        time.sleep(0.01)
+    process.kill()
+    process.communicate()
+    assert 0 < journal.load()[1] < 40 * 2560
+    scene.write_text(LONG.replace("bandwidth = 1e3", "bandwidth = 1100.0"), "utf-8")
+    refused = run_alone([*arguments, "--resume"])
+    assert refused.returncode == 2
+    assert "scene.render.baseband.bandwidth was 1000.0 and is 1100.0" in refused.stderr
+    scene.write_text(LONG, "utf-8")
+    for more in ([*arguments, "--resume"], command(scene, tmp_path / "whole", "wav", "--no-plots")):
+        done = run_alone(more)
+        assert done.returncode == 0, done.stderr
+    wanted = envelopes(tmp_path / "whole")
+    if kind == "wav":
+        np.testing.assert_array_equal(envelopes(out), wanted)
+    else:
+        with clsim.open_store(out) as found:
+            np.testing.assert_array_equal(found.sound.values, wanted)
+
+
+METRICS = """
+import numpy as np
+
+
+def doppler(recording, paths, parameters):
+    assert recording.samples.dtype == np.complex64
+    phase = np.unwrap(np.angle(recording.pressure[:, 256:512].astype(complex)))
+    return {"shift": np.polyfit(recording.times[256:512], phase.T, 1)[0] / (2 * np.pi), "first": recording.samples[:, 300]}
+"""
+STUDY = """
+format = 1
+scene = "scene.toml"
+metrics = "judge:doppler"
+keep = ["recording", "ground_truth", "metrics"]
+[[vary]]
+field = "render.baseband.bandwidth"
+name = "width"
+values = [1e3, 2e3, 1.0]
+"""
+
+
+def test_a_study_judges_envelopes(scene: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    xarray = pytest.importorskip("xarray")
+    scene.write_text(
+        SHORT.replace("max_order = 1", "max_order = 0").replace("duration = 1000", "duration = 1"), "utf-8"
+    )
+    (tmp_path / "judge.py").write_text(METRICS, "utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, "utf-8")
+    assert main(["study", str(tmp_path / "study.toml"), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
+    rows = [json.loads(line) for line in (tmp_path / "out" / "index.jsonl").read_text("utf-8").splitlines()]
+    assert [row["status"] for row in rows] == ["finished", "finished", "failed"]
+    assert "baseband.bandwidth: must be above" in rows[2]["error"]
+    groups = sorted((tmp_path / "out" / "study.zarr").glob("*0*"))
+    for group in groups[:2]:
+        with xarray.open_zarr(group) as found:
+            assert found.sound.dtype == np.complex64
+            np.testing.assert_array_equal(found.first.values, found.sound.values[:, 300])
+            # 1 m/s along x towards both, at 0.15 s from (1.15, 1, 1); the left one's clock is slow by 50 ppm.
+            along = np.array([1.85 / np.hypot(1.85, 1.0), 1.85 / np.sqrt(1.85**2 + 2.0)])
+            wanted = 40e3 * (along / 343.2 + np.array([50e-6, 0.0]))
+            np.testing.assert_allclose(found["shift"].values, wanted, rtol=0.004)
+
+
+def test_quiet_paths_are_left_out_of_envelopes(engine: str) -> None:
+    chirp = clsim.Signal.chirp(39.5e3, 40.5e3, 0.1, 192e3, window="hann")
+    way = clsim.Trajectory.circle((3.0, 2.5, 1.2), 1.5, 2.0, 0.6)
+    one = clsim.Scene(
+        clsim.Shoebox((6, 5, 3), clsim.Material.from_reflection(0.5)),
+        clsim.Air(),
+        [clsim.Source("s", chirp, way)],
+        [clsim.Receiver("r", clsim.Trajectory.fixed((5.0, 4.0, 2.0)))],
+    )
+    paths = clsim.find_paths(one, 5)
+    whole, part = (
+        clsim.render(paths, 192e3, engine=engine, duration=0.15, baseband=(40e3, 4e3), prune_below_db=level)
+        for level in (None, -50.0)
+    )
+    said = next(note for note in part.notes if "paths that stay below -50 dB" in note)
+    strongest = np.abs(paths.table(np.linspace(0.0, 0.2, 50)).gain).max()
+    lost = np.abs(whole.pressure - part.pressure).max()
+    assert 0.0 < lost < strongest * 10 ** (float(said.split("at most ")[1].split(" dB")[0]) / 20)

@@ -1,0 +1,205 @@
+"""The command line as a user meets it."""
+
+import os
+import signal
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from clsim.cli import main
+from clsim.output.table import read_table
+
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [4.0, 3.0, 2.5]
+walls = { reflection = 0.9 }
+[[sources]]
+name = "robot"
+signal = { kind = "tone", frequency = 40e3, duration = %s, sampling_rate = 192e3, fade = 0.005 }
+trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 40.0 }
+[[receivers]]
+name = "über/left"
+trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
+[[receivers]]
+name = "right"
+trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
+[paths]
+max_order = 2
+[render]
+sampling_rate = 192e3
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE % "0.05", "utf-8")
+    return path
+
+
+def test_run_writes_all_it_promises(scene: Path, tmp_path: Path, capsys, device) -> None:
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "-o", str(out)]) == 0
+    printed = capsys.readouterr()
+    names = {
+        "ber_left.wav", "right.wav", "paths.npz", "ber_left_spectrogram.png", "right_spectrogram.png",
+        "ber_left_echogram.png", "right_echogram.png", "ground_truth.npz", "scene.completed.toml", "clsim.json",
+    }  # fmt: skip
+    assert {p.name for p in out.iterdir()} == names
+    assert {Path(line).name for line in printed.out.split()} == names - {"clsim.json"}
+    assert printed.err == ""
+    samples, rate = soundfile.read(out / "right.wav")
+    assert rate == 192_000
+    assert np.any(samples)
+    table = read_table(out / "paths.npz")
+    assert table.receiver_names == ("über/left", "right")
+    # The completed scene gives the same sound.
+    assert (
+        main(["run", str(out / "scene.completed.toml"), "-o", str(tmp_path / "again"), "--no-plots", "--table", "none"])
+        == 0
+    )
+    np.testing.assert_array_equal(soundfile.read(tmp_path / "again" / "right.wav")[0], samples)
+    assert tomllib.loads((out / "scene.completed.toml").read_text("utf-8"))["render"]["duration"] > 0.05
+
+
+def test_run_does_not_write_over_results(scene: Path, tmp_path: Path, capsys, device) -> None:
+    arguments = ["run", str(scene), "-o", str(tmp_path / "out"), "--no-plots", "--duration", "0.01"]
+    assert main(arguments) == 0
+    assert main(arguments) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main([*arguments, "--force"]) == 0
+
+
+def test_check_and_paths_say_what_there_is(scene: Path, tmp_path: Path, capsys) -> None:
+    assert main(["check", str(scene)]) == 0
+    out = capsys.readouterr().out
+    assert "50 paths from 1 sources to 2 receivers" in out
+    assert "valid" in out
+    assert main(["paths", str(scene), "--limit", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 5
+    assert "direct" in lines[1]
+    assert main(["paths", str(scene), "-o", str(tmp_path / "p.npz")]) == 0
+    assert read_table(tmp_path / "p.npz").delay.shape == (50, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("max_order = 2", "max_order = 99"), "paths.max_order"),
+        (("[3.0, 1.0, 2.0]", "[3.0, 1.0, 2.6]"), "receivers[0].trajectory"),
+        (("[3.0, 1.0, 2.0]", "[3.0, 1.0, nan]"), "receivers[0].trajectory.position[2]"),
+        (("reflection", "reflektion"), "room.walls.reflektion"),
+        (("format = 1", "format = "), "scene.toml"),
+        (("sampling_rate = 192e3\n", "sampling_rate = 70e3\n"), "frequency"),
+    ],
+)
+def test_errors_are_one_line_and_status_2(scene: Path, capsys, change: tuple[str, str], message: str) -> None:
+    text = scene.read_text("utf-8")
+    assert change[0] in text
+    scene.write_text(text.replace(*change), "utf-8")
+    assert main(["check", str(scene)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("clsim: error: ")
+    assert err.count("\n") == 1
+    assert message in err
+
+
+def test_unwritable_output_is_one_line(scene: Path, tmp_path: Path, capsys, device) -> None:
+    (tmp_path / "file").write_text("in the way")
+    assert main(["run", str(scene), "-o", str(tmp_path / "file" / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
+    resource = pytest.importorskip("resource")
+    code = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000));"
+        f"from clsim.cli import main; sys.exit(main(['run', {str(scene)!r}, '-o', {str(tmp_path / 'out')!r}]))"
+    )
+    assert resource
+    scene.write_text(SCENE % "3.0", "utf-8")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.splitlines()[-1].startswith("clsim: error: ")
+    assert "MiB are needed" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, capsys, monkeypatch, device) -> None:
+    from clsim.workflow import checkpoint
+
+    render = checkpoint.render_chunks
+
+    def interrupted(*arguments, **options):
+        for number, piece in enumerate(render(*arguments, **options)):
+            if number == 2:
+                os.kill(os.getpid(), signal.SIGINT)
+            yield piece
+
+    monkeypatch.setattr(checkpoint, "render_chunks", interrupted)
+    scene.write_text((SCENE % "0.5").replace("[render]\n", "[render]\nchunk = 18432\n"), "utf-8")
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "-o", str(out)]) == 130
+    told = f"clsim: interrupted; what was rendered is kept in {out / '.partial'}: --resume goes on with it\n"
+    assert capsys.readouterr().err == told
+    assert [p.name for p in out.iterdir()] == [".partial"]
+
+
+def test_devices_lists_or_tells_what_to_install(capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    status = main(["devices"])
+    printed = capsys.readouterr()
+    assert status == (0 if printed.out else 2)
+    assert printed.out.startswith("0:0") or "install" in printed.err
+
+
+def test_no_platform_is_an_error_that_says_what_to_do(scene: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "vendors"
+    empty.mkdir()
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(sys.path), "OCL_ICD_VENDORS": str(empty), "OCL_ICD_FILENAMES": "",
+    }  # fmt: skip
+    code = "import sys; from clsim.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "devices"], capture_output=True, text=True, env=environment
+    )  # fmt: skip
+    if done.returncode == 0:
+        pytest.skip("this OpenCL loader finds its packaged driver whatever the environment says")
+    assert done.returncode == 2
+    assert "install a driver" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_misspelt_key_is_told_rather_than_what_is_then_missing(scene: Path, capsys) -> None:
+    scene.write_text((SCENE % "0.05").replace("max_order", "max_ordre"), "utf-8")
+    assert main(["check", str(scene)]) == 2
+    assert capsys.readouterr().err == "clsim: error: paths.max_ordre: is no known key\n"
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(scene: Path) -> None:
+    code = f"from clsim.cli import main; import sys; sys.exit(main(['check', {str(scene)!r}]))"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
+
+
+def test_a_full_disk_names_the_file(scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full on this machine")
+    target = tmp_path / "page.html"
+    monkeypatch.setattr("clsim.files.atomic.temporary_path", lambda path: Path("/dev/full"))
+    monkeypatch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
+    assert main(["view", str(scene), "--frames", "1", "-o", str(target)]) == 2
+    assert capsys.readouterr().err == f"clsim: error: [Errno 28] No space left on device: {str(target)!r}\n"
+    assert not target.exists()

@@ -1,0 +1,173 @@
+"""What is hardly meant is told by name behind every door: Python, check, run and study."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_meshes import box, joined
+
+import clsim
+from clsim.cli import main
+from clsim.scene.room import mesh as mesh_room
+from clsim.study.file import checked, load_study
+from clsim.study.member import run_member, study_to_settings
+
+WALL = clsim.Material.from_reflection(0.9)
+
+
+def scene(room, places=((1, 1, 1), (3, 2, 1)), frequency: float = 40e3) -> clsim.Scene:
+    source, receiver = (clsim.Trajectory.fixed(p) for p in places)
+    tone = clsim.Signal.tone(frequency, 0.005, 192e3)
+    return clsim.Scene(room, clsim.Air(), [clsim.Source("s", tone, source)], [clsim.Receiver("r", receiver)])
+
+
+def mesh(size: float, scale: float | None) -> clsim.MeshRoom:
+    vertices, triangles = box((size, size / 2, size / 4))
+    return clsim.MeshRoom(vertices, triangles, WALL, scale=scale)
+
+
+@pytest.mark.parametrize(
+    ("room", "line"),
+    [
+        (clsim.Shoebox((8000, 6000, 3000), WALL), "8000 m is large for a room; for millimetres, try 0.001 times its lengths"),
+        (mesh(8000.0, 1.0), "8000 m is large for a room; for a file in millimetres, try scale = 0.001"),
+        (mesh(8000.0, 1000.0), "8000 m is large for a room; try scale = 1"),
+        (mesh(8000.0, None), "8000 m is large for a room; for millimetres, try 0.001 times its lengths"),
+        (mesh(301.0, 1.0), "301 m is large for a room; for a file in millimetres, try scale = 0.001"),
+        (mesh(8e6, 1.0), "8e+06 m is large for a room; try scale = 1e-06"),
+        (mesh(0.19, 0.001), "0.19 m is small for a room; try scale = 1"),
+        (clsim.Shoebox((0.1, 0.1, 0.1), WALL), "0.1 m is small for a room; try 1000 times its lengths"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_an_absurd_size_comes_with_what_to_try(room, line: str) -> None:
+    size = room.extent[1][0]
+    places = ((0.1 * size, 0.1 * size, 0.1 * size), (0.8 * size, 0.3 * size, 0.15 * size))
+    with pytest.warns(clsim.ClsimWarning) as caught:
+        scene(room, places)
+    assert [str(w.message) for w in caught] == [f"room: {line}"]
+    assert caught[0].filename == __file__
+
+
+@pytest.mark.parametrize("size", [0.2, 8.0, 300.0])
+def test_a_usual_size_is_not_remarked_on(size: float) -> None:
+    places = ((0.1 * size, 0.1 * size, 0.1 * size), (0.8 * size, 0.3 * size, 0.15 * size))
+    scene(mesh(size, 1.0), places)
+    scene(clsim.Shoebox((size, size, size), WALL), places)
+
+
+def test_hertz_for_kilohertz_is_told() -> None:
+    with pytest.warns(clsim.ClsimWarning, match=r"sources\[0\]\.signal: 40 Hz is low .* for 40 kHz, try 40e3"):
+        scene(clsim.Shoebox((8, 6, 3), WALL), frequency=40.0)
+    scene(clsim.Shoebox((8, 6, 3), WALL), frequency=125.0)
+
+
+def test_an_end_outside_a_watertight_mesh_is_refused_by_name() -> None:
+    vertices, triangles = box((8, 6, 3))
+    room = clsim.MeshRoom(vertices, triangles, WALL)
+    message = r"'{}' at \(3, 2, 4\) m is outside the room .* from \(0, 0, 0\) to \(8, 6, 3\) m"
+    with pytest.raises(clsim.InputError, match=message.format("r")) as error:
+        scene(room, ((1, 1, 1), (3, 2, 4)))
+    assert error.value.field == "receivers[0].trajectory"
+    with pytest.raises(clsim.InputError, match=message.format("s")) as error:
+        scene(room, ((3, 2, 4), (1, 1, 1)))
+    assert error.value.field == "sources[0].trajectory"
+    with pytest.warns(clsim.ClsimWarning, match=r"sources\[0\]\.trajectory: no source or receiver is inside .* 's' at"):
+        scene(room, ((3, 2, 4), (1, 1, 4)))
+    # Within a closed cupboard nothing is heard either.
+    cupboard = joined((vertices, triangles), (0.25 * np.asarray(vertices) + 2.0, triangles))
+    with pytest.raises(clsim.InputError, match="inside a closed obstacle"):
+        scene(clsim.MeshRoom(*cupboard, WALL), ((1, 1, 1), (2.5, 2.5, 2.5)))
+
+
+def test_a_room_whose_walls_are_solids_is_a_room() -> None:
+    """Between an inner and an outer shell is the wall: the room inside is not within the mesh."""
+    vertices, triangles = box((8, 6, 3))
+    outer = np.asarray(vertices) * [8.4 / 8, 6.4 / 6, 3.4 / 3] - 0.2
+    house = clsim.MeshRoom(*joined((vertices, triangles), (outer, triangles)), WALL)
+    assert house.shape.watertight
+    scene(house)
+    for places, name in ((((1, 1, 1), (3, 2, 3.1)), "sources"), (((1, 1, 3.1), (3, 2, 1)), "receivers")):
+        with pytest.raises(clsim.InputError, match="must be where other ends can be heard") as error:
+            scene(house, places)
+        assert error.value.field == f"{name}[0].trajectory"
+    two = [clsim.Receiver(n, clsim.Trajectory.fixed(p)) for n, p in (("a", (3, 2, 1)), ("b", (4, 2, 3.1)))]
+    with pytest.raises(clsim.InputError, match=r"'b' at .* is inside the mesh, and others are not"):
+        clsim.Scene(house, clsim.Air(), scene(house).sources, two)
+    with pytest.warns(clsim.ClsimWarning, match="no source or receiver is inside"):
+        scene(house, ((1, 1, 4), (3, 2, 4)))
+
+
+def test_open_meshes_have_no_outside() -> None:
+    vertices, triangles = box((8, 6, 3))
+    scene(clsim.MeshRoom(vertices, triangles[1:], WALL), ((1, 1, 1), (3, 2, 4)))
+
+
+def test_no_ray_through_an_edge_makes_an_inside(rng: np.random.Generator) -> None:
+    """Places on round coordinates and on the lines of rays through edges are inside all the same."""
+    vertices, triangles = box((8, 6, 3))
+    room = clsim.MeshRoom(vertices, triangles, WALL)
+    grid = np.stack(np.meshgrid(np.arange(0.1, 8, 0.5), np.arange(0.1, 6, 0.5), np.arange(0.1, 3, 0.5)), -1)
+    assert room.contains(grid.reshape(-1, 3)).all()
+    for ray in mesh_room._RAYS:
+        hits = np.array([8.0, 6.0, 3.0]) * [1.0, 0.5, 1.0]  # the middle of an edge
+        assert room.contains([hits - np.sign(ray @ [1, 0, 1]) * 0.7 * ray])[0] == (ray[0] * ray[2] > 0)
+
+
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [8000.0, 6000.0, 3000.0]
+walls = { reflection = 0.9 }
+[[sources]]
+name = "s"
+signal = { kind = "tone", frequency = 40.0, duration = 0.002, sampling_rate = 192e3 }
+trajectory = { kind = "fixed", position = [4.0, 3.0, 1.5] }
+[[receivers]]
+name = "r"
+trajectory = { kind = "fixed", position = [4.5, 3.0, 1.5] }
+[paths]
+max_order = 0
+[render]
+sampling_rate = 192e3
+engine = "reference"
+responses = "centre"
+"""
+STUDY = """
+format = 1
+scene = "scene.toml"
+keep = ["ground_truth"]
+[[vary]]
+field = "paths.max_order"
+values = [0]
+"""
+TOLD = ("room: 8000 m is large for a room", "sources[0].signal: 40 Hz is low")
+
+
+@pytest.mark.parametrize("door", ["check", "run"])
+def test_commands_tell_it(door: str, tmp_path: Path, capsys) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
+    more = ["-o", str(tmp_path / "out"), "--no-plots", "--table", "none"] if door == "run" else []
+    assert main([door, str(tmp_path / "scene.toml"), *more]) == 0
+    warned = capsys.readouterr().err.splitlines()
+    for text in TOLD:
+        assert sum(line.startswith(f"clsim: warning: {text}") for line in warned) == 1
+
+
+def test_studies_tell_it_before_and_of_each_member(tmp_path: Path) -> None:
+    pytest.importorskip("xarray")
+    pytest.importorskip("zarr")
+    (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, "utf-8")
+    study = load_study(tmp_path / "study.toml")
+    with pytest.warns(clsim.ClsimWarning) as caught:
+        checked(study, lambda share: None)
+    (tmp_path / "study.json").write_text(json.dumps(study_to_settings(study)), "utf-8")
+    (tmp_path / "study.zarr").mkdir()
+    row = run_member(str(tmp_path), 0, None)
+    assert row["status"] == "finished", row["error"]
+    for messages in ([str(w.message) for w in caught], row["warnings"]):
+        for text in TOLD:
+            assert any(message.startswith(text) for message in messages)

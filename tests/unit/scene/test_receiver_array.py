@@ -1,0 +1,134 @@
+"""Arrays of receivers: grids, files, scene files, and what a run writes of many."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.cli import main
+from clsim.scene_file import load_scene
+
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [8.0, 6.0, 3.0]
+walls = { reflection = 0.9 }
+[[sources]]
+name = "robot"
+signal = { kind = "tone", frequency = 40e3, duration = 0.02, sampling_rate = 192e3, fade = 5e-3 }
+trajectory = { kind = "line", start = [2.0, 3.0, 1.5], end = [3.0, 3.0, 1.5], duration = 0.5 }
+[[receivers]]
+name = "ceiling"
+positions = { kind = "grid", x = [0.5, 7.5, 5], y = [0.5, 5.5, 4], z = 2.9 }
+directivity = { kind = "cardioid" }
+aim = [0.0, 0.0, -1.0]
+[[receivers]]
+name = "table"
+positions = { kind = "file", path = "mics.csv" }
+[[receivers]]
+name = "one"
+trajectory = { kind = "fixed", position = [1.0, 1.0, 1.0] }
+[paths]
+max_order = 1
+[render]
+sampling_rate = 192e3
+duration = 0.04
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    (tmp_path / "mics.csv").write_text("x, y, z\n# two of them\n1.0, 2.0, 1.0\n2;2;1.5\n")
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return tmp_path / "scene.toml"
+
+
+def test_a_grid_goes_through_x_first() -> None:
+    places = clsim.grid_positions((0.0, 2.0, 3), (5.0, 6.0, 2), (1.0, 1.5, 2))
+    assert places.shape == (12, 3)
+    np.testing.assert_array_equal(places[:4], [[0, 5, 1], [1, 5, 1], [2, 5, 1], [0, 6, 1]])
+    np.testing.assert_array_equal(places[-1], [2, 6, 1.5])
+    np.testing.assert_array_equal(clsim.grid_positions(1, 2, 3), [[1, 2, 3]])
+
+
+def test_a_scene_file_holds_arrays_beside_single_receivers(scene: Path) -> None:
+    receivers = load_scene(scene).scene.receivers
+    assert [r.name for r in receivers] == [*(f"ceiling-{i}" for i in range(20)), "table-0", "table-1", "one"]
+    places = np.concatenate([r.trajectory.position(np.zeros(1)) for r in receivers])
+    np.testing.assert_array_equal(
+        places[[0, 19, 20, 21, 22]], [[0.5, 0.5, 2.9], [7.5, 5.5, 2.9], [1, 2, 1], [2, 2, 1.5], [1, 1, 1]]
+    )
+    assert {id(r.directivity) for r in receivers[:20]} == {id(receivers[0].directivity)}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("x = [0.5, 7.5, 5]", "x = [0.5, 7.5, 0]", "receivers[0].positions.x[2]: must be from 1 to 100000, but is 0"),
+        ("x = [0.5, 7.5, 5]", "x = [0.5, 7.5, 1]", "receivers[0].positions.x[2]: must be at least 2 between"),
+        ("x = [0.5, 7.5, 5]", "x = [0.5, 7.5]", "receivers[0].positions.x: must be a number or first, last and count"),
+        ("x = [0.5, 7.5, 5]", "x = [0.5, 7.5, 2.5]", "receivers[0].positions.x[2]: must be a whole number"),
+        ("x = [0.5, 7.5, 5]", "x = [0.5, 9.5, 5]", "receivers[4].trajectory: must stay inside the room"),
+        ("z = 2.9", "z = [1.0, 2.9, 90000]", "receivers[0].positions.x: must make at most 100000 positions"),
+        ('"mics.csv"', '"nowhere.csv"', "receivers[1].positions.path: "),
+        ('kind = "grid", x', 'kind = "grad", x', "receivers[0].positions.kind: "),
+        ("[1.0, 1.0, 1.0] }", "[1.0, 1.0, 1.0] }\npositions = 3", "receivers[2]"),
+    ],
+)  # fmt: skip
+def test_nonsense_is_an_error_in_a_line(scene: Path, capsys, old: str, new: str, message: str) -> None:
+    assert SCENE.count(old) == 1
+    scene.write_text(SCENE.replace(old, new))
+    assert main(["check", str(scene)]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "must hold positions, but holds none"),
+        ("x,y,z\n", "must hold positions, but holds none"),
+        ("1,2,3\n1,2\n", "line 2 must be three finite numbers, but is '1,2'"),
+        ("1,2,nan\n", "line 1 must be three finite numbers"),
+        ("a,b,c\nd,e,f\n1,2,3\n", "line 2 must be three numbers, but is 'd,e,f'"),
+        ("1,2,3\nx,y,z\n", "line 2 must be three numbers, but is 'x,y,z'"),
+        (b"\xff\xfe\x00", "cannot be read"),
+    ],
+)
+def test_files_without_positions_are_refused(tmp_path: Path, text, message: str) -> None:
+    path = tmp_path / "p.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(clsim.InputError, match=message):
+        clsim.positions_from_file(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "positions", "message"),
+    [("", [[1, 2, 3]], "name: must be a text"), ("a", [[1, 2]], "positions: must have the shape"), ("a", [], "positions: must")],
+)  # fmt: skip
+def test_arrays_of_nothing_are_refused(name: str, positions, message: str) -> None:
+    with pytest.raises(clsim.InputError, match=message):
+        clsim.receiver_array(name, positions)
+
+
+@pytest.mark.usefixtures("device")
+def test_a_run_tells_the_truth_about_all_and_draws_some(scene: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "-o", str(out)]) == 0
+    assert "pictures are of the first 16 receivers of 23" in capsys.readouterr().err
+    assert len(list(out.glob("*.wav"))) == 23
+    assert len(list(out.glob("*_echogram.png"))) == 16
+    with np.load(out / "ground_truth.npz") as truth:
+        assert truth["receiver_names"][20] == "table-0"
+        speed = clsim.Air().speed_of_sound
+        for r, place in ((0, (0.5, 0.5, 2.9)), (20, (1.0, 2.0, 1.0)), (22, (1.0, 1.0, 1.0))):
+            times, delay = truth["times"], truth["delay"][0, r]
+            there = np.stack([2.0 + 2.0 * (times - delay), 0 * times + 3.0, 0 * times + 1.5], axis=1)
+            np.testing.assert_allclose(delay * speed, np.linalg.norm(there - place, axis=1), atol=1e-9)
+        assert truth["line_of_sight"].all()
+        assert truth["radial_speed"].shape == truth["delay"].shape == (1, 23, len(times))
+    again = load_scene(out / "scene.completed.toml")
+    assert len(again.scene.receivers) == 23
