@@ -122,7 +122,7 @@ def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: s
     corners = paths.vertices(time, motion)[heard]
     names = [
         f"{table.source_names[table.source[p]]} to {table.receiver_names[table.receiver[p]]}, "
-        + (", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct")
+        + table.name_way(p)
         + f": {table.delay[p, 0] * 1e3:.3f} ms, {decibels + 0.0:.1f} dB"
         for p, decibels in zip(heard, level, strict=True)
     ]

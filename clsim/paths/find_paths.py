@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from functools import partial
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from clsim.arrays import as_choice, as_count, as_number, read_only
+from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
-from clsim.paths.specular.mesh import FINDERS, MeshSearch, image_isometries, report
-from clsim.paths.specular.shoebox import shoebox_image_count, shoebox_images
+from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
+from clsim.paths.specular.mesh import FINDERS, mesh_paths
+from clsim.paths.specular.shoebox import shoebox_paths
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
-LARGEST_ORDER = 60
-LARGEST_MESH_ORDER = 20
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 ENGINES = ("opencl", "reference")
+ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}  # of specular paths
+FAMILY_FINDERS: dict[str, FamilyFinder] = {}  # of other kinds of paths
 
 
 def find_paths(
@@ -88,57 +87,32 @@ def find_paths(
     if resolution is not None:
         resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
     limit = as_count("path_limit", path_limit, at_least=1)
-    if isinstance(scene.room, Shoebox):
-        return _shoebox_paths(scene, scene.room, as_count("max_order", max_order, at_most=LARGEST_ORDER), limit)
-    order = as_count("max_order", max_order, at_most=LARGEST_MESH_ORDER)
-    if not isinstance(scene.room, MeshRoom):
-        raise InputError("scene.room", f"must be a Shoebox or a MeshRoom to find paths, but is {scene.room!r:.80}")
-    search = MeshSearch(order, finder, resolution, limit, engine, device)
-    return _mesh_paths(scene, scene.room, search, progress or (lambda share: None))
+    search = PathSearch(max_order, limit, finder, resolution, engine, device, progress or (lambda share: None))
+    find_specular = next(ROOM_FINDERS[kind] for kind in type(scene.room).__mro__ if kind in ROOM_FINDERS)
+    specular = find_specular(scene, scene.room, search)
+    return PathSet(scene, (specular, *(find(scene, search) for find in FAMILY_FINDERS.values())))
 
 
-def _shoebox_paths(scene: Scene, room: Shoebox, order: int, path_limit: int) -> PathSet:
-    pairs = len(scene.sources) * len(scene.receivers)
-    images = shoebox_image_count(order)
-    if images * pairs > path_limit:
-        raise InputError(
-            "max_order",
-            f"must give at most {path_limit} paths (path_limit), but {order} gives {images} images "
-            f"for each of {pairs} pairs of source and receiver",
-        )
-    found = shoebox_images(room.size, order)
-    source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
-    return PathSet(
-        scene=scene,
-        source=read_only(source.astype(np.int32, copy=False)),
-        receiver=read_only(receiver.astype(np.int32, copy=False)),
-        order=read_only(np.tile(found.order, pairs)),
-        walls=read_only(np.tile(found.walls, (pairs, 1))),
-        image_matrix=read_only(np.tile(found.matrix, (pairs, 1, 1))),
-        image_offset=read_only(np.tile(found.offset, (pairs, 1))),
-        start=np.broadcast_to(-np.inf, images * pairs),
-        end=np.broadcast_to(np.inf, images * pairs),
-    )
+@contextmanager
+def registered_family(name: str, finder: FamilyFinder) -> Iterator[None]:
+    """Let `find_paths` find another kind of paths as well, within a ``with`` block.
 
+    Parameters
+    ----------
+    name : str
+        Of the kind, unlike that of any other.
+    finder : callable
+        Takes a Scene and a `PathSearch`; returns a `PathFamily`, which may be empty.
 
-def _mesh_paths(scene: Scene, room: MeshRoom, search: MeshSearch, progress: Callable[[float], None]) -> PathSet:
-    count = len(scene.sources)
-    found = [
-        search.paths(scene, source, partial(report, progress, i / count, (i + 1) / count))
-        for i, source in enumerate(scene.sources)
-    ]
-    walls = np.concatenate([f.walls for f in found])
-    if len(walls) > search.path_limit:
-        raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
-    matrix, offset = image_isometries(room.walls, walls)
-    return PathSet(
-        scene=scene,
-        source=read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])),
-        receiver=read_only(np.concatenate([f.receiver for f in found]).astype(np.int32)),
-        order=read_only(np.concatenate([f.order for f in found]).astype(np.int32)),
-        walls=read_only(walls),
-        image_matrix=read_only(matrix),
-        image_offset=read_only(offset),
-        start=read_only(np.concatenate([f.begin for f in found])),
-        end=read_only(np.concatenate([f.end for f in found])),
-    )
+    Raises
+    ------
+    InputError
+        If the name is taken.
+    """
+    if name in FAMILY_FINDERS:
+        raise InputError("name", f"must be new, but there are {sorted(FAMILY_FINDERS)} already")
+    FAMILY_FINDERS[name] = finder
+    try:
+        yield
+    finally:
+        del FAMILY_FINDERS[name]

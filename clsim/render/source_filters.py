@@ -13,10 +13,10 @@ import numpy as np
 
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.coverage import check_band_coverage
-from clsim.paths.response import is_complex
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_above, shares
-from clsim.tracks.basis import Basis, flat_basis, scene_basis, turning_basis
+from clsim.tracks.basis import Basis, flat_basis
+from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import band_of
 
 if TYPE_CHECKING:
@@ -361,7 +361,7 @@ def basis_of(
     band_at = partial(band_of, low, high, sound)
     if not at_centre:
         return scene_basis(of_scene, index, band_at, until, rate, min(floor_db, options.response_error_db))
-    if is_complex(of_scene.scene):
+    if of_scene.paths.is_complex:
         return turning_basis(index, signal.centre_frequency, band_at(), rate, floor_db)
     return flat_basis(signal.centre_frequency)
 

@@ -132,16 +132,15 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
     assert basis.error_db < -80.0
     # Of paths and times that were not looked at: the same bound, for what a response is at any frequency of the band.
     tracks, rng = plan.tracks, np.random.default_rng(5)
-    from clsim.paths.arrivals import arrivals
-    from clsim.paths.response import Responses
+    from clsim.paths.response import SceneResponse
     from clsim.tracks.sampled import chebyshev_points
 
     # The chirp's spectrum fades towards the ends of its band, and so does what is asked there.
     times, f = rng.uniform(0.0, 0.05, 7), chebyshev_points(low + 0.15 * (high - low), high - 0.15 * (high - low), 40)
-    group = tracks.path_groups[0]
-    found = arrivals(scene, group, times)
-    true = Responses(scene, f).along(group, found, times)
-    gains = basis.gains(Responses(scene, basis.nodes).along(group, found, times))
+    pair = tracks.pair_paths[0]
+    found = pair.arrivals(times)
+    true = pair.response(found, times, SceneResponse(scene, f))
+    gains = basis.gains(pair.response(found, times, SceneResponse(scene, basis.nodes)))
     half = basis.half
     shapes = np.real(basis.filters @ np.exp(-2j * np.pi * np.outer(np.arange(-half, half + 1), f) / RATE))
     wrong = np.sqrt(np.mean((gains @ shapes - true) ** 2, axis=2)) / np.abs(true).max()

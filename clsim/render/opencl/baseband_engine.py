@@ -58,7 +58,7 @@ class _BasebandRun(Run):
             for at in places:
                 begin = at * plan.segment
                 few = min(_FEW, (self._length - begin) // block)
-                nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, few)
+                nodes = self._maker.nodes(self._state, self._start + begin, block, few)
                 errors.append(float(nodes.error.max()))
             # Where they are too long, shorter ones are made as well: one after the other 1 + share * block / shorter.
             if np.mean(np.array(errors) > self._tolerance) <= 1.0 - shorter / block:

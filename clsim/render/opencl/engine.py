@@ -15,7 +15,7 @@ from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
-from clsim.render.opencl.device_nodes import DeviceTracks
+from clsim.render.opencl.device_nodes import NODE_PROGRAMS, DeviceTracks
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
 from clsim.render.plan import NODE_BUDGET, Plan
@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.paths.family import PathFamily
     from clsim.render.opencl.fades import Fades
+
+    NodeMaker = DeviceTracks | HostTracks
 
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
@@ -96,12 +99,7 @@ class OpenclEngine:
         self.skips_silence = True
         self._unheld = np.zeros(len(plan.source_filters))  # largest part of what is heard that no function holds
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
-        self._tracks: DeviceTracks | HostTracks
-        of_scene = plan.tracks.of_scene
-        if of_scene is not None and self._info.fp64:
-            self._tracks = DeviceTracks(plan, of_scene, self._queue, self._compiler, self._layout.nodes)
-        else:
-            self._tracks = HostTracks(plan, self._queue)
+        self._makers: dict[PathFamily | None, NodeMaker] = {}  # None: the host, whatever the kind of paths
 
     def render(self, start: int, stop: int) -> NDArray[np.float32]:
         """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
@@ -140,6 +138,19 @@ class OpenclEngine:
         """Remember the largest error that the shortest blocks leave of a source, and when."""
         self._coarse[source] = max(self._coarse[source], (wrong, time))
 
+    def maker(self, group: int) -> NodeMaker:
+        """Return what makes the nodes of a group: the device, where it has float64 and a program for such paths."""
+        plan, of_scene = self._plan, self._plan.tracks.of_scene
+        family = None if of_scene is None or not self._info.fp64 else of_scene.pair_paths[group].family
+        program = None if family is None else NODE_PROGRAMS.get(family.device or "")
+        kind = None if program is None else family
+        if kind not in self._makers:
+            self._makers[kind] = (
+                HostTracks(plan, self._queue) if program is None or of_scene is None
+                else program(plan, of_scene, family, self._queue, self._compiler, self._layout.nodes)
+            )  # fmt: skip
+        return self._makers[kind]
+
     @property
     def run(self) -> type[Run]:
         """What renders a batch of receivers."""
@@ -167,7 +178,8 @@ class OpenclEngine:
                 ]
                 node = bytes_per_node(plan, source)
                 per_segment = node * (plan.segment // plan.shortest_block)
-                for some in _batches([group for group in here if len(group.rows)], per_segment):
+                heard = [group for group in here if len(group.rows)]
+                for some in _batches(heard, per_segment, [self.maker(group.index) for group in heard]):
                     slots = fill_batch(plan, some, BATCH)
                     self.run(self, source, slots, branches, on_device, length, start, first, last).render()
         cl.enqueue_copy(self._queue, pressure, on_device)
@@ -199,7 +211,8 @@ class Run:
         self._bounds = boundaries(self._plan, slots)
         self._first, self._last = first, last
         begin, end = first * self._plan.segment, min(last * self._plan.segment, length)
-        self._state: Any = engine._tracks.prepare(
+        self._maker: Any = engine.maker(slots.groups[0])
+        self._state = self._maker.prepare(
             source, slots, self._bounds, start + begin, end - begin, branches.sounding, branches.first
         )
         self._tolerance = 10 ** (self._plan.motion_error_db / 20)
@@ -218,7 +231,7 @@ class Run:
         for at in range(first, last, step):
             upto = min(at + step, last)
             begin, end = at * segment, min(upto * segment, self._length)
-            nodes = self._engine._tracks.nodes(
+            nodes = self._maker.nodes(
                 self._state, self._start + begin, block, (end - begin) // block,
                 lambda: self._engine.branch_signals.look_ahead(self._source, self._start),
             )  # fmt: skip
@@ -345,16 +358,19 @@ def bytes_per_node(plan: Plan, source: int) -> int:
     return 4 + 4 * plan.delay_terms + 16 * len(plan.source_filters[source].basis)
 
 
-def _batches(active: list[ActivePaths], per_segment: int) -> list[list[ActivePaths]]:
-    """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path."""
+def _batches(active: list[ActivePaths], per_segment: int, makers: Sequence[NodeMaker]) -> list[list[ActivePaths]]:
+    """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path.
+
+    All groups of a batch have their nodes made by the same maker.
+    """
     most = max(BATCH, NODE_BUDGET // per_segment)
     batches: list[list[ActivePaths]] = []
-    count = most
-    for group in active:
+    count, last = most, None
+    for group, maker in zip(active, makers, strict=True):
         slots = -(-len(group.rows) // BATCH) * BATCH
-        if count + slots > most:
+        if count + slots > most or maker is not last:
             batches.append([])
-            count = 0
+            count, last = 0, maker
         batches[-1].append(group)
         count += slots
     return batches

@@ -93,7 +93,7 @@ def test_table_as_parquet_has_a_row_per_path_and_time(tmp_path, table: PathTable
     i = next(i for i in range(75) if rows["path"][i] == p and rows["times"][i] == table.times[t])
     assert rows["delay"][i] == table.delay[p, t]
     assert rows["arrival_z"][i] == table.arrival[p, t, 2]
-    assert rows["walls"][i] == ",".join(table.wall_names[w] for w in table.walls[p] if w >= 0)
+    assert rows["objects"][i] == ",".join(table.object_names[w] for w in table.objects[p] if w >= 0)
 
 
 def test_table_refuses_other_files(tmp_path, table: PathTable) -> None:
@@ -109,7 +109,8 @@ def test_table_refuses_other_files(tmp_path, table: PathTable) -> None:
 
 
 def test_table_without_paths_is_written(tmp_path, table: PathTable) -> None:
-    rows = ("source", "receiver", "order", "walls", "direct", "delay", "doppler_factor", "gain", "departure", "arrival")
+    names = ("times", "source_names", "receiver_names", "object_names")
+    rows = [name for name in PathTable.__dataclass_fields__ if name not in names]
     empty = replace(table, **{name: getattr(table, name)[:0] for name in rows})
     write_table(empty, tmp_path / "t.npz")
     assert read_table(tmp_path / "t.npz").delay.shape == (0, 3)
