@@ -155,7 +155,7 @@ class MeshRoom:
         """
         from clsim.scene.room.mesh_files import read_mesh
 
-        mesh = read_mesh(path, scale=scale, up=up)  # type: ignore[arg-type]
+        mesh = read_mesh(path, scale=scale, up=up)
         by_group = _by_group(mesh.groups, Path(path).name, materials)
         stem = Path(path).stem
         names = [mesh.groups[g] for g in mesh.group]

@@ -285,7 +285,7 @@ class Signal:
 
         Notes
         -----
-        The band's edges are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
+        The band's ends are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
         sampling rate; a narrower band than a hundredth becomes as wide as the filter can be. At another sampling
         rate the same seed gives other samples.
 
@@ -295,15 +295,15 @@ class Signal:
         40000.0
         """
         rate = _rate(sampling_rate)
-        edges = None
+        ends = None
         if band is not None:
             low, high = as_floats("band", band, (2,))
             as_number("band[0]", float(low), at_least=0.0, unit="Hz")
             as_number("band[1]", float(high), above=float(low), below=0.5 * rate, unit="Hz")
-            edges = (float(low), float(high))
+            ends = (float(low), float(high))
         return cls(
             Noise(
-                _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), edges,
+                _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), ends,
                 as_number("rms", rms, at_least=0.0, at_most=LOUDEST, unit="Pa"),
             ),
             rate,

@@ -165,7 +165,7 @@ class Transducer:
         Notes
         -----
         Between frequencies the logarithm of the magnitude and the phase are interpolated linearly. Nothing means
-        that the magnitude falls to -80 dB of its peak, as a raised cosine of its logarithm over a tenth of the edge's
+        that the magnitude falls to -80 dB of its peak, as a raised cosine of its logarithm over a tenth of the last
         frequency.
 
         Examples
