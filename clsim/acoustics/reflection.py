@@ -83,6 +83,11 @@ def mismatch_reflection(density: float, sound_speed: float, speed_of_sound: floa
     speed_of_sound : float
         In air, m/s.
 
+    Returns
+    -------
+    float
+        Factor, -1 to 1.
+
     Notes
     -----
     ``R = (Z - ρ c) / (Z + ρ c)`` with ``Z`` the product of the solid's density and sound speed: A. D. Pierce,

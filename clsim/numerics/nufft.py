@@ -77,7 +77,7 @@ def band_taper(frequencies: Floats, low: float, high: float, below: float, above
 
     Notes
     -----
-    The skirts are regularised incomplete beta functions, so that the spectrum of what is weighted dies away fast; see `ringing`.
+    The skirts are regularised incomplete beta functions, so that an arrival dies away fast; see `ringing`.
     """
     from scipy.special import betainc
 
