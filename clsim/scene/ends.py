@@ -75,7 +75,7 @@ class Source:
         return self.start + self.signal.duration
 
     @property
-    def span(self) -> tuple[float, float]:
+    def time_range(self) -> tuple[float, float]:
         """The finite part of the trajectory that matters, s: from 0 to its end, or that of the signal."""
         return 0.0, self.end if math.isinf(self.trajectory.end) else self.trajectory.end
 
@@ -157,7 +157,7 @@ class Receiver:
         return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
     @property
-    def span(self) -> tuple[float, float]:
+    def time_range(self) -> tuple[float, float]:
         """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
         return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
 

@@ -125,6 +125,6 @@ def _check_bands(scene: Scene) -> None:
             continue
         for source in scene.sources:
             try:
-                receiver.transducer.check_covers(source.emitted.band(), f"what {source.name!r} emits")
+                receiver.transducer.check_coverage(source.emitted.band(), f"what {source.name!r} emits")
             except InputError as error:
                 raise error.within(f"receivers[{i}]") from error

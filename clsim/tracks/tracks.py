@@ -350,7 +350,7 @@ def track(
         path_rows.append(rows)
     # Speeds are sampled; 2 % covers what lies between the samples.
     ends: list[Source | Receiver] = [*scene.sources, *scene.receivers]
-    speeds = [1.02 * _peak_speed(end.trajectory, *end.span) for end in ends]
+    speeds = [1.02 * _peak_speed(end.trajectory, *end.time_range) for end in ends]
     count = len(scene.sources)
     return SceneTracks(
         paths,

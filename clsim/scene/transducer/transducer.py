@@ -123,14 +123,14 @@ class Transducer:
         """
         if not isinstance(voltage, Signal):
             raise InputError("signal", f"must be a Signal, but is {voltage!r:.80}")
-        self.check_covers(voltage.band(), "the signal")
+        self.check_coverage(voltage.band(), "the signal")
         made = Signal(Filtered(voltage.waveform, self, None), voltage.sampling_rate)
         frequencies, energy = made.energy_spectrum()
         total = float(energy.sum())
         centre = float(frequencies @ energy) / total if total > 0.0 else voltage.centre_frequency
         return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
 
-    def check_covers(self, band: tuple[float, float], what: str) -> None:
+    def check_coverage(self, band: tuple[float, float], what: str) -> None:
         """Raise an InputError if the band (low, high) in Hz of `what` is not covered by the response.
 
         Parameters
