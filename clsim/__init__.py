@@ -9,6 +9,7 @@ The pipeline is four values and three arrows between them::
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
@@ -36,6 +37,7 @@ from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
+from clsim.scene_file import load_scene
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
 from clsim.version import __version__ as __version__
@@ -78,6 +80,8 @@ __all__ = [
     "find_paths",
     "grid_positions",
     "impulse_responses",
+    "list_devices",
+    "load_scene",
     "open_store",
     "plan_render",
     "positions_from_file",

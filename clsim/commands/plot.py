@@ -18,7 +18,7 @@ from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
-from clsim.workflow.pipeline import read_files
+from clsim.workflow.pipeline import input_files
 
 if TYPE_CHECKING:
     import argparse
@@ -98,7 +98,7 @@ def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], li
         raise InputError("--end", f"must come with a scene file, but is {options.end!r:.80}")
     if options.scene is not None:
         file = load_scene(options.scene)
-        return _scene_diagrams(file.scene, options.end, wanted), read_files(options.scene, file)
+        return _scene_diagrams(file.scene, options.end, wanted), input_files(options.scene, file)
     directivity = _read(options)
     frequencies = _usual_frequencies(directivity) if wanted is None else wanted
     title = options.name if options.name is not None else options.table.stem

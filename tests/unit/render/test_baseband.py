@@ -9,7 +9,8 @@ import pytest
 import clsim
 from clsim.cli import main
 from clsim.render.baseband import Baseband, as_baseband, blocks_of
-from clsim.scene_file.scene import completed_scene, load_scene
+from clsim.scene_file import load_scene
+from clsim.scene_file.scene import completed_scene
 
 RATE = 192e3
 TONE = clsim.Signal.tone(40e3, 0.05, RATE, fade=0.02)

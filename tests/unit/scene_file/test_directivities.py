@@ -11,7 +11,8 @@ import scipy.io
 import clsim
 from clsim.cli import main
 from clsim.output.directivity_plots import DirectivityDiagram, directivity_levels
-from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
+from clsim.scene_file import load_scene
+from clsim.scene_file.scene import build_scene, completed_scene, scene_schema
 
 SCENE = """
 format = 1

@@ -10,7 +10,8 @@ import tomli_w
 
 import clsim
 from clsim.cli import main
-from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
+from clsim.scene_file import load_scene
+from clsim.scene_file.scene import build_scene, completed_scene, scene_schema
 
 COMPLEX = {"frequencies": [30e3, 50e3], "factors": [[0.5, 0.1], 0.4]}
 IMPEDANCE = {"frequencies": [30e3, 50e3], "impedances": [[3.0, -1.0], 2.0]}

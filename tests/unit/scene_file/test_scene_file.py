@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import clsim
-from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
+from clsim.scene_file import load_scene
+from clsim.scene_file.scene import build_scene, completed_scene, scene_schema
 
 EXAMPLE = """
 format = 1
