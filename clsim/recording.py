@@ -98,7 +98,7 @@ class Recording:
         OSError
             If the file cannot be written.
         """
-        from clsim.files.wav import WavWriter, as_frames
+        from clsim.files.sound import WavWriter, as_frames
 
         frames = as_frames(self.samples)
         with WavWriter(path, self.sampling_rate, frames.shape[1], len(frames)) as writer:

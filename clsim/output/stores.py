@@ -16,7 +16,7 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk
-from clsim.files.wav import EnvelopeFile, SoundFile, wav_header
+from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
 from clsim.output.raw_rows import RawRows
 
 if TYPE_CHECKING:

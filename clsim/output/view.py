@@ -144,7 +144,7 @@ def _walls(scene: Scene) -> list[ViewedWall]:
 def _ends(scene: Scene, times: Floats) -> list[ViewedEnd]:
     found = []
     for field, item in scene.named_ends():
-        first, last = item.span
+        first, last = item.time_range
         trail = item.trajectory.position(np.linspace(first, max(last, first), _TRAIL if last > first else 1))
         at = item.trajectory.position(np.clip(times, first, last) if np.isfinite(item.trajectory.end) else times)
         found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail)))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.nufft import band_edges, delayed_sums, ringing
+from clsim.numerics.nufft import band_taper, delayed_sums, ringing
 from clsim.paths.response import SceneResponse
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def _synthesis(
     from scipy.fft import irfft
 
     frequencies: Floats = np.arange(size // 2 + 1, dtype=np.float64) * (sampling_rate / size)
-    weight = band_edges(frequencies, band.low, band.high, band.below, band.above)
+    weight = band_taper(frequencies, band.low, band.high, band.below, band.above)
     heard = np.flatnonzero(weight)
     spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
     sums = delayed_sums(late, weights, size)

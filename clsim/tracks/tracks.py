@@ -325,7 +325,7 @@ def track(
         pair_paths.append(pair)
     # Speeds are sampled; 2 % covers what lies between the samples.
     source_speed, receiver_speed = (
-        np.array([1.02 * _peak_speed(end.trajectory, *end.span) for end in ends])
+        np.array([1.02 * _peak_speed(end.trajectory, *end.time_range) for end in ends])
         for ends in (scene.sources, scene.receivers)
     )
     return SceneTracks(

@@ -328,7 +328,7 @@ def test_open_store_refuses_others(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("rate", "channels", "samples"), [(44_100, 1, 0), (192_000, 1, 7), (500_000, 3, 1000)])
 def test_wav_headers_are_read_by_others(rate: int, channels: int, samples: int, tmp_path: Path, rng) -> None:
-    from clsim.files.wav import wav_header
+    from clsim.files.sound import wav_header
 
     data = rng.normal(size=(samples, channels)).astype("<f4")
     (tmp_path / "a.wav").write_bytes(wav_header(rate, channels, samples) + data.tobytes())
@@ -339,7 +339,7 @@ def test_wav_headers_are_read_by_others(rate: int, channels: int, samples: int, 
 
 
 def test_wav_header_beyond_4_gib(tmp_path: Path, rng) -> None:
-    from clsim.files.wav import wav_header
+    from clsim.files.sound import wav_header
 
     count = 2**30 + 5
     header = wav_header(192e3, 1, count)
