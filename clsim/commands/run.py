@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.commands.arguments import add_scene, as_path
+from clsim.commands.arguments import add_render_option, add_scene, as_path
 from clsim.errors import ClsimWarning, InputError
 from clsim.files.atomic import safe_path
 from clsim.output.stores import KINDS, check_store, sound_store
@@ -31,7 +31,11 @@ if TYPE_CHECKING:
     from clsim.scene_file.scene import SceneFile
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
-_OVERRIDES = ("device", "engine", "duration")  # of the scene file's [render]
+_OVERRIDES = {  # of the scene file's [render]
+    "device": "OpenCL device, by id or part of its name (see `clsim devices`)",
+    "engine": "instead of the scene file's",
+    "duration": "instead of the scene file's",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,9 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)")
     parser.add_argument("--no-plots", action="store_true", help="draw no pictures")
-    parser.add_argument("--device", help="OpenCL device, by id or part of its name (see `clsim devices`)")
-    parser.add_argument("--engine", choices=("opencl", "reference"), help="instead of the scene file's")
-    parser.add_argument("--duration", type=float, metavar="SECONDS", help="instead of the scene file's")
+    for name, text in _OVERRIDES.items():
+        add_render_option(parser, name, text)
 
 
 def execute(options: argparse.Namespace) -> int:
