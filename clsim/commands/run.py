@@ -11,7 +11,7 @@ import numpy as np
 from clsim.commands.arguments import add_render_option, add_scene, as_path
 from clsim.errors import ClsimWarning, InputError
 from clsim.files.atomic import safe_path
-from clsim.output.stores import KINDS, check_store, sound_store
+from clsim.output.stores import STORES, check_store
 from clsim.output.table import check_table, write_ground_truth, write_table
 from clsim.render.memory import within_memory
 from clsim.scene_file import load_scene
@@ -47,7 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="go on with a run that was killed, if there is one")
     parser.add_argument(
-        "--store", choices=KINDS, default="wav", help="format of the sound: WAV files, Zarr or HDF5 (default: wav)"
+        "--store",
+        choices=tuple(STORES),
+        default="wav",
+        help="format of the sound: WAV files, Zarr or HDF5 (default: wav)",
     )
     parser.add_argument(
         "--table", choices=("npz", "parquet", "none"), default="npz", help="format of the path table (default: npz)"
@@ -84,7 +87,7 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
     times = _table_times(plan, options)
     identity = run_identity(planned) | {"options": {"store": options.store, "table_rate": options.table_rate}}
     sound = planned.stored_sound(results.folder)
-    store = sound_store(options.store, results.work, sound, outputs.receivers)
+    store = STORES[options.store](results.work, sound, outputs.receivers)
     results.begin(identity)
     with within_memory(plan.largest_field, "rendering", plan.memory_bytes):
         made = render_sound(results, plan, store, identity)

@@ -12,7 +12,7 @@ from clsim.errors import InputError
 from clsim.scene.material.material import Material
 from clsim.scene_file.model import Model, within
 
-# How many there are is checked in our own words; editors are told here.
+# How many there are is checked in our own words; editors learn it here.
 Pair = Annotated[list[float], Field(json_schema_extra={"minItems": 2, "maxItems": 2})]
 Complex = float | Pair  # a complex number is written [real, imaginary]
 
