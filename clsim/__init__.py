@@ -24,7 +24,8 @@ from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
-from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston, named_directivity
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
+from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.material.material import Material
@@ -35,7 +36,7 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer, named_transducer
+from clsim.scene.transducer.transducer import Transducer
 from clsim.scene_file import load_scene
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
@@ -44,11 +45,13 @@ from clsim.version import __version__ as __version__
 __all__ = [
     "Air",
     "AxialDirectivity",
+    "AxisymmetricDirectivity",
     "Bandlimited",
     "Baseband",
     "ClsimError",
     "ClsimWarning",
     "DeviceError",
+    "Directivity",
     "Electronics",
     "FirstOrder",
     "ImpulseResponses",
@@ -79,8 +82,6 @@ __all__ = [
     "impulse_responses",
     "list_devices",
     "load_scene",
-    "named_directivity",
-    "named_transducer",
     "open_store",
     "plan_render",
     "positions_from_file",

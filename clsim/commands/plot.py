@@ -14,7 +14,7 @@ from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.output.directivity_plots import DirectivityDiagram, air_picture, directivity_picture
 from clsim.scene.air import Air
-from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, named_directivity
+from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
@@ -106,11 +106,11 @@ def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], li
     return [diagram], [] if options.table is None else [options.table]
 
 
-def _read(options: argparse.Namespace) -> AxialPattern | DirectionalPattern:
+def _read(options: argparse.Namespace) -> Directivity:
     """Return the directivity of a name or of a table's file."""
     if options.name is not None:
         try:
-            return named_directivity(options.name, outside="hold" if options.hold else None)
+            return Directivity.named(options.name, outside="hold" if options.hold else None)
         except InputError as error:
             raise InputError(f"--{error.field}", error.problem) from error
     path, outside = str(options.table), "hold" if options.hold else None
@@ -155,7 +155,7 @@ def _heard_frequencies(scene: Scene) -> Floats:
     return np.asarray(kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST_CURVES)).round().astype(int)])
 
 
-def _usual_frequencies(directivity: AxialPattern | DirectionalPattern) -> Floats:
+def _usual_frequencies(directivity: Directivity) -> Floats:
     """Return frequencies spread over a directivity's band, Hz."""
     low, high = directivity.band
     if math.isinf(high):
