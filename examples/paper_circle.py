@@ -12,7 +12,6 @@ import numpy as np
 
 import clsim
 from clsim.output.plots import spectrogram_picture
-from clsim.scene_file import load_scene
 
 
 def main() -> None:
@@ -21,7 +20,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("out"))
     folder = parser.parse_args().output
     folder.mkdir(parents=True, exist_ok=True)
-    file = load_scene(Path(__file__).with_name("circle.toml"))
+    file = clsim.load_scene(Path(__file__).with_name("circle.toml"))
     paths = clsim.find_paths(file.scene, **file.paths)
     recording = clsim.render(paths, **file.render)
     recording.save(folder / "paper_circle.wav")

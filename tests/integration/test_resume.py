@@ -15,7 +15,7 @@ from killing import Killer, content
 import clsim
 from clsim.cli import main
 from clsim.files.atomic import locked
-from clsim.output.stores import StoredSound, sound_store
+from clsim.output.stores import STORES, StoredSound
 from clsim.workflow.journal import Journal
 
 SCENE = """
@@ -318,7 +318,7 @@ def test_open_store_refuses_others(tmp_path: Path) -> None:
     with pytest.raises(clsim.InputError, match="does not say so"):
         clsim.open_store(tmp_path / "other.zarr")
     about = StoredSound(("a",), ("Pa",), np.zeros((1, 3)), 48e3, 10, 10, "", "9.9")
-    store = sound_store("zarr", tmp_path, about, ["a"])
+    store = STORES["zarr"](tmp_path, about, ["a"])
     store.create()
     group = zarr.open_group(tmp_path / "recording.zarr", mode="r+")
     group.attrs["clsim_store_format"] = 2

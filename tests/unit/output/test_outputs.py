@@ -144,13 +144,13 @@ def test_a_disk_too_full_for_an_hdf5_file_is_an_error_and_ends_nothing(tmp_path)
 import resource, signal, sys
 from pathlib import Path
 import numpy as np
-from clsim.output.stores import StoredSound, sound_store
+from clsim.output.stores import STORES, StoredSound
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 sound = StoredSound(("a", "b"), ("Pa", "Pa"), np.zeros((2, 3)), 192e3, 20_000, 18_432, "text" * 9000, "1", None)
 for limit in (500, 30_000, 100_000):
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     try:
-        sound_store("hdf5", Path(sys.argv[1]), sound, ["a", "b"]).create()
+        STORES["hdf5"](Path(sys.argv[1]), sound, ["a", "b"]).create()
     except OSError as error:
         print(error.strerror)
 """
