@@ -12,7 +12,7 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.arrivals import arrivals
-from clsim.paths.coverage import check_known
+from clsim.paths.coverage import check_band_coverage
 from clsim.paths.impulse_response import ResponseBand, frozen_response
 from clsim.paths.path_set import PathSet
 
@@ -165,7 +165,7 @@ def impulse_responses(
     rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
     time = _as_instant(scene, at)
     kept = as_response_band(rate, band)
-    check_known(
+    check_band_coverage(
         scene, range(len(scene.sources)), max(kept.low, kept.high * 1e-3), kept.high, "the band of the responses"
     )
     as_choice("lead", lead, LEADS)

@@ -1,4 +1,4 @@
-"""Whether walls and beams are known where sound is."""
+"""Check that materials and directivities cover the signal's band."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
 
-def check_known(scene: Scene, sources: Iterable[int], low: float, high: float, what: str) -> None:
-    """Refuse, or warn, where walls, receivers' beams or those of some sources are not known from `low` to `high` Hz.
+def check_band_coverage(scene: Scene, sources: Iterable[int], low: float, high: float, what: str) -> None:
+    """Check that materials and the directivities of receivers and some sources cover a band.
 
     Parameters
     ----------
@@ -29,19 +29,19 @@ def check_known(scene: Scene, sources: Iterable[int], low: float, high: float, w
     Raises
     ------
     InputError
-        If they are not known there, and may not be continued.
+        If one does not cover it, and may not be continued.
     """
-    beams = [(f"sources[{i}]", scene.sources[i].directivity) for i in sources]
-    beams += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
-    for field, beam in beams:
-        if not (beam.band[0] <= low and high <= beam.band[1]):
+    directivities = [(f"sources[{i}]", scene.sources[i].directivity) for i in sources]
+    directivities += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
+    for field, directivity in directivities:
+        if not (directivity.band[0] <= low and high <= directivity.band[1]):
             raise InputError(
                 f"{field}.directivity",
-                f"must cover {what}, {low:.0f} to {high:.0f} Hz, but is known from "
-                f'{beam.band[0]:.6g} to {beam.band[1]:.6g} Hz; give more of it, or say outside="hold"',
+                f"must cover {what}, {low:.0f} to {high:.0f} Hz, but covers "
+                f'{directivity.band[0]:.6g} to {directivity.band[1]:.6g} Hz; give more of it, or say outside="hold"',
             )
     for material in dict.fromkeys(scene.room.faces.materials):
         try:
-            material.check_known([low, high])
+            material.check_coverage([low, high])
         except InputError as error:
             raise InputError("room", f"{error.field} {error.problem}") from error

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimWarning, InputError
-from clsim.paths.coverage import check_known
+from clsim.paths.coverage import check_band_coverage
 from clsim.paths.response import is_complex
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_above, shares
@@ -351,7 +351,7 @@ def basis_of(
     if of_scene is None or not len(sound.energy):  # silence needs nothing
         return flat_basis(signal.centre_frequency)
     main = shares(signal.energy_spectrum(), _MAIN_SHARE)
-    check_known(of_scene.scene, [index], *main, f"the signal of source {index}")
+    check_band_coverage(of_scene.scene, [index], *main, f"the signal of source {index}")
     if static:
         return flat_basis(signal.centre_frequency)
     at_centre, exact = options.responses == "centre", options.engine == "reference"

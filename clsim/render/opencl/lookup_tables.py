@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.response import directivity_gain, known
-from clsim.scene.directivity.patterns import DirectionalPattern, Omni
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity
+from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.scene.directivity.patterns import Directivity
+    from clsim.scene.directivity.directivity import Directivity
     from clsim.scene.material.material import Material
 
 CELLS = 1024  # of a table over an angle; its cubics are within 1e-9 for a piston of ka = 10
@@ -26,7 +27,7 @@ OMNI, AXIAL, SPHERICAL = range(3)  # kinds of tables of directivities: none, by 
 
 def beam_kind(directivities: Sequence[Directivity]) -> int:
     """Return the kind of table that holds all of some directivities."""
-    if any(isinstance(d, DirectionalPattern) for d in directivities):
+    if not all(isinstance(d, AxisymmetricDirectivity) for d in directivities):
         return SPHERICAL
     return OMNI if all(isinstance(d, Omni) for d in directivities) else AXIAL
 
@@ -38,7 +39,7 @@ def beam_table(
 
     Parameters
     ----------
-    directivity : Directivity or SphericalDirectivity
+    directivity : Directivity
         What to tabulate.
     kind : int
         `OMNI`, `AXIAL` or `SPHERICAL`; axial directivities have tables of either kind.
@@ -55,7 +56,7 @@ def beam_table(
         return _sphere(
             lambda towards: directivity_gain(directivity, towards, frequencies, speed_of_sound), len(frequencies), parts
         )
-    assert not isinstance(directivity, DirectionalPattern)
+    assert isinstance(directivity, AxisymmetricDirectivity)
     frequencies = known(frequencies, directivity)
     half = CELLS // 2  # two splines: the gain of a piston bends at 90 degrees
     cosine = np.linspace(-1.0, 1.0, CELLS + 1)
