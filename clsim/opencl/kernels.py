@@ -68,6 +68,7 @@ _TRIPLES = ("common/triple.h",)
 _PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
+_GAINS = ("common/gains.h",)
 
 _IMAGES = {
     "image_matrix": _in("double", "9, slots"),
@@ -160,13 +161,13 @@ PROGRAMS = {
     ),
     "tracks": Program(
         (
-            *_PROPAGATION, *_ROUNDING, "nodes/response.h", "nodes/image.h",
-            "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", "nodes/activity.h",
+            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
+            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", "nodes/activity.h",
             "nodes/tracks.cl",
         ),
         {
             **_IMAGES,
-            "reflection": _in("band", "slots, PARTS, BANDS"),
+            "reflection": _in("bins", "slots, PARTS, BIN_VECTORS"),
             "wall_of": _in("int", "ANGULAR, slots"),
             "normal": _in("float", "ANGULAR, 3, slots"),
             "heard_from": _in("int", "slots"),
@@ -179,18 +180,18 @@ PROGRAMS = {
             "start": _DOUBLE,
             "sampling_rate": _DOUBLE,
             "speed_of_sound": _DOUBLE,
-            "nepers": _in("band", "BANDS"),
-            "projection": _in("chunk", "PARTS, FREQUENCIES, CHUNKS"),
-            "functions": _in("band", "FUNCTIONS, PARTS, BANDS"),
-            "weight": _in("band", "BANDS"),
-            "strengths": _in("chunk", "CHUNKS"),
+            "nepers": _in("bins", "BIN_VECTORS"),
+            "projection": _in("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
+            "functions": _in("bins", "FUNCTIONS, PARTS, BIN_VECTORS"),
+            "weight": _in("bins", "BIN_VECTORS"),
+            "strengths": _in("gains", "GAIN_VECTORS"),
             "delay_samples": _DOUBLE,
             "emitted_first": _DOUBLE,
             "emitted_last": _DOUBLE,
             "angular_frequency": _FLOAT,
-            "wall_tables": _in("band", "materials, CELLS, 4, PARTS, BANDS"),
-            "source_directivity": _in("band", "a table"),
-            "receiver_directivities": _in("band", "tables"),
+            "wall_tables": _in("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
+            "source_directivity": _in("bins", "a table"),
+            "receiver_directivities": _in("bins", "tables"),
             "directivity_of": _in("int", "receivers"),
             "blocks": _INT,
             "delay": _out("int", "blocks, slots"),
@@ -214,7 +215,10 @@ PROGRAMS = {
         ),
     ),
     "intervals": Program(
-        (*_PROPAGATION, "paths/walls.h", "paths/visibility.h", "paths/intervals.cl"),
+        (
+            *_PROPAGATION, "paths/walls.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
+            "paths/intervals.cl",
+        ),
         {
             "wall_count": _INT,
             "tolerance": _DOUBLE,
@@ -275,8 +279,8 @@ PROGRAMS = {
     ),
     "render": Program(
         (
-            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, "render/phases.h", "render/subblock.h", "render/farrow.h",
-            "render/render.cl",
+            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_GAINS, "render/phases.h", "render/subblock.h",
+            "render/farrow.h", "render/render.cl",
         ),
         {
             **_BRANCHES,

@@ -7,23 +7,23 @@ typedef struct {
     __global const int* preceding;  // [cells], the one before, or -1
     int cells;
     double origin;                 // sample of the branches at the run's first sample, without delay
-} sound;
+} activity_mask;
 
-static int cell_at(const sound* s, double sample)
+static int cell_at(const activity_mask* s, double sample)
 {
     const double cell = sample * (1.0 / CELL);
     return cell < 0.0 ? 0 : cell < (double)s->cells ? (int)cell : s->cells - 1;
 }
 
 // Whether anything is heard in a block, for delays between two bounds, samples.
-static int sounds(const sound* s, int block, double shortest, double longest)
+static int is_active(const activity_mask* s, int block, double shortest, double longest)
 {
     const double start = s->origin + (double)block * BLOCK;
     return s->following[cell_at(s, start - longest)] <= cell_at(s, start + BLOCK - shortest);
 }
 
 // First block, from a given one on, in which anything may be heard, for delays between two bounds, samples.
-static int next_heard(const sound* s, int block, double shortest, double longest)
+static int next_active(const activity_mask* s, int block, double shortest, double longest)
 {
     const double start = s->origin + (double)block * BLOCK;
     const int cell = s->following[cell_at(s, start - longest)];
@@ -32,7 +32,7 @@ static int next_heard(const sound* s, int block, double shortest, double longest
 }
 
 // First subblock of a block in which something is heard, and the one after the last shifted by 16 bits; 0 for none.
-static int heard_subblocks(const sound* s, int block, double shortest, double longest)
+static int active_subblocks(const activity_mask* s, int block, double shortest, double longest)
 {
     const double start = s->origin + (double)block * BLOCK;
     const double begin = (double)s->following[cell_at(s, start - longest)] * CELL - start + shortest;

@@ -6,12 +6,12 @@
 
 typedef struct {
     double delay[4], rate[4];  // s, and by the time of reception
-    chunk gain[4][CHUNKS];
+    gains gain[4][GAIN_VECTORS];
     float strength[4];         // mean square of the response
 } window;
 
 // Write the gains of neighbouring functions; `g` is the place of the first one's term.
-static void write_gains(const chunk* gain, int apart, __global float* g)
+static void write_gains(const gains* gain, int apart, __global float* g)
 {
 #pragma unroll
     for (int k = 0; k < FUNCTIONS; k++) g[k * apart] = ((const float*)gain)[k];
@@ -22,14 +22,14 @@ static void write_block(const window* node, int block, int slots, int slot, doub
 {
     const int apart = APART(slots);
     __global float* c = cubics + place_of(block, slot, FUNCTIONS, slots);
-    chunk terms[4][CHUNKS];
+    gains terms[4][GAIN_VECTORS];
 #if DELAY_TERMS == 8
     delay[block * slots + slot] = write_septic(node->delay, node->rate, sampling_rate, late, c);
 #pragma unroll
-    for (int i = 0; i < CHUNKS; i++) {
+    for (int i = 0; i < GAIN_VECTORS; i++) {
         // The cubic through all four nodes, at t = -3, -1, 1 and 3.
-        const chunk g0 = node->gain[0][i], g1 = node->gain[1][i], g2 = node->gain[2][i], g3 = node->gain[3][i];
-        const chunk s1 = 0.5f * (g2 + g1), s3 = 0.5f * (g3 + g0), d1 = 0.5f * (g2 - g1), d3 = 0.5f * (g3 - g0);
+        const gains g0 = node->gain[0][i], g1 = node->gain[1][i], g2 = node->gain[2][i], g3 = node->gain[3][i];
+        const gains s1 = 0.5f * (g2 + g1), s3 = 0.5f * (g3 + g0), d1 = 0.5f * (g2 - g1), d3 = 0.5f * (g3 - g0);
         terms[0][i] = 1.125f * s1 - 0.125f * s3;
         terms[1][i] = 1.125f * d1 - d3 * (1.0f / 24.0f);
         terms[2][i] = 0.125f * (s3 - s1);
@@ -46,9 +46,9 @@ static void write_block(const window* node, int block, int slots, int slot, doub
     c[2 * apart] = (float)(0.25 * (e1 - e0));
     c[3 * apart] = (float)(0.25 * (e0 + e1) - 0.25 * (p1 - p0));
 #pragma unroll
-    for (int i = 0; i < CHUNKS; i++) {
-        const chunk g0 = node->gain[1][i], g1 = node->gain[2][i];
-        const chunk s0 = 0.25f * (g1 - node->gain[0][i]), s1 = 0.25f * (node->gain[3][i] - g0);
+    for (int i = 0; i < GAIN_VECTORS; i++) {
+        const gains g0 = node->gain[1][i], g1 = node->gain[2][i];
+        const gains s0 = 0.25f * (g1 - node->gain[0][i]), s1 = 0.25f * (node->gain[3][i] - g0);
         terms[0][i] = 0.5f * (g0 + g1) - 0.25f * (s1 - s0);
         terms[1][i] = 0.75f * (g1 - g0) - 0.25f * (s0 + s1);
         terms[2][i] = 0.25f * (s1 - s0);
@@ -58,7 +58,7 @@ static void write_block(const window* node, int block, int slots, int slot, doub
 #pragma unroll
     for (int power = 0; power < 4; power++) {
         if (!heard) {
-            for (int i = 0; i < CHUNKS; i++) terms[power][i] = 0.0f;
+            for (int i = 0; i < GAIN_VECTORS; i++) terms[power][i] = 0.0f;
         }
         write_gains(terms[power], apart, c + (DELAY_TERMS + power * FUNCTIONS) * apart);
     }
@@ -66,11 +66,11 @@ static void write_block(const window* node, int block, int slots, int slot, doub
 
 #if DELAY_TERMS == 8
 // Square of the share that gains' fourth differences have of their third, as if differences went on falling; at most 1.
-static chunk falling(chunk g0, chunk g1, chunk g2, chunk g3, chunk third_squared)
+static gains falling(gains g0, gains g1, gains g2, gains g3, gains third_squared)
 {
-    const chunk first = g2 - g1, second = 0.5f * ((g3 - g2) - (g1 - g0));
-    const chunk a = third_squared, b = second * second, c = first * first;
-    const chunk last = a < b ? a / b : (chunk)1.0f, before = b < c ? b / c : (chunk)1.0f;
+    const gains first = g2 - g1, second = 0.5f * ((g3 - g2) - (g1 - g0));
+    const gains a = third_squared, b = second * second, c = first * first;
+    const gains last = a < b ? a / b : (gains)1.0f, before = b < c ? b / c : (gains)1.0f;
     return last < before ? last : before;
 }
 #endif
@@ -79,7 +79,7 @@ static chunk falling(chunk g0, chunk g1, chunk g2, chunk g3, chunk third_squared
 // turned into phase, and 0.02 of the gains' third differences (0.016 is that of Catmull-Rom), both from differences of
 // nodes; and what groups leave out of the cubics but for FINE ones: the delay's third power, the gains' second one. Of
 // envelopes the septic's, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
-static float block_error_squared(const window* node, __global const chunk* sizes, float angular_frequency,
+static float block_error_squared(const window* node, __global const gains* sizes, float angular_frequency,
                                  double block_time)
 {
     const double* r = node->rate;
@@ -97,16 +97,16 @@ static float block_error_squared(const window* node, __global const chunk* sizes
 #endif
 #endif
     const float phase = angular_frequency * late;
-    chunk change = 0.0f;
+    gains change = 0.0f;
 #pragma unroll
-    for (int i = 0; i < CHUNKS; i++) {
-        const chunk g0 = node->gain[0][i], g1 = node->gain[1][i], g2 = node->gain[2][i], g3 = node->gain[3][i];
-        const chunk third = g3 - g0 + 3.0f * (g1 - g2);
-        chunk squared = third * third;
+    for (int i = 0; i < GAIN_VECTORS; i++) {
+        const gains g0 = node->gain[0][i], g1 = node->gain[1][i], g2 = node->gain[2][i], g3 = node->gain[3][i];
+        const gains third = g3 - g0 + 3.0f * (g1 - g2);
+        gains squared = third * third;
 #if DELAY_TERMS == 8
         squared *= falling(g0, g1, g2, g3, squared);
 #elif !FINE
-        const chunk second = (0.0625f / GAIN_ERROR * part * part) * ((g3 - g2) - (g1 - g0));
+        const gains second = (0.0625f / GAIN_ERROR * part * part) * ((g3 - g2) - (g1 - g0));
         squared += second * second;
 #endif
         change += squared * sizes[i] * sizes[i];

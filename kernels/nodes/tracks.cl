@@ -11,7 +11,7 @@ static double sooner(double a, double b) { return a < b ? a : b; }
 __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
                      __global const int* receiver_of,      // [slots]
-                     __global const band* reflection, __global const int* wall_of, __global const float* normal,
+                     __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
                      int nodes,                            // blocks + 3, the first one before the run
@@ -20,13 +20,13 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* knots, int knot_count, double first_knot, double knot_rate,
                      double start,                         // time of the run's first sample, s
                      double sampling_rate, double speed_of_sound,
-                     __global const band* nepers, __global const chunk* projection, __global const band* functions,
-                     __global const band* weight, __global const chunk* strengths,
+                     __global const bins* nepers, __global const gains* projection, __global const bins* functions,
+                     __global const bins* weight, __global const gains* strengths,
                      double delay_samples,                 // added to the delay
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
                      float angular_frequency,              // largest of the signal, rad/s
-                     __global const band* wall_tables, __global const band* source_directivity,
-                     __global const band* receiver_directivities,  // of every kind that is there
+                     __global const bins* wall_tables, __global const bins* source_directivity,
+                     __global const bins* receiver_directivities,  // of every kind that is there
                      __global const int* directivity_of,   // [receivers], bands from the first
                      int blocks,
                      __global int* delay,                  // [blocks][slots]
@@ -55,7 +55,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     septic(ends, slopes, predicted);
     const int from = heard_from[slot], until = heard_until[slot];
 #if SPARSE
-    const sound signal = {following, preceding, cells, origin};
+    const activity_mask mask = {following, preceding, cells, origin};
 #endif
     receiver_in_image receiver[STATIC_RECEIVERS ? 1 : NODES_AT_ONCE];
 #if STATIC_RECEIVERS
@@ -77,13 +77,13 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         const double drift = sampling_rate * max_rate, until_end = drift * left, of_block = drift * block_time;
         const double low_here = later(late0 - drift * since, late1 - until_end);
         const double high_here = sooner(late0 + drift * since, late1 + until_end);
-        const int ahead_of = next_heard(&signal, block, low_here - until_end - 2.0, high_here + until_end + 2.0);
+        const int ahead_of = next_active(&mask, block, low_here - until_end - 2.0, high_here + until_end + 2.0);
         if (ahead_of >= last) break;
         if (ahead_of > block) {
             block = ahead_of - 1;
             continue;
         }
-        if (!sounds(&signal, block, low_here - of_block - 2.0, high_here + of_block + 2.0)) continue;
+        if (!is_active(&mask, block, low_here - of_block - 2.0, high_here + of_block + 2.0)) continue;
 #endif
         for (int n = solved < block ? block : solved + 1; n <= block + 3; n++) {
             if (n >= ready + NODES_AT_ONCE) {
@@ -107,7 +107,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             for (int i = 0; i < 3; i++) {
                 w.delay[i] = w.delay[i + 1];
                 w.rate[i] = w.rate[i + 1];
-                for (int k = 0; k < CHUNKS; k++) w.gain[i][k] = w.gain[i + 1][k];
+                for (int k = 0; k < GAIN_VECTORS; k++) w.gain[i][k] = w.gain[i + 1][k];
                 w.strength[i] = w.strength[i + 1];
             }
             w.delay[3] = a->delay - here->clock_error;
@@ -127,7 +127,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         const double r1 = w.rate[1] - (p2 - p1) / BLOCK, r2 = w.rate[2] - (p2 - p1) / BLOCK;
         const double bulge = 0.25 * BLOCK * ((r1 < 0.0 ? -r1 : r1) + (r2 < 0.0 ? -r2 : r2)) + 2.0;  // of the cubic
         activity[block * (long)slots + slot] =
-            heard_subblocks(&signal, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
+            active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
         strength = w.strength[3] > strength ? w.strength[3] : strength;
         rest = left_over > rest ? left_over : rest;

@@ -6,7 +6,7 @@
 typedef struct {
     double delay;       // s
     double rate;        // its derivative by the time of reception
-    double stretch;     // 1 / (1 - Mach number of the source towards the receiver at emission)
+    double mach_factor;  // 1 / (1 - Mach number of the source towards the receiver at emission)
     triple departure;   // unit vector in the source's own room
     __global const double* knot;
     double u;           // place of the emission time within the knot
@@ -35,13 +35,13 @@ static double newton_step(const trajectory* path, triple receiver, triple receiv
     const double quasi_static = squared * inverse * path->slowness;
     a->departure = departure;
 #if RETARDED
-    a->stretch = 1.0 / (1.0 - mach);
-    a->rate = (receding - mach) * a->stretch;
-    const double step = (quasi_static - a->delay) * a->stretch;
+    a->mach_factor = 1.0 / (1.0 - mach);
+    a->rate = (receding - mach) * a->mach_factor;
+    const double step = (quasi_static - a->delay) * a->mach_factor;
     a->delay += step;
     return step;
 #else
-    a->stretch = 1.0;
+    a->mach_factor = 1.0;
     a->rate = receding - mach;
     a->delay = quasi_static;
     return 0.0;

@@ -1,5 +1,5 @@
 // Intervals in which paths are valid, by certified subdivision of time. Work-item: one path (a wall sequence and a
-// receiver), which goes on from where its last launch stopped. It takes a span from its stack and looks at its middle:
+// receiver), which goes on from where its last launch stopped. It takes a span from its stack and evaluates its middle:
 // if the clearance exceeds what the ends can move within the span, the span is done; else the part that the clearance
 // covers is, and the rests on both sides go back on the stack. Spans come off it in the order of time.
 
@@ -10,7 +10,7 @@ typedef struct {
 
 typedef struct {
     double begin, end;  // of the interval that is being put together; none if begin > end
-    int depth, looks;   // spans on the stack, and evaluations so far
+    int depth, evaluations;   // spans on the stack, and evaluations so far
     span stack[DEPTH];
 } progress;
 
@@ -19,50 +19,16 @@ typedef struct {
     int path, unused;
 } interval;
 
-// A trajectory: cubics between knots, and the largest speed in each, in pairs of them, and so on.
-typedef struct {
-    trajectory path;
-    __global const double* speeds;
-    double fastest;  // m/s
-    double4 mount;   // unit normal of the wall that it sits in, and offset of the plane a step in front; 0 in the open
-} mover;
-
-// Where validity takes an end to be: one in a wall a step in front of it.
-static triple lifted(const mover* end, triple x)
-{
-    const triple normal = {end->mount.x, end->mount.y, end->mount.z};
-    return difference(x, times(height(end->mount, x), normal));
-}
-
-static double speed_over(const mover* end, double begin, double until)
-{
-    const int last = end->path.count - 1;
-    int a = (int)fmin(fmax((begin - end->path.first) * end->path.rate, 0.0), (double)last);
-    int b = (int)fmin(fmax((until - end->path.first) * end->path.rate, 0.0), (double)last);
-    __global const double* level = end->speeds;
-    for (int count = last + 1; b - a > 1; count = (count + 1) / 2, a /= 2, b /= 2) level += count;
-    return fmax(level[a], level[b]);
-}
-
-static mover mover_at(__global const long* places, __global const double* scales, __global const double* knots,
-                      __global const double* speeds, __global const double4* mounts, double speed_of_sound, int row)
-{
-    const mover out = {{knots + places[3 * row] * KNOT_COLUMNS, (int)places[3 * row + 2], scales[3 * row],
-                        scales[3 * row + 1], 1.0 / speed_of_sound}, speeds + places[3 * row + 1], scales[3 * row + 2],
-                        mounts[row]};
-    return out;
-}
-
 typedef struct {
     room walls;
-    mover source, receiver;
+    end_of_path source, receiver;
     __global const int* sequence;
 } search;
 
 // Status at an instant, while both ends move as they can for `within` before and after (s); `reach` is how far that is.
-static int look(const search* s, double time, double within, double* clear, double* reach)
+static int evaluate(const search* s, double time, double within, double* clear, double* reach)
 {
-    const triple nudge = {6.1e-8, -3.7e-8, 7.0e-8}, other_nudge = {-2.9e-8, 8.3e-8, 4.7e-8}, still = {0.0, 0.0, 0.0};
+    const triple source_perturbation = {6.1e-8, -3.7e-8, 7.0e-8}, receiver_perturbation = {-2.9e-8, 8.3e-8, 4.7e-8}, still = {0.0, 0.0, 0.0};
     arrival a;
     locate(&s->receiver.path, time, &a);
     const triple receiver = cubic(a.knot, a.u);
@@ -72,13 +38,13 @@ static int look(const search* s, double time, double within, double* clear, doub
     const double emitted = time - a.delay;
     locate(&s->source.path, emitted, &a);
     const double slowness = s->source.path.slowness;
-    const double stretch = (1.0 + s->receiver.fastest * slowness) / (1.0 - s->source.fastest * slowness);
+    const double time_dilation = (1.0 + s->receiver.fastest * slowness) / (1.0 - s->source.fastest * slowness);
     const double source_reach =
-        within * stretch * speed_over(&s->source, emitted - stretch * within, emitted + stretch * within);
+        within * time_dilation * speed_over(&s->source, emitted - time_dilation * within, emitted + time_dilation * within);
     const double receiver_reach = within * speed_over(&s->receiver, time - within, time + within);
     *reach = fmax(source_reach, receiver_reach);
-    return path_status(&s->walls, s->sequence, lifted(&s->source, sum(cubic(a.knot, a.u), nudge)),
-                       lifted(&s->receiver, sum(receiver, other_nudge)), source_reach, receiver_reach, s->source.mount,
+    return path_status(&s->walls, s->sequence, lifted(&s->source, sum(cubic(a.knot, a.u), source_perturbation)),
+                       lifted(&s->receiver, sum(receiver, receiver_perturbation)), source_reach, receiver_reach, s->source.mount,
                        s->receiver.mount, clear);
 }
 
@@ -112,7 +78,7 @@ __kernel void intervals(int wall_count, double tolerance, double thickness, __gl
                         __global const long* places,    // [ends][3]: first knot, first speed, knots; the source first
                         __global const double* scales,  // [ends][3]: time of the first knot, knots per second, speed
                         __global const double* knots, __global const double* speeds,
-                        __global const double4* mounts,  // [ends]: normal and offset, see `mover`
+                        __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
                         double speed_of_sound,
                         __global const int* sequences, __global const int* receiver_of,  // [paths][ORDER], [paths]
                         __global const int* active, int active_count,  // paths that are not done
@@ -126,12 +92,12 @@ __kernel void intervals(int wall_count, double tolerance, double thickness, __gl
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
     const search s = {{wall_count, tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
-                       line, twin}, mover_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
-                      mover_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
+                       line, twin}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
+                      trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
                       sequences + ORDER * path};
     __global progress* p = states + path;
-    int looks = 0;
-    while (p->depth > 0 && looks < budget) {
+    int evaluations = 0;
+    while (p->depth > 0 && evaluations < budget) {
         const span now = p->stack[--p->depth];
         if (now.known) {
             if (now.valid) put(p, now.begin, now.end, path, found, found_count);
@@ -139,12 +105,12 @@ __kernel void intervals(int wall_count, double tolerance, double thickness, __gl
         }
         const double within = 0.5 * (now.end - now.begin), middle = now.begin + within;
         double clear, reach, unused;
-        const int valid = look(&s, middle, within, &clear, &reach);
-        looks++;
+        const int valid = evaluate(&s, middle, within, &clear, &reach);
+        evaluations++;
         int done = clear > reach || 2.0 * within <= resolution || reach < smallest_move;
         if (!done && clear < graze && within <= 0.5 * GRAZE_TIME) {
-            done = look(&s, now.begin, 0.0, &unused, &unused) == valid && look(&s, now.end, 0.0, &unused, &unused) == valid;
-            looks += 2;
+            done = evaluate(&s, now.begin, 0.0, &unused, &unused) == valid && evaluate(&s, now.end, 0.0, &unused, &unused) == valid;
+            evaluations += 2;
         }
         if (done) {
             if (valid) put(p, now.begin, now.end, path, found, found_count);
@@ -157,6 +123,6 @@ __kernel void intervals(int wall_count, double tolerance, double thickness, __gl
         push(p, from, until, 1, valid);
         push(p, now.begin, from, 0, 0);
     }
-    p->looks += looks;
+    p->evaluations += evaluations;
     if (p->depth == 0) put(p, -2.0, -3.0, path, found, found_count);  // gives out what was put together
 }

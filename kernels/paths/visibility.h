@@ -1,32 +1,5 @@
 // Whether a path is valid at an instant, and its clearance: how far source and receiver may both move before that can
-// change. Leg k runs from wall k to wall k + 1 (0 is the source, ORDER + 1 the receiver) on the straight line from the
-// source mirrored k times to the receiver mirrored back, which meets wall k at the share tau[k].
-
-#define EVER 1e300
-
-typedef struct {
-    triple from[ORDER + 1], to[ORDER + 1];  // ends of the unfolded line in the real space of each leg
-    double tau[ORDER + 2];
-    double slack[ORDER + 2];                // how far tau can move while the ends move by `reach`
-    double source_reach, receiver_reach;
-    triple from_facing[ORDER + 1], to_facing[ORDER + 1];  // mirrored normals of walls that the ends sit in, or 0
-} unfolded;
-
-static triple along(const unfolded* path, int leg, double tau)
-{
-    return sum(path->from[leg], times(tau, difference(path->to[leg], path->from[leg])));
-}
-
-// How far a point at a share of a leg's line may move across planes of a normal: ends in a wall slide along it.
-static double across(const unfolded* path, int leg, double tau, double4 plane)
-{
-    const triple normal = {plane.x, plane.y, plane.z};
-    const double start = inner(path->from_facing[leg], normal), stop = inner(path->to_facing[leg], normal);
-    return (1.0 - tau) * path->source_reach * sqrt(fmax(1.0 - start * start, 0.0)) +
-           tau * path->receiver_reach * sqrt(fmax(1.0 - stop * stop, 0.0));
-}
-
-static double ratio(double height, double move) { return move > 0.0 ? height / move : EVER; }
+// change. The twin of visibility.py.
 
 // The reflections: on their walls, and in order. Returns whether all are; `clear` is that of the surest that is not.
 static int reflects(const room* walls, __global const int* sequence, double reach, unfolded* path, double* clear)
@@ -78,9 +51,9 @@ static int same_plane(const room* walls, __global const int* sequence, int leg, 
 // Whether a wall crosses the segment from a to b strictly between its ends.
 static int blocks(const room* walls, int wall, triple a, triple b)
 {
-    const double4 ball = walls->ball[wall];
-    const triple centre = {ball.x, ball.y, ball.z};
-    if (point_apart(centre, a, b) > ball.w * ball.w) return 0;
+    const double4 sphere = walls->sphere[wall];
+    const triple centre = {sphere.x, sphere.y, sphere.z};
+    if (point_apart(centre, a, b) > sphere.w * sphere.w) return 0;
     const double first = height(walls->plane[wall], a), last = height(walls->plane[wall], b);
     if (!(first * last < 0.0)) return 0;
     const double share = first / (first - last);
@@ -132,9 +105,9 @@ static double edge_clearance(const room* walls, double reach, const unfolded* pa
         const triple a = along(path, leg, fmax(path->tau[leg] - path->slack[leg], 0.0));
         const triple b = along(path, leg, fmin(path->tau[leg + 1] + path->slack[leg + 1], 1.0));
         for (int wall = 0; wall < walls->count; wall++) {
-            const double4 ball = walls->ball[wall];
-            const triple centre = {ball.x, ball.y, ball.z};
-            if (point_apart(centre, a, b) > (ball.w + clear) * (ball.w + clear)) continue;
+            const double4 sphere = walls->sphere[wall];
+            const triple centre = {sphere.x, sphere.y, sphere.z};
+            if (point_apart(centre, a, b) > (sphere.w + clear) * (sphere.w + clear)) continue;
             // Edges lie in the plane of their wall: a leg that stays on one side of it is no nearer to them.
             const double first = height(walls->plane[wall], a), last = height(walls->plane[wall], b);
             if (first * last > 0.0 && fmin(fabs(first), fabs(last)) > clear + walls->thickness) continue;
@@ -145,37 +118,14 @@ static double edge_clearance(const room* walls, double reach, const unfolded* pa
     return clear;
 }
 
-static triple turned(double4 plane, triple direction)
-{
-    plane.w = 0.0;
-    return mirrored(plane, direction);
-}
-
-// Ends are a step in front of the walls that they sit in, whose planes are `source_mount` and `receiver_mount`, or 0.
+// Ends and mounts as in `unfold`.
 static int path_status(const room* walls, __global const int* sequence, triple source, triple receiver,
                        double source_reach, double receiver_reach, double4 source_mount, double4 receiver_mount,
                        double* clear)
 {
-    const triple source_facing = {source_mount.x, source_mount.y, source_mount.z};
-    const triple receiver_facing = {receiver_mount.x, receiver_mount.y, receiver_mount.z};
     const double reach = fmax(source_reach, receiver_reach);
     unfolded path;
-    path.from[0] = source;
-    path.to[ORDER] = receiver;
-    path.from_facing[0] = source_facing;
-    path.to_facing[ORDER] = receiver_facing;
-    path.source_reach = source_reach;
-    path.receiver_reach = receiver_reach;
-    for (int k = 0; k < ORDER; k++) {
-        path.from[k + 1] = mirrored(walls->plane[sequence[k]], path.from[k]);
-        path.from_facing[k + 1] = turned(walls->plane[sequence[k]], path.from_facing[k]);
-    }
-    for (int k = ORDER; k > 0; k--) {
-        path.to[k - 1] = mirrored(walls->plane[sequence[k - 1]], path.to[k]);
-        path.to_facing[k - 1] = turned(walls->plane[sequence[k - 1]], path.to_facing[k]);
-    }
-    path.tau[0] = path.slack[0] = path.slack[ORDER + 1] = 0.0;
-    path.tau[ORDER + 1] = 1.0;
+    unfold(walls, sequence, source, receiver, source_reach, receiver_reach, source_mount, receiver_mount, &path);
     *clear = 0.0;
     if (!reflects(walls, sequence, reach, &path, clear) || !passes(walls, sequence, reach, &path, clear)) return 0;
     *clear = edge_clearance(walls, reach, &path);

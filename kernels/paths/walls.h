@@ -5,7 +5,7 @@ typedef struct {
     double tolerance;                // m, how far outside its outline a point still is on a wall
     double thickness;                // m, how far edges lie from the planes of their walls
     __global const double4* plane;   // unit normal and offset
-    __global const double4* ball;    // centre and radius
+    __global const double4* sphere;   // centre and radius
     __global const int* same;        // equal for walls in one plane
     __global const int* first_edge;  // where the edges, pieces and twins of a wall begin, and the lines of a piece
     __global const int* first_piece;

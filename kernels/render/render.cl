@@ -31,7 +31,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
     vec sum[SUBBLOCKS][FUNCTIONS][VECTORS];
     EXPANDED batch paths;
 #if SPARSE
-    SHARED uchar heard[SUBBLOCKS][TILE];  // paths of a tile in each group
+    SHARED uchar active[SUBBLOCKS][TILE];  // paths of a tile in each group
     SHARED int count[SUBBLOCKS];          // of them
 #endif
     for (int g = 0; g < SUBBLOCKS; g++) {
@@ -43,7 +43,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
         const int tile_end = min(tile + TILE, first_slot[receiver + 1]);
 #if SPARSE
         SYNCHRONISE;
-        find_heard(activity, slots, tile, tile_end, first_block, block_subblocks, first_subblock, last_subblock, worker, heard, count);
+        find_active(activity, slots, tile, tile_end, first_block, block_subblocks, first_subblock, last_subblock, worker, active, count);
         SYNCHRONISE;
 #endif
         for (int g = first_subblock; g < last_subblock; g++) {
@@ -59,7 +59,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
             }
 #if SPARSE
             for (int i = 0; i < count[g - first_subblock]; i++) {
-                const int slot = tile + heard[g - first_subblock][i];
+                const int slot = tile + active[g - first_subblock][i];
                 expand(delay[row * slots + slot], polynomials + place_of(row, slot, functions, slots), functions,
                        first_function, t, per_sample, &paths);
                 add_path(rows + g * SUBBLOCK, stride, &paths, 0, worker, subblock_sum);

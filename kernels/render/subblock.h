@@ -35,30 +35,23 @@ typedef struct {
 
 #if SPARSE
 // List the paths of a tile that are heard in each of some subblocks. Every worker has subblocks of its own.
-static void find_heard(__global const int* activity, int slots, int tile, int tile_end, int first_block, int block_subblocks,
-                       int first_subblock, int last_subblock, int worker, SHARED uchar heard[SUBBLOCKS][TILE], SHARED int* count)
+static void find_active(__global const int* activity, int slots, int tile, int tile_end, int first_block, int block_subblocks,
+                       int first_subblock, int last_subblock, int worker, SHARED uchar active[SUBBLOCKS][TILE], SHARED int* count)
 {
     for (int g = first_subblock + worker; g < last_subblock; g += WORKERS) count[g - first_subblock] = 0;
     for (int block = first_subblock / block_subblocks; block * block_subblocks < last_subblock; block++) {
         __global const int* row = activity + (long)(first_block + block) * slots;
         for (int slot = tile; slot < tile_end; slot++) {
-            const int active = row[slot];
-            if (!active) continue;
-            const int begin = block * block_subblocks + (active & 0xffff), end = block * block_subblocks + (active >> 16);
+            const int mask = row[slot];
+            if (!mask) continue;
+            const int begin = block * block_subblocks + (mask & 0xffff), end = block * block_subblocks + (mask >> 16);
             const int from = begin > first_subblock ? begin : first_subblock, until = end < last_subblock ? end : last_subblock;
             for (int g = from + ((first_subblock + worker - from) & (WORKERS - 1)); g < until; g += WORKERS) {
-                heard[g - first_subblock][count[g - first_subblock]++] = slot - tile;
+                active[g - first_subblock][count[g - first_subblock]++] = slot - tile;
             }
         }
     }
 }
-
-#if FUNCTIONS == 1
-typedef float chunk;
-#else
-typedef float8 chunk;
-#endif
-typedef chunk __attribute__((aligned(4))) loose_chunk;
 
 // Expand one path about the subblock's centre t in [-1, 1] of its block, with the gains of `functions` from a first one on.
 static void expand(int delay, __global const float* c, int functions, int first, float t, float per_sample,
@@ -72,17 +65,17 @@ static void expand(int delay, __global const float* c, int functions, int first,
 #if FINE
     out->twist[0] = per_sample * per_sample * per_sample * c[3];
 #endif
-    chunk g[4];
-    for (int i = 0; i < 4; i++) g[i] = *(__global const loose_chunk*)(c + DELAY_TERMS + i * functions + first);
-    const chunk gain = CUBIC(g[0], g[1], g[2], g[3], t), slope = per_sample * CUBIC_SLOPE(g[1], g[2], g[3], t);
+    gains g[4];
+    for (int i = 0; i < 4; i++) g[i] = *(__global const loose_gains*)(c + DELAY_TERMS + i * functions + first);
+    const gains gain = CUBIC(g[0], g[1], g[2], g[3], t), slope = per_sample * CUBIC_SLOPE(g[1], g[2], g[3], t);
 #pragma unroll
     for (int k = 0; k < FUNCTIONS; k++) {
         out->gain[k][0] = ((const float*)&gain)[k];
         out->slope[k][0] = ((const float*)&slope)[k];
     }
 #if FINE
-    const chunk bend = per_sample * per_sample * CUBIC_CURVE(g[2], g[3], t);
-    const chunk flex = per_sample * per_sample * per_sample * g[3];
+    const gains bend = per_sample * per_sample * CUBIC_CURVE(g[2], g[3], t);
+    const gains flex = per_sample * per_sample * per_sample * g[3];
 #pragma unroll
     for (int k = 0; k < FUNCTIONS; k++) {
         out->bend[k][0] = ((const float*)&bend)[k];

@@ -27,7 +27,15 @@ if TYPE_CHECKING:
 _PATHS = 16_384  # searched at a time
 _EVALUATIONS = 2**19  # evaluations in one launch
 _DEPTH = 96  # intervals that can wait: two for each of 45 times that the run is halved, and a few
-_INTERVAL = np.dtype([("begin", "f8"), ("end", "f8"), ("path", "i4"), ("unused", "i4")])
+# Structures of intervals.cl.
+SPAN = np.dtype([("begin", "f8"), ("end", "f8"), ("known", "i4"), ("valid", "i4")])
+INTERVAL = np.dtype([("begin", "f8"), ("end", "f8"), ("path", "i4"), ("unused", "i4")])
+
+
+def progress(depth: int) -> np.dtype[np.void]:
+    """Return the structure of a search: the interval that is put together, and a stack of so many spans."""
+    fields = [("begin", "f8"), ("end", "f8"), ("depth", "i4"), ("evaluations", "i4"), ("stack", SPAN, (depth,))]
+    return np.dtype(fields)
 
 
 class DeviceSearch:
@@ -106,7 +114,7 @@ class DeviceSearch:
         while len(active):
             budget = max(16, _EVALUATIONS // len(active))
             room = (budget + 1) * len(active)
-            found = cl.Buffer(context, flags.READ_WRITE, _INTERVAL.itemsize * room)
+            found = cl.Buffer(context, flags.READ_WRITE, INTERVAL.itemsize * room)
             count = self._upload(np.zeros(1, dtype=np.int32))
             kernel(
                 self._queue, work(len(active), group=16), **self._arguments, **paths, active=active,
@@ -115,12 +123,12 @@ class DeviceSearch:
             made = np.empty(1, dtype=np.int32)
             cl.enqueue_copy(self._queue, made, count)
             if made[0]:
-                parts.append(np.empty(made[0], dtype=_INTERVAL))
+                parts.append(np.empty(made[0], dtype=INTERVAL))
                 cl.enqueue_copy(self._queue, parts[-1], found)
             cl.enqueue_copy(self._queue, states, on_device)
             active = active[states["depth"][active] > 0]
-            self._refuse_endless(states["looks"], sequence)
-        return np.concatenate(parts) if parts else np.empty(0, dtype=_INTERVAL), int(states["looks"].sum())
+            self._refuse_endless(states["evaluations"], sequence)
+        return np.concatenate(parts) if parts else np.empty(0, dtype=INTERVAL), int(states["evaluations"].sum())
 
     def _refuse_endless(self, evaluations: NDArray[np.int32], sequence: NDArray[np.int32]) -> None:
         worst = int(np.argmax(evaluations))
@@ -133,9 +141,7 @@ class DeviceSearch:
 
     def _beginning(self, first: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[Any]:
         """Return what each path starts from: one interval, the whole time."""
-        span = np.dtype([("begin", "f8"), ("end", "f8"), ("known", "i4"), ("valid", "i4")])
-        state = np.dtype([("begin", "f8"), ("end", "f8"), ("depth", "i4"), ("looks", "i4"), ("stack", span, (_DEPTH,))])
-        states = np.zeros(len(last), dtype=state)
+        states = np.zeros(len(last), dtype=progress(_DEPTH))
         states["begin"], states["end"] = 1.0, -1.0
         states["depth"] = first < last
         states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = first, last

@@ -1,0 +1,35 @@
+// Trajectories of a source and its receivers, as trajectory_tables.py makes them: how fast they can be, and walls that they sit in.
+
+// A trajectory: cubics between knots, and the largest speed in each, in pairs of them, and so on.
+typedef struct {
+    trajectory path;
+    __global const double* speeds;
+    double fastest;  // m/s
+    double4 mount;   // unit normal of the wall that it sits in, and offset of the plane a step in front; 0 in the open
+} end_of_path;
+
+// Where validity takes an end to be: one in a wall a step in front of it.
+static triple lifted(const end_of_path* end, triple x)
+{
+    const triple normal = {end->mount.x, end->mount.y, end->mount.z};
+    return difference(x, times(height(end->mount, x), normal));
+}
+
+static double speed_over(const end_of_path* end, double begin, double until)
+{
+    const int last = end->path.count - 1;
+    int a = (int)fmin(fmax((begin - end->path.first) * end->path.rate, 0.0), (double)last);
+    int b = (int)fmin(fmax((until - end->path.first) * end->path.rate, 0.0), (double)last);
+    __global const double* level = end->speeds;
+    for (int count = last + 1; b - a > 1; count = (count + 1) / 2, a /= 2, b /= 2) level += count;
+    return fmax(level[a], level[b]);
+}
+
+static end_of_path trajectory_at(__global const long* places, __global const double* scales, __global const double* knots,
+                      __global const double* speeds, __global const double4* mounts, double speed_of_sound, int row)
+{
+    const end_of_path out = {{knots + places[3 * row] * KNOT_COLUMNS, (int)places[3 * row + 2], scales[3 * row],
+                        scales[3 * row + 1], 1.0 / speed_of_sound}, speeds + places[3 * row + 1], scales[3 * row + 2],
+                        mounts[row]};
+    return out;
+}

@@ -1,0 +1,157 @@
+"""The manifest of kernels against their sources: arguments, constants, layouts of structures, sizes of files."""
+
+import re
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+import clsim
+from clsim.opencl.compiler import compiler_of
+from clsim.opencl.device import find_device
+from clsim.opencl.kernels import PROGRAMS, kernel_folder, kernel_source
+from clsim.opencl.launch import NUMBERS, Launch, upload
+from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
+from clsim.render.opencl.device_nodes import RECEIVER_NODE
+
+KNOWN = {"CLK_LOCAL_MEM_FENCE"}  # of OpenCL C itself
+TYPEDEFS = {"bins", "gains"}  # vectors of float, as wide as constants say
+DEPTH = 5
+STRUCTURES = {
+    "receiver_node": ("tracks", RECEIVER_NODE),
+    "span": ("intervals", SPAN),
+    "progress": ("intervals", progress(DEPTH)),
+    "interval": ("intervals", INTERVAL),
+}
+
+
+def without_comments(text: str) -> str:
+    return re.sub(r"/\*.*?\*/", "", re.sub(r"//[^\n]*", "", text), flags=re.DOTALL)
+
+
+def signature(program: str) -> list[tuple[str, str, str]]:
+    """Return name, type and access of each argument of a kernel, as its source has them; no access for a number."""
+    found = re.findall(
+        rf"__kernel\b[^;{{]*?\bvoid\s+{program}\s*\(([^{{]*)\)\s*{{", without_comments(kernel_source(program))
+    )
+    assert len(found) == 1
+    arguments = []
+    for text in found[0].split(","):
+        *words, name = re.findall(r"\w+|\*", text)
+        pointer, constant = "*" in words, {"const", "__constant"} & set(words)
+        kind = [w for w in words if w not in {"__global", "__constant", "const", "restrict", "*"}]
+        assert len(kind) == 1, text
+        assert pointer == bool({"__global", "__constant"} & set(words)), text
+        arguments.append((name, kind[0], ("in" if constant else "out") if pointer else ""))
+    return arguments
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_arguments_are_those_of_the_signature(program: str) -> None:
+    told = [(n, a.type, a.access.replace("in out", "out")) for n, a in PROGRAMS[program].arguments.items()]
+    assert told == signature(program)
+    for name, argument in PROGRAMS[program].arguments.items():
+        assert bool(argument.shape) == bool(argument.access), name
+        if argument.access:
+            assert argument.type.rstrip("248") in {*NUMBERS, *TYPEDEFS, *STRUCTURES}, name
+        else:
+            assert argument.type in NUMBERS, name
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_constants_are_those_that_the_sources_do_not_define(program: str) -> None:
+    text = re.sub(r'"[^"]*"', "", without_comments(kernel_source(program)))
+    defined = set(re.findall(r"#define\s+(\w+)", text))
+    used = set(re.findall(r"\b[A-Z][A-Z_]+\b", text))
+    assert used - defined - KNOWN == PROGRAMS[program].constants
+    assert not defined & PROGRAMS[program].constants
+
+
+def test_every_file_belongs_to_a_program_and_says_what_it_is() -> None:
+    folder = kernel_folder()
+    files = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.suffix in {".h", ".cl"}}
+    assert files == {name for program in PROGRAMS.values() for name in program.files}
+    told = (folder / "README.md").read_text("utf-8")
+    for name, program in PROGRAMS.items():
+        assert f"`{name}`" in told
+        assert program.files[-1].endswith(f"/{name}.cl")
+    for name in files:
+        assert (folder / name).read_text("utf-8").startswith("// "), name
+        assert f"`{name.split('/')[-1]}`" in told, name
+
+
+def test_files_are_small() -> None:
+    for program in PROGRAMS.values():
+        for name in program.files:
+            text = without_comments((kernel_folder() / name).read_text("utf-8"))
+            assert sum(bool(line.strip()) for line in text.splitlines()) <= 150, name
+
+
+def fields_of(dtype: np.dtype, at: int = 0) -> list[tuple[str, int]]:
+    return [(name, at + dtype.fields[name][1]) for name in dtype.names]
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_structures_are_laid_out_alike(name: str, device: None) -> None:
+    program, dtype = STRUCTURES[name]
+    text = without_comments(kernel_source(program))
+    definition = re.search(rf"typedef struct {{[^{{}}]*}} {name};", text)
+    before = "".join(re.findall(r"typedef struct {[^{}]*} span;", text)) if name == "progress" else ""
+    told = "".join(
+        f"out[{i + 1}] = (__global char*)&p->{field} - (__global char*)p;"
+        for i, (field, _) in enumerate(fields_of(dtype))
+    )
+    source = f"{before}\n{definition[0]}\n__kernel void layout(__global {name}* p, __global long* out) {{ out[0] = sizeof({name}); {told} }}"
+    context = compiler_of(find_device(None)[1]).context
+    queue = cl.CommandQueue(context)
+    out = np.zeros(1 + len(dtype.names), dtype=np.int64)
+    buffer, held = upload(context, out), upload(context, np.zeros(dtype.itemsize, np.int8))
+    cl.Kernel(cl.Program(context, source).build([f"-DDEPTH={DEPTH}"]), "layout")(queue, (1,), (1,), held, buffer)
+    cl.enqueue_copy(queue, out, buffer)
+    assert out.tolist() == [dtype.itemsize, *(offset for _, offset in fields_of(dtype))]
+
+
+def test_launches_refuse_names_that_are_wrong() -> None:
+    seen = []
+    launch = Launch("clear_gains", lambda *taken: seen.append(taken), PROGRAMS["clear_gains"].arguments)
+    given = {"slots": 4, "polynomials": "p", "functions": 1.0, "block": "b", "slot": "s", "count": np.int64(3)}
+    launch("queue", ((32,), (8,)), **given)
+    assert seen == [("queue", (32,), (8,), 3, "s", "b", 1, "p", 4)]
+    assert [type(seen[0][i]) for i in (3, 6, 8)] == [np.int32] * 3
+    with pytest.raises(clsim.ClsimError, match=r"clear_gains: it lacks functions, slot$"):
+        launch("queue", ((32,), (8,)), **{n: given[n] for n in given if n not in ("slot", "functions")})
+    with pytest.raises(clsim.ClsimError, match=r"clear_gains: it has no nodes$"):
+        launch("queue", ((32,), (8,)), **given, nodes=1)
+    with pytest.raises(clsim.ClsimError, match=r"clear_gains: it lacks slot and has no place$"):
+        launch("queue", ((32,), (8,)), **{n: given[n] for n in given if n != "slot"}, place=1)
+    assert len(seen) == 1
+
+
+def test_arrays_are_uploaded_in_the_type_of_the_argument(device: None) -> None:
+    context = compiler_of(find_device(None)[1]).context
+    queue, seen = cl.CommandQueue(context), []
+    launch = Launch("emit", lambda *taken: seen.append(taken), PROGRAMS["emit"].arguments)
+    given = {"count": 2, "clear": 0, "stride": 2, "emitted": None, "values": np.array([0.5, 1.5])}
+    launch(queue, ((32,), (8,)), places=np.array([3, 4]), **given)
+    places, values = np.empty(2, np.int32), np.empty(2, np.float32)
+    cl.enqueue_copy(queue, places, seen[0][4])
+    cl.enqueue_copy(queue, values, seen[0][5])
+    assert (places.tolist(), values.tolist()) == ([3, 4], [0.5, 1.5])
+    with pytest.raises(TypeError, match="Cannot cast"):
+        launch(queue, ((32,), (8,)), places=np.array([3.0, 4.0]), **given)
+
+
+def test_a_text_is_built_once_for_all_threads_and_constants_are_checked(device: None) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    compiler = compiler_of(find_device(None)[1])
+    assert compiler_of(find_device(None)[1]) is compiler
+    first = compiler.kernel("emit", {})
+    assert compiler.kernel("emit", {}) is first
+    built = len(compiler._built)
+    with ThreadPoolExecutor(1) as pool:
+        other = pool.submit(compiler.kernel, "emit", {}).result()
+    assert other is not first  # arguments of a kernel are set before it is run
+    assert len(compiler._built) == built
+    with pytest.raises(clsim.ClsimError, match="constants of program emit: missing or unknown LANES"):
+        compiler.kernel("emit", {"LANES": 8})
