@@ -47,28 +47,25 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
     factors (1 where they depend on the angle), and of the directivities' largest gains, at nine frequencies of the
     signal's band. What all paths that are left out add is at most the sum of their bounds.
     """
-    kept, count = [], 0
-    lost: dict[tuple[int, int], float] = {}  # of each source and receiver, whose kinds of paths add up
-    for i in range(len(tracks.groups)):
-        bound, strongest = _bounds(tracks, i, until)
-        quiet = bound < 10 ** (below_db / 20) * strongest
-        if strongest > 0.0 and np.any(quiet):
-            pair = tracks.groups[i].source, tracks.groups[i].receiver
-            lost[pair] = lost.get(pair, 0.0) + float(bound[quiet].sum()) / strongest
-            count += int(np.count_nonzero(quiet))
-        kept.append(np.flatnonzero(~quiet))
+    bounds = [_bounds(tracks, i, until) for i in range(len(tracks.groups))]
+    pairs = [(group.source, group.receiver) for group in tracks.groups]
+    strongest: dict[tuple[int, int], float] = {}  # of paths of all kinds
+    for pair, (_, loudest) in zip(pairs, bounds, strict=True):
+        strongest[pair] = max(strongest.get(pair, 0.0), loudest)
+    groups, pair_paths, lost, count = [], [], dict.fromkeys(pairs, 0.0), 0
+    for pair, (bound, _), group, paths in zip(pairs, bounds, tracks.groups, tracks.pair_paths, strict=True):
+        quiet = bound < 10 ** (below_db / 20) * strongest[pair]
+        rows = np.flatnonzero(~quiet)
+        if np.any(quiet):
+            lost[pair] += float(bound[quiet].sum()) / strongest[pair]
+            count += len(quiet) - len(rows)
+        if len(rows):
+            groups.append(PairTracks(group.source, group.receiver, group.start[rows], group.end[rows]))
+            pair_paths.append(paths.part(rows))
     if not count:
         return tracks, f"no path stays below {below_db:g} dB"
-    groups = [
-        PairTracks(group.source, group.receiver, group.start[rows], group.end[rows])
-        for group, rows in zip(tracks.groups, kept, strict=True)
-    ]
-    reduced = replace(
-        tracks,
-        groups=tuple(groups),
-        pair_paths=tuple(pair.part(rows) for pair, rows in zip(tracks.pair_paths, kept, strict=True)),
-    )
-    most = max(lost.values(), default=0.0)
+    reduced = replace(tracks, groups=tuple(groups), pair_paths=tuple(pair_paths))
+    most = max(lost.values())
     together = f"reach at most {20.0 * math.log10(most):.1f} dB" if most > 0.0 else "are silent"
     return reduced, (
         f"{count} paths that stay below {below_db:g} dB of the strongest are left out; all of them together {together}"
