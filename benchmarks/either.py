@@ -30,7 +30,10 @@ ARRAYS = {  # new name of an array that is written: old one
 # Of scene files, new: old. Files are written with the new word where the schema has it.
 KEYS = {"convolve_static": "convolve_at_rest", "prune_below_db": "quietest_db"}
 VALUES = {("kind", "first-order"): ("kind", "cardioid")}
-ADDED: dict[str, Any] = {}  # key of a completed scene that only one version has: value at which it says nothing new
+ADDED: dict[str, Any] = {
+    "responses": "band"
+}  # key of a completed scene that only one version has: value at which it says nothing new
+GROUND_TRUTH = "ground_truth" if hasattr(clsim, "direct_path") else "truth"
 DIRECTIVITY_HOMES = ("clsim", "clsim.scene.directivity", "clsim.scene.directivity.patterns")
 
 
@@ -79,6 +82,11 @@ def call(function: Callable, paths: clsim.PathSet, *arguments: Any, **options: A
 
 def renamed(accepted: set[str], options: dict[str, Any]) -> dict[str, Any]:
     """Return options by the names that are accepted."""
+    if "responses" in accepted:
+        if options.get("transition") == "gate":
+            options = options | {"transition": 0.0}
+        if options.get("response_error_db") == "centre":
+            options = {n: v for n, v in options.items() if n != "response_error_db"} | {"responses": "centre"}
     names = {n: next((m for m in (n, *OPTIONS.get(n, ())) if m in accepted), n) for n in options}
     return {names[n]: value for n, value in options.items()}
 

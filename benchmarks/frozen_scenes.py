@@ -336,7 +336,8 @@ def results(folder: Path) -> Arrays:
             arrays[file.name] = soundfile.read(file, dtype="float32")[0]
         elif file.suffix == ".npz":
             with np.load(file) as content:
-                arrays |= {f"{file.name}.{either.ARRAYS.get(n, n)}": content[n] for n in content.files}
+                old = file.name.replace("ground_truth", "truth")
+                arrays |= {f"{old}.{either.ARRAYS.get(n, n)}": content[n] for n in content.files}
         elif file.suffix in (".zarr", ".h5"):
             with clsim.open_store(file) as stored:
                 arrays |= {f"{file.name}.{n}": np.asarray(stored[n]) for n in ("sound", "unit", "receiver", "position")}
@@ -438,7 +439,7 @@ def study() -> Arrays:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "scene.toml").write_text(tomli_w.dumps(clock_scene()), "utf-8")
-        (folder / "study.toml").write_text(STUDY, "utf-8")
+        (folder / "study.toml").write_text(STUDY.replace("truth", either.GROUND_TRUTH), "utf-8")
         command("study", folder / "study.toml", "-o", folder / "out", "--workers", 1)
         rows = [json.loads(line) for line in (folder / "out" / "index.jsonl").read_text("utf-8").splitlines()]
         known = [{k: row[k] for k in ("member", "parameters", "status", "error")} for row in rows]

@@ -17,7 +17,7 @@ import soundfile
 
 from clsim.render.render import render_chunks
 from clsim.scene_file import load_scene
-from clsim.workflow.pipeline import planned
+from clsim.workflow.pipeline import plan_scene
 
 SCENE = """
 format = 1
@@ -57,7 +57,7 @@ def main() -> None:
         subprocess.run([*command, "--no-plots", "--table", "none"], check=True, stdout=subprocess.DEVNULL)
         spent = time.perf_counter() - begun
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-        _, plan = planned(load_scene(folder / "long.toml"), {})
+        plan = plan_scene(load_scene(folder / "long.toml")).plan
         first = (plan.samples - 1) // plan.chunk * plan.chunk
         _, alone = next(iter(render_chunks(plan, first=first)))
         heard = [

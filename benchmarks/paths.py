@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.opencl import device as device_module
+from clsim.opencl import compiler as compiler_module
 from clsim.paths.specular import beam_tree, device_intervals
 from clsim.paths.trajectory_tables import trajectory_tables
 
@@ -111,25 +111,25 @@ class KernelTime:
 
     def __enter__(self) -> "KernelTime":
         self.seconds = 0.0
-        self._original = original = device_module.Compiler.kernel
+        self._original = original = compiler_module.Compiler.kernel
 
         def kernel(compiler: object, program: str, constants: dict) -> Callable[..., None]:
             found = original(compiler, program, constants)
 
-            def call(queue: object, *arguments: object) -> None:
+            def call(queue: object, items: tuple, **arguments: object) -> None:
                 queue.finish()
                 begun = time.perf_counter()
-                found(queue, *arguments)
+                found(queue, items, **arguments)
                 queue.finish()
                 self.seconds += time.perf_counter() - begun
 
             return call
 
-        device_module.Compiler.kernel = kernel
+        compiler_module.Compiler.kernel = kernel
         return self
 
     def __exit__(self, *_: object) -> None:
-        device_module.Compiler.kernel = self._original
+        compiler_module.Compiler.kernel = self._original
 
 
 def plain_seconds(asked: list[tuple]) -> float:

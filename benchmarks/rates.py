@@ -19,7 +19,7 @@ import numpy as np
 import pyopencl as cl
 
 import clsim
-from clsim.opencl import device as device_module
+from clsim.opencl import compiler as compiler_module
 from clsim.render.planning import plan_render
 from clsim.render.render import render_chunks
 
@@ -56,29 +56,29 @@ class Stages:
         self.launch: tuple = ()
 
     def __enter__(self) -> "Stages":
-        self._original = device_module.Compiler.kernel
+        self._original = compiler_module.Compiler.kernel
         original, stages = self._original, self
 
         def kernel(compiler: object, program: str, constants: dict) -> object:
             found = original(compiler, program, constants)
 
-            def call(queue: object, *arguments: object) -> object:
+            def call(queue: object, items: tuple, **arguments: object) -> object:
                 queue.finish()
                 begun = time.perf_counter()
-                event = found(queue, *arguments)
+                event = found(queue, items, **arguments)
                 queue.finish()
                 stages.seconds[program] = stages.seconds.get(program, 0.0) + time.perf_counter() - begun
                 if program == "render":
-                    stages.launch = (found, queue, arguments)
+                    stages.launch = (found, queue, items, arguments)
                 return event
 
             return call
 
-        device_module.Compiler.kernel = kernel
+        compiler_module.Compiler.kernel = kernel
         return self
 
     def __exit__(self, *_: object) -> None:
-        device_module.Compiler.kernel = self._original
+        compiler_module.Compiler.kernel = self._original
 
 
 def render_rates(order: int, duration: float, error_db: float = -90.0, **more: object) -> tuple[float, float, Stages]:
@@ -103,34 +103,34 @@ class PlainLoop:
     """The C loop on the arguments of a render launch."""
 
     def __init__(self, launch: tuple, folder: Path) -> None:
-        self._kernel, self._queue, self._arguments = launch
-        (_, _, branches, stride, first_row, functions, _, lead, delay, cubics, first_slot, slots, block_groups,
-         first_block, groups, _, pressure, width, begin, _) = self._arguments  # fmt: skip
-        assert first_block == first_row == 0
-        assert functions == 1
-        self.samples = int(groups) * 32
-        self._begin = int(begin)
-        host = [np.empty(b.size // 4, dtype) for b, dtype in
-                ((branches, np.float32), (delay, np.int32), (cubics, np.float32), (first_slot, np.int32))]  # fmt: skip
-        for array, buffer in zip(host, (branches, delay, cubics, first_slot), strict=True):
-            cl.enqueue_copy(self._queue, array, buffer)
-        self._host, self._pressure, self._width = host, pressure, int(width)
+        self._kernel, self._queue, self._items, self._arguments = launch
+        given = self._arguments
+        assert given["first_block"] == given["first_row"] == 0
+        assert given["functions"] == 1
+        self.samples = int(given["subblocks"]) * 32
+        self._begin = int(given["first_sample"])
+        kinds = {"branches": np.float32, "delay": np.int32, "polynomials": np.float32, "first_slot": np.int32}
+        host = [np.empty(given[name].size // 4, dtype) for name, dtype in kinds.items()]
+        for array, name in zip(host, kinds, strict=True):
+            cl.enqueue_copy(self._queue, array, given[name])
+        self._host, self._pressure = host, given["pressure"]
         library = folder / "plain_loop.so"
         flags = ["-O3", "-march=native", "-ffast-math", "-funroll-loops", "-shared", "-fPIC"]
         subprocess.run(["cc", *flags, "-o", library, HERE / "plain_loop.c"], check=True)
         self._render = ctypes.CDLL(str(library)).render
-        self.slots = int(slots)
-        self._numbers = (int(stride), len(host[0]) // int(stride), int(lead), int(block_groups), int(groups))
+        self.slots, stride = int(given["slots"]), int(given["stride"])
+        blocks = (int(given["block_subblocks"]), int(given["subblocks"]))
+        self._numbers = (stride, len(host[0]) // stride, int(given["lead"]), *blocks)
 
     def run(self, threads: int) -> tuple[float, np.ndarray]:
         """Return seconds and pressure."""
-        stride, rows, lead, block_groups, groups = self._numbers
+        stride, rows, lead, block_subblocks, subblocks = self._numbers
         out = np.zeros(self.samples, np.float32)
         branches, delay, cubics, _ = (ctypes.c_void_p(a.ctypes.data) for a in self._host)
 
         def part(i: int) -> None:
             self._render(branches, ctypes.c_long(stride), rows, ctypes.c_long(lead), delay, cubics, self.slots, self.slots,
-                         block_groups, groups * i // threads, groups * (i + 1) // threads,
+                         block_subblocks, subblocks * i // threads, subblocks * (i + 1) // threads,
                          ctypes.c_void_p(out.ctypes.data))  # fmt: skip
 
         workers = [threading.Thread(target=part, args=(i,)) for i in range(threads)]
@@ -147,7 +147,7 @@ class PlainLoop:
         cl.enqueue_copy(self._queue, self._pressure, zero)
         self._queue.finish()
         begun = time.perf_counter()
-        self._kernel(self._queue, *self._arguments)
+        self._kernel(self._queue, self._items, **self._arguments)
         self._queue.finish()
         spent = time.perf_counter() - begun
         cl.enqueue_copy(self._queue, zero, self._pressure)

@@ -9,6 +9,7 @@ The pipeline is four values and three arrows between them::
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
@@ -23,7 +24,8 @@ from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
-from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston, named_directivity
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
+from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.material.material import Material
@@ -34,7 +36,8 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer, named_transducer
+from clsim.scene.transducer.transducer import Transducer
+from clsim.scene_file import load_scene
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
 from clsim.version import __version__ as __version__
@@ -42,11 +45,13 @@ from clsim.version import __version__ as __version__
 __all__ = [
     "Air",
     "AxialDirectivity",
+    "AxisymmetricDirectivity",
     "Bandlimited",
     "Baseband",
     "ClsimError",
     "ClsimWarning",
     "DeviceError",
+    "Directivity",
     "Electronics",
     "FirstOrder",
     "ImpulseResponses",
@@ -75,8 +80,8 @@ __all__ = [
     "find_paths",
     "grid_positions",
     "impulse_responses",
-    "named_directivity",
-    "named_transducer",
+    "list_devices",
+    "load_scene",
     "open_store",
     "plan_render",
     "positions_from_file",

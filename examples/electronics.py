@@ -25,12 +25,12 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     speaker = clsim.Source(
         "speaker", clsim.Signal.tone(40e3, BURST, RATE, amplitude=10.0),
-        clsim.Trajectory.fixed((0.5, 0.8, 1.2)), clsim.named_directivity("MA40S4S"), aim=(1, 0, 0),
-        transducer=clsim.named_transducer("MA40S4S"),
+        clsim.Trajectory.fixed((0.5, 0.8, 1.2)), clsim.Directivity.named("MA40S4S"), aim=(1, 0, 0),
+        transducer=clsim.Transducer.named("MA40S4S"),
     )  # fmt: skip
     ear = clsim.Receiver(
-        "ear", clsim.Trajectory.fixed((3.3, 0.8, 1.2)), clsim.named_directivity("MA40S4R"), aim=(-1, 0, 0),
-        transducer=clsim.named_transducer("MA40S4R"),
+        "ear", clsim.Trajectory.fixed((3.3, 0.8, 1.2)), clsim.Directivity.named("MA40S4R"), aim=(-1, 0, 0),
+        transducer=clsim.Transducer.named("MA40S4R"),
         electronics=clsim.Electronics(
             ambient_noise_db=0.0, self_noise_db=8.0, seed=1, low_cut=20e3, high_cut=80e3, gain_db=40.0,
             adc_bits=8, adc_full_scale=1.0, clock_ppm=20.0,

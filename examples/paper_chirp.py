@@ -23,7 +23,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("out"))
     folder = parser.parse_args().output
     folder.mkdir(parents=True, exist_ok=True)
-    sender, microphone = clsim.named_transducer("MA40S4S"), clsim.named_transducer("MA40S4R")
+    sender, microphone = clsim.Transducer.named("MA40S4S"), clsim.Transducer.named("MA40S4R")
     recording, paths = received(AMPLITUDE, sender, microphone)
     recording.save(folder / "paper_chirp.wav")
     even, _ = received(AMPLITUDE * sender.sensitivity, None, None)
@@ -50,11 +50,11 @@ def received(
     chirp = clsim.Signal.chirp(39e3, 41e3, duration=1.3e-3, sampling_rate=RATE, window="tukey", amplitude=amplitude)
     source = clsim.Source(
         "MA40S4S", chirp, clsim.Trajectory.fixed((0.8, 1.0, 1.0)),
-        directivity=clsim.named_directivity("MA40S4S"), aim=(1.0, 0.9, 0.3), transducer=sender,
+        directivity=clsim.Directivity.named("MA40S4S"), aim=(1.0, 0.9, 0.3), transducer=sender,
     )  # fmt: skip
     receiver = clsim.Receiver(
         "MA40S4R", clsim.Trajectory.fixed((2.6, 1.4, 1.2)),
-        directivity=clsim.named_directivity("MA40S4R"), aim=(-1.0, 0.9, 0.3), transducer=microphone,
+        directivity=clsim.Directivity.named("MA40S4R"), aim=(-1.0, 0.9, 0.3), transducer=microphone,
     )  # fmt: skip
     room = clsim.Shoebox(size=(4.0, 3.0, 2.5), walls=clsim.Material.from_reflection(0.98))
     scene = clsim.Scene(room, clsim.Air(), [source], [receiver])

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
 
-# Which neighbours a round looks at, in frequency (f) or direction (d): either may be too far apart at first, or always.
+# Which neighbours a round compares, in frequency (f) or direction (d): either may be too far apart at first, or always.
 _ROUNDS = (("f", "fd", "fd"), ("d", "fd", "fd"), ("d", "d"))
 _ENOUGH = 50_000  # values to find a handful of numbers from
 
@@ -49,8 +49,8 @@ def fit_delay(
     >>> cosine = np.cos(np.radians(np.arange(0.0, 181.0, 5.0)))[:, None]
     >>> f = np.array([30e3, 40e3, 50e3])
     >>> pairs = np.column_stack([np.arange(36), np.arange(1, 37)])
-    >>> ahead = np.exp(2j * np.pi * f / 343.0 * 0.01 * cosine)  # a centre 10 mm in front
-    >>> (343.0 * fit_delay(cosine, f, ahead, pairs)).round(6).tolist()
+    >>> values = np.exp(2j * np.pi * f / 343.0 * 0.01 * cosine)  # a centre 10 mm in front
+    >>> (343.0 * fit_delay(cosine, f, values, pairs)).round(6).tolist()
     [0.0, -0.01]
     """
     some = slice(None, None, -(-values.size // _ENOUGH))

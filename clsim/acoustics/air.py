@@ -1,4 +1,4 @@
-"""Sound in still air: its speed and its absorption.
+"""Sound in air at rest: its speed and its absorption.
 
 References
 ----------

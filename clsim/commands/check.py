@@ -8,7 +8,8 @@ import numpy as np
 
 from clsim.commands.arguments import add_scene
 from clsim.scene_file import load_scene
-from clsim.workflow.pipeline import planned
+from clsim.workflow.console import progress
+from clsim.workflow.pipeline import plan_scene
 
 if TYPE_CHECKING:
     import argparse
@@ -26,8 +27,9 @@ def execute(options: argparse.Namespace) -> int:
     file = load_scene(options.scene)
     for line in file.scene.describe():  # before the search, which may take long or give up
         print(line, flush=True)
-    paths, plan = planned(file, {})
-    for line in [*([] if file.scene.room.is_convex else [_comings_and_goings(paths)]), *plan.describe()]:
+    planned = plan_scene(file, progress)
+    passing = [] if file.scene.room.is_convex else [_comings_and_goings(planned.paths)]
+    for line in [*passing, *planned.plan.describe()]:
         print(line)
     for field, item in file.scene.named_ends():
         for note in item.trajectory.notes:

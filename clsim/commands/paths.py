@@ -11,7 +11,8 @@ from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.output.table import check_table, write_table
 from clsim.scene_file import load_scene
-from clsim.workflow.pipeline import path_table, planned, read_files
+from clsim.workflow.console import progress
+from clsim.workflow.pipeline import input_files, plan_scene
 
 if TYPE_CHECKING:
     import argparse
@@ -33,13 +34,16 @@ def execute(options: argparse.Namespace) -> int:
     if options.limit < 0:
         raise InputError("--limit", f"must be at least 0, but is {options.limit}")
     file = load_scene(options.scene)
-    target = None if options.output is None else NewFile(options.output, read_files(options.scene, file), options.force)
+    target = (
+        None if options.output is None else NewFile(options.output, input_files(options.scene, file), options.force)
+    )
     if target is not None:
         check_table(str(target.path), "--output")
-    paths, plan = planned(file, {})
-    if not 0.0 <= options.at <= plan.duration:
-        raise InputError("--at", f"must lie within the recording, 0 to {plan.duration:g} s, but is {options.at:g} s")
-    table = path_table(paths, plan, np.array([options.at]))
+    planned = plan_scene(file, progress)
+    duration = planned.plan.duration
+    if not 0.0 <= options.at <= duration:
+        raise InputError("--at", f"must lie within the recording, 0 to {duration:g} s, but is {options.at:g} s")
+    table = planned.path_table(np.array([options.at]))
     if target is not None:
         write_table(table, target.ready())
         print(target.path)

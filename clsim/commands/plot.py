@@ -14,11 +14,11 @@ from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.output.directivity_plots import DirectivityDiagram, air_picture, directivity_picture
 from clsim.scene.air import Air
-from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, named_directivity
+from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
 from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
-from clsim.workflow.pipeline import read_files
+from clsim.workflow.pipeline import input_files
 
 if TYPE_CHECKING:
     import argparse
@@ -98,7 +98,7 @@ def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], li
         raise InputError("--end", f"must come with a scene file, but is {options.end!r:.80}")
     if options.scene is not None:
         file = load_scene(options.scene)
-        return _scene_diagrams(file.scene, options.end, wanted), read_files(options.scene, file)
+        return _scene_diagrams(file.scene, options.end, wanted), input_files(options.scene, file)
     directivity = _read(options)
     frequencies = _usual_frequencies(directivity) if wanted is None else wanted
     title = options.name if options.name is not None else options.table.stem
@@ -106,11 +106,11 @@ def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], li
     return [diagram], [] if options.table is None else [options.table]
 
 
-def _read(options: argparse.Namespace) -> AxialPattern | DirectionalPattern:
+def _read(options: argparse.Namespace) -> Directivity:
     """Return the directivity of a name or of a table's file."""
     if options.name is not None:
         try:
-            return named_directivity(options.name, outside="hold" if options.hold else None)
+            return Directivity.named(options.name, outside="hold" if options.hold else None)
         except InputError as error:
             raise InputError(f"--{error.field}", error.problem) from error
     path, outside = str(options.table), "hold" if options.hold else None
@@ -155,7 +155,7 @@ def _heard_frequencies(scene: Scene) -> Floats:
     return np.asarray(kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST_CURVES)).round().astype(int)])
 
 
-def _usual_frequencies(directivity: AxialPattern | DirectionalPattern) -> Floats:
+def _usual_frequencies(directivity: Directivity) -> Floats:
     """Return frequencies spread over a directivity's band, Hz."""
     low, high = directivity.band
     if math.isinf(high):

@@ -11,7 +11,7 @@ from clsim.impulse_responses import as_response_band, impulse_responses
 from clsim.output.response_files import response_names, write_response_sounds, write_responses
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
-from clsim.workflow.pipeline import found_paths, read_files, shares
+from clsim.workflow.pipeline import find_scene_paths, input_files, shares
 
 if TYPE_CHECKING:
     import argparse
@@ -49,14 +49,14 @@ def execute(options: argparse.Namespace) -> int:
     kind = _kind(options)
     file = load_scene(options.scene)
     rate = file.render["sampling_rate"]
-    read = read_files(options.scene, file)
+    read = input_files(options.scene, file)
     targets = [
         NewFile(path, read, options.force, new_folder=kind == "wav")
         for path in _paths(file.scene, kind, options.output)
     ]
     try:
         as_response_band(rate, options.band)  # before paths are searched for
-        paths = found_paths(file, {})
+        paths = find_scene_paths(file, progress)
         with progress("impulse responses", 1.0) as advance:
             found = impulse_responses(
                 paths, rate, options.at, options.band, lead=options.lead, progress=shares(advance)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from clsim.scene_file import scene_schema
+from clsim.scene_file.scene import scene_schema
 
 if TYPE_CHECKING:
     import argparse

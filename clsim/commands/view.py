@@ -11,7 +11,7 @@ from clsim.files.ownership import NewFile
 from clsim.output.view import view_scene
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
-from clsim.workflow.pipeline import planned, read_files
+from clsim.workflow.pipeline import input_files, plan_scene
 
 if TYPE_CHECKING:
     import argparse
@@ -41,13 +41,13 @@ def execute(options: argparse.Namespace) -> int:
             raise InputError(f"--{name}", f"must be 1 to {most}, but is {getattr(options, name)}")
     file = load_scene(options.scene)
     named = options.output or options.scene.with_suffix(".html")
-    page = NewFile(named, read_files(options.scene, file), options.force)
-    paths, plan = planned(file, {})
+    page = NewFile(named, input_files(options.scene, file), options.force)
+    planned = plan_scene(file, progress)
     with progress("drawing", options.frames) as advance:
         view_scene(
-            paths, page.ready(), title=options.scene.stem, duration=plan.duration, frames=options.frames,
-            limit=options.limit, progress=advance,
-            motion=plan.options.motion, amplitude=plan.options.amplitude,
+            planned.paths, page.ready(), title=options.scene.stem, duration=planned.plan.duration,
+            frames=options.frames, limit=options.limit, progress=advance,
+            motion=planned.plan.options.motion, amplitude=planned.plan.options.amplitude,
         )  # fmt: skip
     print(page.path)
     if options.open:

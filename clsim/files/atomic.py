@@ -22,7 +22,7 @@ _TEMPORARY = re.compile(r"\.clsim-([0-9a-f]{8})-(\d{1,9})-[0-9a-f]{8}\.partial(\
 
 
 def temporary_path(path: Path) -> Path:
-    """Return a name beside `path` under which it is written: short, and with its suffix, which libraries look at."""
+    """Return a name beside `path` under which it is written: short, and with its suffix, which libraries go by."""
     token = secrets.token_hex(4)
     return path.with_name(f".clsim-{_machine()}-{os.getpid()}-{token}.partial{path.suffix}")
 

@@ -48,8 +48,8 @@ def read_sound_file(path: str | PathLike[str], channel: int) -> tuple[NDArray[np
             densest = _MPEG_PER_BYTE if file.format == "MP3" else _MOST_PER_BYTE
             most = min(_LONGEST, densest * Path(path).stat().st_size)
             if not 0 < file.frames <= most:
-                told = f"{path} says that it holds {file.frames} samples" if file.frames else f"{path} is empty"
-                raise InputError("path", f"must hold sound, and its bytes hold {most} samples at most, but {told}")
+                claim = f"{path} says that it holds {file.frames} samples" if file.frames else f"{path} is empty"
+                raise InputError("path", f"must hold sound, and its bytes hold {most} samples at most, but {claim}")
             return _channel(file, channel, path), float(file.samplerate)
     except FileNotFoundError as error:
         raise InputError("path", f"must be a sound file, but there is no file {str(path)!r}") from error

@@ -34,7 +34,7 @@ class WavWriter:
     channels : int
         Number of channels.
     samples : int, optional
-        How many will be written, if known: above 4 GiB the file becomes an RF64.
+        How many will be written, if given: above 4 GiB the file becomes an RF64.
 
     Raises
     ------
@@ -108,7 +108,7 @@ class WavWriter:
 
 
 def wav_header(sampling_rate: float, channels: int, samples: int) -> bytes:
-    """Return what stands before the samples of a WAV file of 32-bit floats whose length is known.
+    """Return what stands before the samples of a WAV file of 32-bit floats whose length is given.
 
     Above 4 GiB it is an RF64 file (EBU Tech 3306), which has the lengths in a chunk ``ds64``.
 

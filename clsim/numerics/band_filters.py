@@ -18,7 +18,7 @@ LONGEST = 2049  # taps
 _SHORTEST = 17
 _NOTHING = 1e-9  # of the largest coefficient
 _FAR = 10.0  # times the allowed error, beyond which lengths are tried in longer steps
-_BETWEEN = 4  # places between neighbouring points at which deviations are looked at
+_BETWEEN = 4  # places between neighbouring points at which deviations are evaluated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +48,7 @@ def band_filters(
     importance: Floats,
     error: Callable[[Floats], float],
     allowed: float,
-    late: int = 0,
+    delay_samples: int = 0,
 ) -> BandFilters:
     """Return filters with given responses over a band: the shortest tried within an error, or the best.
 
@@ -66,7 +66,7 @@ def band_filters(
         Returns the error that deviations (K, m) about these points amount to.
     allowed : float
         Its bound.
-    late : int
+    delay_samples : int
         Samples by which the filters delay in addition.
 
     Returns
@@ -100,7 +100,8 @@ def band_filters(
             worst = 0.5 * (low + high + points[int(np.argmax((left * importance).max(axis=0)))] * (high - low))
             best, least = BandFilters(_taps(even, odd), 20.0 * math.log10(max(reached, 1e-15)), worst), reached
         half = min(math.ceil((1.7 if reached > _FAR * allowed else 1.3) * half), max(LONGEST // 2, half + 1))
-    return replace(best, taps=np.pad(best.taps, ((0, 0), (abs(late) + late, abs(late) - late))))
+    size = abs(delay_samples)
+    return replace(best, taps=np.pad(best.taps, ((0, 0), (size + delay_samples, size - delay_samples))))
 
 
 def _polynomials(coefficients: Floats | Complexes, x: Floats) -> Floats | Complexes:

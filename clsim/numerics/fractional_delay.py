@@ -1,7 +1,7 @@
 """Fractional-delay filters as polynomials of the fraction (Farrow banks).
 
 A bank holds the taps ``c[q, k]`` of its branches: the delayed signal is
-``y[n] = sum_q mu**q sum_k c[q, k] x[n - D - k + centre]`` and is late by ``D + shift + mu`` samples.
+``y[n] = sum_q mu**q sum_k c[q, k] x[n - D - k + centre]`` and is delayed by ``D + shift + mu`` samples.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ class GridOnSphere:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnGrid:
-    """A periodic spline of colatitude and azimuth, which begins at the value told in rad."""
+    """A periodic spline of colatitude and azimuth, which begins at an angle in rad."""
 
     spline: NdBSpline
     first_azimuth: float

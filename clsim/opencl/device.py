@@ -1,24 +1,12 @@
-"""OpenCL devices: which there are, which is taken, and how programs are built on it."""
+"""OpenCL devices: which there are, and which is taken."""
 
 from __future__ import annotations
 
-import logging
-import threading
-import uuid
-import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from clsim.errors import DeviceError
-from clsim.opencl.cache import Trial, TriedKernel, prepare
-from clsim.opencl.kernels import kernel_source
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
+from clsim.opencl.kernel_cache import prepare
 
 INSTALL = (
     "install a driver: `pip install pocl-binary-distribution` (Linux x86-64), "
@@ -113,105 +101,3 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
             )  # fmt: skip
             found.append((info, device))
     return found
-
-
-def upload(context: Any, array: NDArray[Any]) -> Any:
-    """Return a buffer of a context that holds a copy of an array."""
-    import pyopencl as cl
-
-    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array))
-
-
-def work(count: int, *more: int, group: int = 32) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the size of a launch and of its work-groups: `group` items of the first dimension, rounded up to these.
-
-    Left to itself a runtime may choose groups by the divisors of each size, and build the kernel anew for every one.
-    """
-    return (-(-count // group) * group, *more), (group, *(1 for _ in more))
-
-
-class Scratch:
-    """Buffers of a context that are used again, by name: fresh memory at every step of a run costs time."""
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-        self._kept: dict[Any, Any] = {}
-
-    def take(self, name: Any, size: int) -> Any:
-        """Return the buffer of a name, of at least `size` bytes; what it held may be lost."""
-        import pyopencl as cl
-
-        if name not in self._kept or self._kept[name].size < size:
-            self._kept.pop(name, None)
-            self._kept[name] = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
-        return self._kept[name]
-
-
-_of_thread = threading.local()
-
-
-def opened(device: Any) -> tuple[Any, Compiler]:
-    """Return a context of a device and the compiler of its kernels.
-
-    They are the same ones at every call from a thread, so that many scenes in one process build a kernel once. Another
-    thread has its own, because the arguments of a kernel are set before it is run.
-    """
-    import pyopencl as cl
-
-    found: dict[Any, tuple[Any, Compiler]] = _of_thread.__dict__.setdefault("opened", {})
-    key = device, kernel_source  # kernels of another text are other kernels
-    if key not in found:
-        context = cl.Context([device])
-        found[key] = context, Compiler(context)
-    return found[key]
-
-
-class Compiler:
-    """Builds the kernels of one context, each once."""
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-        self._kernels: dict[tuple[str, tuple[str, ...]], Any] = {}
-
-    def kernel(self, program: str, constants: Mapping[str, int | str]) -> Any:
-        """Return the kernel of a program with compile-time constants.
-
-        Raises
-        ------
-        DeviceError
-            If the device's compiler refuses the program.
-        """
-        options = tuple(f"-D{name}={value}" for name, value in sorted(constants.items()))
-        if (program, options) not in self._kernels:
-            self._kernels[program, options] = self._build(program, list(options))
-        return self._kernels[program, options]
-
-    def _build(self, program: str, options: list[str]) -> Any:
-        device = self._context.devices[0]
-        trial = Trial(program, f"{device.name} {device.driver_version}\n{kernel_source(program)}", options)
-        with trial.marked():
-            return TriedKernel(self._built(program, trial.options), trial)
-
-    def _built(self, program: str, options: list[str]) -> Any:
-        import pyopencl as cl
-
-        text = kernel_source(program)
-        logging.getLogger("pyopencl").setLevel(logging.ERROR)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # compilers have something to say about every program
-            try:
-                try:
-                    return getattr(cl.Program(self._context, text).build(options=options), program)
-                except (cl.Error, AttributeError):
-                    # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the
-                    # driver: with a constant that nothing uses, the program is another one and is built anew.
-                    anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
-                    fresh = cl.Program(self._context, text)
-                    return getattr(fresh.build(options=anew, cache_dir=False), program)  # type: ignore[arg-type]
-            except (cl.Error, AttributeError) as error:
-                device = self._context.devices[0].name.strip()
-                raise DeviceError(
-                    f"{device} could not build {program}.cl: {str(error)[:2000]}; update its driver, choose another "
-                    'device (see `clsim devices`), or use engine="reference"'
-                ) from error

@@ -1,24 +1,329 @@
-"""Kernel text: files joined in order, so that a build error names the file and its true line."""
+"""The manifest of kernels: of every program its files, its arguments in order, and its compile-time constants.
+
+A test holds every entry against the sources. ``kernels/README.md`` says what each program does.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from clsim.errors import ClsimError
 
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """An argument of a kernel.
+
+    Attributes
+    ----------
+    type : str
+        In OpenCL C: of the number, or of the elements of the buffer.
+    shape : str
+        Of a buffer, outermost first, in constants and in the names of other arguments or of words; empty for a number.
+    access : {"", "in", "out", "in out"}
+        How a buffer is used; empty for a number.
+    """
+
+    type: str
+    shape: str = ""
+    access: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A program of one kernel, which has its name.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Joined in this order.
+    arguments : dict
+        By name, in the order of the signature.
+    constants : frozenset of str
+        What is given at compile time (``-D``), all of it at every build.
+    """
+
+    files: tuple[str, ...]
+    arguments: dict[str, Argument]
+    constants: frozenset[str]
+
+
+def _in(kind: str, shape: str) -> Argument:
+    return Argument(kind, shape, "in")
+
+
+def _out(kind: str, shape: str) -> Argument:
+    return Argument(kind, shape, "out")
+
+
+def _both(kind: str, shape: str) -> Argument:
+    return Argument(kind, shape, "in out")
+
+
+_INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
+
+_TRIPLES = ("common/triple.h",)
+_PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
+_POLYNOMIALS = ("common/polynomials.h",)
+_ROUNDING = ("common/rounding.h",)
+
+_IMAGES = {
+    "image_matrix": _in("double", "9, slots"),
+    "image_offset": _in("double", "3, slots"),
+    "receiver_of": _in("int", "slots"),
+}
+_TRAJECTORY = {
+    "knots": _in("double", "knot_count, KNOT_COLUMNS"),
+    "knot_count": _INT,
+    "first_knot": _DOUBLE,
+    "knot_rate": _DOUBLE,
+}
+_BRANCHES = {
+    "branches": _in("float", "rows, stride"),
+    "stride": _INT,
+    "lead": _INT,
+}
+_BLOCKS = {
+    "delay": _in("int", "blocks, slots"),
+    "polynomials": _in("float", "blocks, slots, terms"),
+    "activity": _in("int", "blocks, slots"),
+    "slots": _INT,
+    "first_block": _INT,
+}
+_PRESSURE = {
+    "pressure": _both("float", "receivers, pressure_stride"),
+    "pressure_stride": _INT,
+    "first_sample": _INT,
+}
+_ENVELOPE = {
+    "envelope": _both("float", "receivers, 2, envelope_stride"),
+    "envelope_stride": _INT,
+    "first_sample": _INT,
+    "turn_per_sample": Argument("ulong"),
+    "half_turns_per_sample": _FLOAT,
+}
+_FADES = {
+    "slot_of": _in("int", "fades"),
+    "start": _in("float", "fades"),
+    "end": _in("float", "fades"),
+    "first": _in("int", "places + 1"),
+    "row": _in("int", "places"),
+    "block": _in("int", "places"),
+    "per_ramp": _FLOAT,
+    "block_samples": _INT,
+    "samples": _INT,
+}
+_DELAY_CONSTANTS = {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}
+
 PROGRAMS = {
-    "emit": ("emit.cl",),
-    "branches": ("vector.h", "branches.cl"),
-    "tracks": (
-        "motion.h", "delay.h", "gain.h", "together.h", "nodes.h", "septic.h", "block.h", "silence.h", "tracks.cl",
+    "emit": Program(
+        ("render/emit.cl",),
+        {
+            "count": _INT,
+            "places": _in("int", "count"),
+            "values": _in("float", "rows, count"),
+            "clear": _INT,
+            "stride": Argument("long"),
+            "emitted": _out("float", "rows, stride"),
+        },
+        frozenset(),
     ),
-    "anchors": ("motion.h", "delay.h", "anchors.cl"),
-    "intervals": ("motion.h", "delay.h", "walls.h", "validity.h", "intervals.cl"),
-    "edges": ("nodes.h", "weight.h", "edges.cl"),
-    "mute": ("nodes.h", "mute.cl"),
-    "render": ("vector.h", "nodes.h", "group.h", "farrow.h", "render.cl"),
-    "baseband": ("vector.h", "nodes.h", "carrier.h", "baseband.cl"),
-    "baseband_edges": ("vector.h", "nodes.h", "carrier.h", "weight.h", "baseband_edges.cl"),
+    "branches": Program(
+        (*_ROUNDING, "common/vector.h", "render/branches.cl"),
+        {
+            "emitted": _in("float", "rows of emitted samples"),
+            "first_emitted": _INT,
+            "taps": _in("float", "rows, TAPS"),
+            "width": _INT,
+            "stride": _INT,
+            "first_row": _INT,
+            "rows": _out("float", "rows, stride"),
+            "following": _in("int", "cells"),
+        },
+        frozenset({"LANES", "VECTORS", "TAPS", "OVERSAMPLING", "SPARSE", "CELL"}),
+    ),
+    "coarse_delays": Program(
+        (*_PROPAGATION, "nodes/image.h", "nodes/coarse_delays.cl"),
+        {
+            **_IMAGES,
+            "receivers": _in("receiver_node", "receivers, ends"),
+            "ends": _INT,
+            **_TRAJECTORY,
+            "start": _DOUBLE,
+            "walk_time": _DOUBLE,
+            "speed_of_sound": _DOUBLE,
+            "delays": _out("double", "ends, 2, slots"),
+        },
+        frozenset(_DELAY_CONSTANTS),
+    ),
+    "tracks": Program(
+        (
+            *_PROPAGATION, *_ROUNDING, "nodes/response.h", "nodes/image.h",
+            "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", "nodes/activity.h",
+            "nodes/tracks.cl",
+        ),
+        {
+            **_IMAGES,
+            "reflection": _in("band", "slots, PARTS, BANDS"),
+            "wall_of": _in("int", "ANGULAR, slots"),
+            "normal": _in("float", "ANGULAR, 3, slots"),
+            "heard_from": _in("int", "slots"),
+            "heard_until": _in("int", "slots"),
+            "receivers": _in("receiver_node", "receivers, nodes"),
+            "nodes": _INT,
+            "coarse_delays": _in("double", "ends of walks, 2, slots"),
+            "first_walk": _INT,
+            **_TRAJECTORY,
+            "start": _DOUBLE,
+            "sampling_rate": _DOUBLE,
+            "speed_of_sound": _DOUBLE,
+            "nepers": _in("band", "BANDS"),
+            "projection": _in("chunk", "PARTS, FREQUENCIES, CHUNKS"),
+            "functions": _in("band", "FUNCTIONS, PARTS, BANDS"),
+            "weight": _in("band", "BANDS"),
+            "strengths": _in("chunk", "CHUNKS"),
+            "delay_samples": _DOUBLE,
+            "emitted_first": _DOUBLE,
+            "emitted_last": _DOUBLE,
+            "angular_frequency": _FLOAT,
+            "wall_tables": _in("band", "materials, CELLS, 4, PARTS, BANDS"),
+            "source_directivity": _in("band", "a table"),
+            "receiver_directivities": _in("band", "tables"),
+            "directivity_of": _in("int", "receivers"),
+            "blocks": _INT,
+            "delay": _out("int", "blocks, slots"),
+            "polynomials": _out("float", "blocks, slots, terms"),
+            "found": _out("float4", "walks, slots"),
+            "unheld": _out("float", "walks, slots"),
+            "following": _in("int", "cells"),
+            "preceding": _in("int", "cells"),
+            "cells": _INT,
+            "origin": _DOUBLE,
+            "max_rate": _DOUBLE,
+            "activity": _out("int", "blocks, slots"),
+        },
+        frozenset(
+            _DELAY_CONSTANTS
+            | {
+                "BLOCK", "WALK", "NODES_AT_ONCE", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
+                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "MACH_EXPONENT", "ANGULAR", "SOURCE_DIRECTIVITY",
+                "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
+            }
+        ),
+    ),
+    "intervals": Program(
+        (*_PROPAGATION, "paths/walls.h", "paths/visibility.h", "paths/intervals.cl"),
+        {
+            "wall_count": _INT,
+            "tolerance": _DOUBLE,
+            "thickness": _DOUBLE,
+            "plane": _in("double4", "wall_count"),
+            "sphere": _in("double4", "wall_count"),
+            "same": _in("int", "wall_count"),
+            "first_edge": _in("int", "wall_count + 1"),
+            "first_piece": _in("int", "wall_count + 1"),
+            "first_line": _in("int", "pieces + 1"),
+            "first_twin": _in("int", "wall_count + 1"),
+            "edge": _in("double", "edges, 2, 3"),
+            "line": _in("double4", "lines"),
+            "twin": _in("int", "twins"),
+            "places": _in("long", "1 + receivers, 3"),
+            "scales": _in("double", "1 + receivers, 3"),
+            "knots": _in("double", "knots, KNOT_COLUMNS"),
+            "speeds": _in("double", "speeds"),
+            "mounts": _in("double4", "1 + receivers"),
+            "speed_of_sound": _DOUBLE,
+            "sequences": _in("int", "paths, ORDER"),
+            "receiver_of": _in("int", "paths"),
+            "active": _in("int", "active_count"),
+            "active_count": _INT,
+            "resolution": _DOUBLE,
+            "smallest_move": _DOUBLE,
+            "graze": _DOUBLE,
+            "budget": _INT,
+            "states": _both("progress", "paths"),
+            "found": _out("interval", "found"),
+            "found_count": _both("int", "1"),
+        },
+        frozenset(_DELAY_CONSTANTS | {"ORDER", "DEPTH", "GRAZE_TIME"}),
+    ),
+    "fades": Program(
+        (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
+        {
+            **_BRANCHES,
+            "functions": _INT,
+            "first_row": _in("int", "functions + 1"),
+            **_BLOCKS,
+            **_FADES,
+            **_PRESSURE,
+        },
+        frozenset({"DELAY_TERMS", "OVERSAMPLING", "SPARSE"}),
+    ),
+    "clear_gains": Program(
+        (*_POLYNOMIALS, "render/clear_gains.cl"),
+        {
+            "count": _INT,
+            "slot": _in("int", "count"),
+            "block": _in("int", "count"),
+            "functions": _INT,
+            "polynomials": _both("float", "blocks, slots, terms"),
+            "slots": _INT,
+        },
+        frozenset({"DELAY_TERMS", "SPARSE"}),
+    ),
+    "render": Program(
+        (
+            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, "render/phases.h", "render/subblock.h", "render/farrow.h",
+            "render/render.cl",
+        ),
+        {
+            **_BRANCHES,
+            "first_row": _INT,
+            "functions": _INT,
+            "first_function": _INT,
+            **_BLOCKS,
+            "first_slot": _in("int", "receivers + 1"),
+            "block_subblocks": _INT,
+            "subblocks": _INT,
+            "pressure_row": _in("int", "receivers"),
+            **_PRESSURE,
+        },
+        frozenset(
+            {
+                "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
+                "DELAY_TERMS", "FUNCTIONS", "EACH_FUNCTION", "MOST_ROWS",
+            }
+        ),
+    ),
+    "baseband": Program(
+        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "render/carrier.h", "render/baseband.cl"),
+        {
+            **_BRANCHES,
+            "first_row": _in("int", "FUNCTIONS + 1"),
+            **_BLOCKS,
+            "first_slot": _in("int", "receivers + 1"),
+            "block_samples": _INT,
+            "envelope_row": _in("int", "receivers"),
+            **_ENVELOPE,
+        },
+        frozenset({"LANES", "VECTORS", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "SUBBLOCK"}),
+    ),
+    "baseband_fades": Program(
+        (
+            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, "render/carrier.h", "render/transition.h",
+            "render/baseband_fades.cl",
+        ),
+        {
+            **_BRANCHES,
+            "first_row": _in("int", "FUNCTIONS + 1"),
+            **_BLOCKS,
+            **_FADES,
+            **_ENVELOPE,
+        },
+        frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS"}),
+    ),
 }  # fmt: skip
 
 
@@ -41,8 +346,9 @@ def kernel_folder() -> Path:
     raise ClsimError(f"no kernels beside {package}: install clsim again")
 
 
+@cache
 def kernel_source(program: str) -> str:
     """Return the text of a program: its files in order, each behind a ``#line`` that names it."""
     folder = kernel_folder()
-    parts = [f'#line 1 "{name}"\n{(folder / name).read_text("utf-8")}' for name in PROGRAMS[program]]
-    return "\n".join(parts)
+    files = PROGRAMS[program].files
+    return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text("utf-8")}' for name in files)

@@ -10,6 +10,7 @@ import numpy as np
 from clsim.acoustics.air import absorption_iso9613
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 
 if TYPE_CHECKING:
     import os
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.air import Air
-    from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern
+    from clsim.scene.directivity.directivity import Directivity
 
 _FLOOR_DB = -40.0
 _COLUMNS = 3
@@ -35,7 +36,7 @@ class DirectivityDiagram:
     ----------
     title : str
         Above it.
-    directivity : Directivity or SphericalDirectivity
+    directivity : Directivity
         Whose gain.
     frequencies : ndarray (f,)
         A curve for each, Hz.
@@ -44,7 +45,7 @@ class DirectivityDiagram:
     """
 
     title: str
-    directivity: AxialPattern | DirectionalPattern
+    directivity: Directivity
     frequencies: Floats
     speed_of_sound: float
 
@@ -161,13 +162,13 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
 
 
 def _is_spherical(diagram: DirectivityDiagram) -> bool:
-    return hasattr(diagram.directivity, "gain_towards")
+    return not isinstance(diagram.directivity, AxisymmetricDirectivity)
 
 
 def _gain(diagram: DirectivityDiagram, angles: Floats, upright: bool) -> Any:
     """Return the gain (n, f) in a plane through the axis."""
     cosine, sine = np.cos(angles), np.sin(angles)
-    if not hasattr(diagram.directivity, "gain_towards"):
+    if isinstance(diagram.directivity, AxisymmetricDirectivity):
         gain = diagram.directivity.gain(cosine[:, None], diagram.frequencies, diagram.speed_of_sound)
         return np.broadcast_to(gain, (len(angles), len(diagram.frequencies)))
     none = np.zeros_like(angles)

@@ -12,14 +12,13 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
-from clsim.paths.ground_truth import direct_path
 from clsim.paths.path_table import PathTable
 
 if TYPE_CHECKING:
     import os
 
-    from clsim.arrays import Floats
-    from clsim.paths.path_set import PathSet
+    from clsim.paths.ground_truth import DirectPath
+    from clsim.scene.scene import Scene
 
 _NAMES = ("source_names", "receiver_names", "object_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more
@@ -70,17 +69,15 @@ def check_table(name: str, field: str = "path") -> None:
         raise InputError(field, 'Parquet needs pyarrow: pip install "clsim[parquet]"')
 
 
-def write_ground_truth(paths: PathSet, times: Floats, motion: str, path: str | os.PathLike[str]) -> None:
+def write_ground_truth(found: DirectPath, scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write what receivers should find out of the direct sound as ``.npz``: arrays as in `DirectPath`, and names.
 
     Parameters
     ----------
-    paths : PathSet
-        Of the scene.
-    times : ndarray (T,)
-        Times of reception, s.
-    motion : {"retarded", "quasi-static"}
-        As in `render`.
+    found : DirectPath
+        From `direct_path`.
+    scene : Scene
+        Whose names are written.
     path : path-like
         Of the file.
 
@@ -89,10 +86,9 @@ def write_ground_truth(paths: PathSet, times: Floats, motion: str, path: str | o
     OSError
         If the file cannot be written; nothing is left of it then.
     """
-    found = direct_path(paths, times, motion)
     columns: dict[str, Any] = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
-    columns["source_names"] = np.array([s.name for s in paths.scene.sources])
-    columns["receiver_names"] = np.array([r.name for r in paths.scene.receivers])
+    columns["source_names"] = np.array([s.name for s in scene.sources])
+    columns["receiver_names"] = np.array([r.name for r in scene.receivers])
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **columns)
 

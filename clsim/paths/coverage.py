@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def check_band_coverage(scene: Scene, sources: Iterable[int], low: float, high: float, what: str) -> None:
-    """Refuse, or warn, where walls, receivers' directivities or those of some sources do not cover `low` to `high` Hz.
+    """Check that materials and the directivities of receivers and some sources cover a band.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def check_band_coverage(scene: Scene, sources: Iterable[int], low: float, high: 
     Raises
     ------
     InputError
-        If they are not known there, and may not be continued.
+        If one does not cover it, and may not be continued.
     """
     directivities = [(f"sources[{i}]", scene.sources[i].directivity) for i in sources]
     directivities += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
@@ -37,11 +37,11 @@ def check_band_coverage(scene: Scene, sources: Iterable[int], low: float, high: 
         if not (directivity.band[0] <= low and high <= directivity.band[1]):
             raise InputError(
                 f"{field}.directivity",
-                f"must cover {what}, {low:.0f} to {high:.0f} Hz, but is known from "
+                f"must cover {what}, {low:.0f} to {high:.0f} Hz, but covers "
                 f'{directivity.band[0]:.6g} to {directivity.band[1]:.6g} Hz; give more of it, or say outside="hold"',
             )
     for material in dict.fromkeys(scene.room.faces.materials):
         try:
-            material.check_known([low, high])
+            material.check_coverage([low, high])
         except InputError as error:
             raise InputError("room", f"{error.field} {error.problem}") from error

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.quaternions import rotate
-from clsim.scene.directivity.patterns import DirectionalPattern, Omni
+from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals
-    from clsim.scene.directivity.patterns import Directivity
+    from clsim.scene.directivity.directivity import Directivity
     from clsim.scene.ends import Receiver, Source
     from clsim.scene.material.material import Material
     from clsim.scene.scene import Scene
@@ -157,10 +157,7 @@ def directivity_gain(
     directivity: Directivity, towards: Floats, frequencies: Floats, speed_of_sound: float
 ) -> Floats | Complexes:
     """Return the gain (..., F) of a directivity in directions (..., 3) of its own frame."""
-    f = covered(frequencies, directivity)
-    if isinstance(directivity, DirectionalPattern):
-        return directivity.gain_towards(towards[..., None, :], f, speed_of_sound)
-    return directivity.gain(np.clip(towards[..., :1], -1.0, 1.0), f, speed_of_sound)
+    return directivity.gain_towards(towards[..., None, :], covered(frequencies, directivity), speed_of_sound)
 
 
 def covered(frequencies: Floats, thing: Material | Directivity) -> Floats:

@@ -72,7 +72,7 @@ def render(paths: PathSet, options: RenderOptions) -> Recording:
     >>> render(paths, 192e3, engine="reference", duration=0.02).pressure.shape
     (1, 3840)
     """
-    return _record(plan_paths(paths, options))
+    return record(plan_paths(paths, options))
 
 
 def render_tracks(
@@ -129,7 +129,7 @@ def render_tracks(
         raise InputError("starts", f"must be one per signal, {len(signals)}, but are {len(starts)}")
     begins = [as_number(f"starts[{i}]", start, unit="s") for i, start in enumerate(starts)]
     chosen = RenderOptions.for_tracks(sampling_rate, **options)
-    return _record(plan_tracks(list(zip(signals, begins, strict=True)), tracks, chosen))
+    return record(plan_tracks(list(zip(signals, begins, strict=True)), tracks, chosen))
 
 
 def render_chunks(
@@ -166,7 +166,8 @@ def render_chunks(
     yield from (Rendering(plan) if rendering is None else rendering).pieces(first)
 
 
-def _record(plan: Plan) -> Recording:
+def record(plan: Plan) -> Recording:
+    """Return what the receivers of a plan record, held in memory as a whole."""
     size = plan.receiver_count * plan.samples * np.dtype(plan.sample_type).itemsize
     with within_memory("duration", "a whole recording (see `render_chunks`)", size):
         samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)

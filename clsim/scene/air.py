@@ -28,7 +28,7 @@ _SLOWEST, _FASTEST = 100.0, 2000.0  # m/s: heavy gases, hydrogen, water
 
 @dataclass(frozen=True, slots=True, init=False)
 class Air:
-    """Still air of one temperature, humidity and pressure.
+    """Air at rest, of one temperature, humidity and pressure.
 
     Parameters
     ----------

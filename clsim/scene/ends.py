@@ -11,7 +11,8 @@ import numpy as np
 from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
-from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern, Directivity, Omni
+from clsim.scene.directivity.directivity import Directivity
+from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.checks import LONGEST, as_direction
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.transducer.electronics import Electronics
@@ -33,7 +34,7 @@ class Source:
         Sound pressure at 1 m on the source's axis in free field, Pa; with a transducer the voltage that drives it, V.
     trajectory : Trajectory
         Where it is and how it is turned.
-    directivity : Directivity or SphericalDirectivity
+    directivity : Directivity
         Gain by direction, 1 on the axis.
     aim : array_like (3,), optional
         A fixed direction in which the axis points; for trajectories without orientations of their own.
@@ -93,7 +94,7 @@ class Receiver:
         Unique among the scene's receivers.
     trajectory : Trajectory
         Where it is and how it is turned.
-    directivity : Directivity or SphericalDirectivity
+    directivity : Directivity
         Gain by direction, 1 on the axis.
     aim : array_like (3,), optional
         A fixed direction in which the axis points; for trajectories without orientations of their own.
@@ -126,11 +127,11 @@ class Receiver:
 
     @property
     def clock_rate(self) -> float:
-        """True seconds per second told by the receiver's clock."""
+        """True seconds per second of the receiver's clock."""
         return 1.0 if self.electronics is None else 1.0 + 1e-6 * self.electronics.clock_ppm
 
     def clock_error(self, times: Floats) -> Floats:
-        """Return how much later than told by the receiver's clock its samples are taken (n,), s."""
+        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken."""
         return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
     @property
@@ -152,8 +153,8 @@ def _checked_end(item: End) -> Floats | None:
         raise InputError("name", f"must be a text that is not empty, but is {item.name!r:.80}")
     if not isinstance(item.trajectory, Trajectory):
         raise InputError("trajectory", f"must be a Trajectory, but is {item.trajectory!r:.80}")
-    if not isinstance(item.directivity, Omni | AxialPattern | DirectionalPattern):
-        raise InputError("directivity", f"must be a directivity, but is {item.directivity!r:.80}")
+    if not isinstance(item.directivity, Directivity):
+        raise InputError("directivity", f"must be a Directivity, but is {item.directivity!r:.80}")
     if item.transducer is not None and not isinstance(item.transducer, Transducer):
         raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")
     if item.trajectory.start > 0.0:

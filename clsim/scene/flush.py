@@ -32,7 +32,7 @@ def find_mount(room: Room, end: End) -> Mount | None:
     Raises
     ------
     InputError
-        If it is on no wall or on an edge of two, or the side is not told or not that of the room.
+        If it is on no wall or on an edge of two, or the side is not given or not that of the room.
     """
     if end.flush is False:
         return None
@@ -43,7 +43,7 @@ def find_mount(room: Room, end: End) -> Mount | None:
     sides = [Mount.on(room.faces, wall, sign, size) for sign in (1.0, -1.0)]
     if isinstance(end.flush, bool):
         return sides[0] if room.is_convex else _inside(room, sides, place, where)
-    return _told(room, sides, end.flush)
+    return _facing(room, sides, end.flush)
 
 
 def _inside(room: Room, sides: list[Mount], place: Floats, where: str) -> Mount:
@@ -56,15 +56,15 @@ def _inside(room: Room, sides: list[Mount], place: Floats, where: str) -> Mount:
     return inside[0]
 
 
-def _told(room: Room, sides: list[Mount], direction: Floats) -> Mount:
+def _facing(room: Room, sides: list[Mount], direction: Floats) -> Mount:
     """Return the side of a wall that a direction (3,) points to."""
-    ahead, name = float(sides[0].normal @ direction), room.faces.names[sides[0].wall]
-    told = ", ".join(f"{x:.3g}" for x in direction)
-    if room.is_convex and not ahead > 0.0:
-        raise InputError("flush", f"must point into the room from {name}, but is {told}")
-    if not room.is_convex and abs(ahead) < _ALONG:
-        raise InputError("flush", f"must point off the wall {name!r}, but {told} runs along it")
-    return sides[0] if ahead > 0.0 else sides[1]
+    cosine, name = float(sides[0].normal @ direction), room.faces.names[sides[0].wall]
+    given = ", ".join(f"{x:.3g}" for x in direction)
+    if room.is_convex and not cosine > 0.0:
+        raise InputError("flush", f"must point into the room from {name}, but is {given}")
+    if not room.is_convex and abs(cosine) < _ALONG:
+        raise InputError("flush", f"must point off the wall {name!r}, but {given} runs along it")
+    return sides[0] if cosine > 0.0 else sides[1]
 
 
 def _only(found: Any, names: Sequence[str], where: str) -> int:

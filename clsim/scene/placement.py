@@ -1,4 +1,4 @@
-"""Whether sources and receivers are where they can be, told with time and place."""
+"""Whether sources and receivers are where they can be; errors give time and place."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from clsim.scene.room.protocol import Room
 
 _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
-_SCAN_BLOCK = 65536  # instants among which the nearest approach is told
+_SCAN_BLOCK = 65536  # instants among which the nearest approach is sought
 
 
 def check_motions(room: Room, ends: Sequence[tuple[str, End]], speed_of_sound: float) -> None:
@@ -121,13 +121,13 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     where = ", ".join(f"{x:.6g}" for x in places[int(np.argmax(apart))])
     low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in room.extent)
     side = "inside the mesh, and others are not" if apart is inside else "outside the room or inside a closed obstacle"
-    told = (
+    where = (
         f"{item.name!r} at ({where}) m is {side}; the mesh is watertight and reaches from ({low}) to ({high}) m: "
         "check its scale and up, and the position"
     )
     if inside.any():
-        raise InputError(f"{field}.trajectory", f"must be where other ends can be heard, but {told}")
-    warnings.warn(f"{field}.trajectory: no source or receiver is inside the room: {told}", ClsimWarning, stacklevel=4)
+        raise InputError(f"{field}.trajectory", f"must be where other ends can be heard, but {where}")
+    warnings.warn(f"{field}.trajectory: no source or receiver is inside the room: {where}", ClsimWarning, stacklevel=4)
 
 
 def first_place(room: Room, item: End) -> Floats:

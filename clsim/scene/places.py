@@ -1,4 +1,4 @@
-"""Where a motion leaves a room, meets a wall, or comes too near to others: looked for only where that can be."""
+"""Where a motion leaves a room, meets a wall, or comes too near to others: sought only where that can be."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from clsim.scene.room.faces import Mount
     from clsim.scene.room.protocol import Room
 
-_STRETCH = 64  # instants between which walls are looked for from one to the next
+_RANGE = 64  # instants between which walls are sought from one to the next
 _PAIRS = 500_000  # of positions and others at a time
 _SPARE = 1.0 + 1e-9  # for the rounding of distances
 
@@ -36,21 +36,21 @@ def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount |
         The wall that it sits in: refused is then what is off that, or beyond its edges, as well.
     """
 
-    def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+    def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
         after = np.minimum(last + 1, instants.count - 1)  # the way to the next instant belongs to each
         free = room.clearance(motion.position(instants.times(middle)), mount)
         speed = motion.speed_over(instants.times(first), instants.times(after))
         unsure = ~(free > _SPARE * speed * instants.reach(first, middle, after))
         if room.is_convex:
             return np.where(free > 0.0, -1, middle), unsure
-        known = np.full(len(first), -1)
-        for i in np.flatnonzero(unsure & (last - first < _STRETCH)):
+        hit = np.full(len(first), -1)
+        for i in np.flatnonzero(unsure & (last - first < _RANGE)):
             way = instants.times(np.arange(first[i], after[i] + 1))
             met = room.first_contact(motion.position(way), mount)
-            known[i], unsure[i] = -1 if met is None else min(first[i] + met.index, last[i]), False
-        return known, unsure
+            hit[i], unsure[i] = -1 if met is None else min(first[i] + met.index, last[i]), False
+        return hit, unsure
 
-    return instants.first(look)
+    return instants.first(probe)
 
 
 def first_approach(
@@ -72,7 +72,7 @@ def first_approach(
     to_whom: dict[int, int] = {}
     half = 0.5 * instants.step
 
-    def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+    def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
         speed, times = motion.speed_over(instants.times(first), instants.times(last)), instants.times(middle)
         at, velocity = motion.position(times)[:, None], motion.velocity(times)
         if isinstance(others, Motion):
@@ -81,7 +81,7 @@ def first_approach(
         else:
             places, velocity = others[None], -velocity
         reach = _SPARE * speed * (instants.reach(first, middle, last) + half)
-        known, unsure = np.full(len(first), -1), np.empty(len(first), dtype=bool)
+        hit, unsure = np.full(len(first), -1), np.empty(len(first), dtype=bool)
         for some in _slices(len(first), places.shape[1]):
             apart = (places[some] if len(places) > 1 else places) - at[some]
             distance = np.linalg.norm(apart, axis=2)
@@ -90,11 +90,11 @@ def first_approach(
             row, other = np.nonzero(distance < nearest + _SPARE * fast[:, None] * half)
             approach = nearest_within(apart[row, other], velocity[some][row], half)[0]
             for i, which in zip(row[approach < nearest], other[approach < nearest], strict=True):
-                known[some.start + i] = middle[some.start + i]
+                hit[some.start + i] = middle[some.start + i]
                 to_whom.setdefault(int(middle[some.start + i]), int(which))
-        return known, unsure
+        return hit, unsure
 
-    met = instants.first(look)
+    met = instants.first(probe)
     return None if met is None else (met, to_whom[met])
 
 

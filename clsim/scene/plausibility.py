@@ -1,4 +1,4 @@
-"""What is allowed but hardly meant: rooms and signals in other units than metres and hertz, told by every way in."""
+"""What is allowed but hardly meant: rooms and signals in other units than metres and hertz."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def _checked_list(name: str, values: Any, kind: type[Source] | type[Receiver]) -
 
 
 def _check_bands(scene: Scene) -> None:
-    """Refuse a receiver whose transducer is not known over the band of a source."""
+    """Refuse a receiver whose transducer does not cover the band of a source."""
     for i, receiver in enumerate(scene.receivers):
         if receiver.transducer is None or math.isinf(receiver.transducer.model.band[1]):
             continue

@@ -9,14 +9,8 @@ from pydantic import Field
 
 from clsim.errors import InputError
 from clsim.scene.directivity.axial_table import AxialDirectivity
-from clsim.scene.directivity.patterns import (
-    AxialPattern,
-    DirectionalPattern,
-    FirstOrder,
-    Omni,
-    Piston,
-    named_directivity,
-)
+from clsim.scene.directivity.directivity import Directivity
+from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene_file.model import Model
 
@@ -26,16 +20,16 @@ class OmniModel(Model):
 
     kind: Literal["omni"] = "omni"
 
-    def build(self, base: Path) -> AxialPattern:
+    def build(self, base: Path) -> Directivity:
         """Return what it says."""
         return Omni()
 
 
-class _Cardioid(Model):
-    kind: Literal["cardioid"]
+class _FirstOrder(Model):
+    kind: Literal["first-order"]
     weight: float = 0.5
 
-    def build(self, base: Path) -> AxialPattern:
+    def build(self, base: Path) -> Directivity:
         return FirstOrder(self.weight)
 
 
@@ -43,7 +37,7 @@ class _Piston(Model):
     kind: Literal["piston"]
     radius: float
 
-    def build(self, base: Path) -> AxialPattern:
+    def build(self, base: Path) -> Directivity:
         return Piston(self.radius)
 
 
@@ -52,8 +46,8 @@ class _Named(Model):
     name: str
     outside: Literal["hold"] | None = None
 
-    def build(self, base: Path) -> AxialPattern:
-        return named_directivity(self.name, self.outside)
+    def build(self, base: Path) -> Directivity:
+        return Directivity.named(self.name, self.outside)
 
 
 class DirectivityTableModel(Model):
@@ -73,7 +67,7 @@ class DirectivityTableModel(Model):
     outside: Literal["hold"] | None = None
     relative_to_axis: bool = False
 
-    def build(self, base: Path) -> AxialPattern:
+    def build(self, base: Path) -> Directivity:
         """Return what it says."""
         path = base / self.path
         options: dict[str, Any] = {
@@ -113,7 +107,7 @@ class SofaModel(Model):
     outside: Literal["hold"] | None = None
     relative_to_axis: bool = False
 
-    def build(self, base: Path) -> DirectionalPattern:
+    def build(self, base: Path) -> Directivity:
         """Return what it says."""
         path = base / self.path
         return SphericalDirectivity.from_sofa(
@@ -122,6 +116,6 @@ class SofaModel(Model):
 
 
 DirectivityModel = Annotated[
-    OmniModel | _Cardioid | _Piston | _Named | DirectivityTableModel | SofaModel,
+    OmniModel | _FirstOrder | _Piston | _Named | DirectivityTableModel | SofaModel,
     Field(discriminator="kind"),
 ]

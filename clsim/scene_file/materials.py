@@ -12,7 +12,7 @@ from clsim.errors import InputError
 from clsim.scene.material.material import Material
 from clsim.scene_file.model import Model, within
 
-# How many there are is checked in our own words; editors are told here.
+# How many there are is checked in our own words; editors read it here.
 Pair = Annotated[list[float], Field(json_schema_extra={"minItems": 2, "maxItems": 2})]
 Complex = float | Pair  # a complex number is written [real, imaginary]
 
@@ -112,12 +112,12 @@ class MaterialModel(Model):
             raise InputError("roughness", error.problem) from error
 
     def _built(self, way: str, base: Path) -> Material:
-        told = getattr(self, way)
-        if not isinstance(told, str | float | list):
-            make: partial[Material] = partial(told.build, base)
+        value = getattr(self, way)
+        if not isinstance(value, str | float | list):
+            make: partial[Material] = partial(value.build, base)
             return within(way, make)
         try:
-            return Material.named(told) if isinstance(told, str) else Material.from_reflection(_number("", told))
+            return Material.named(value) if isinstance(value, str) else Material.from_reflection(_number("", value))
         except InputError as error:  # the constructor's word for it is another
             raise InputError(way, error.problem) from error
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -12,7 +12,6 @@ from pydantic import Discriminator, Field, Tag, ValidationError
 
 from clsim.arrays import Floats
 from clsim.errors import InputError
-from clsim.files.input_files import read_toml
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
@@ -215,22 +214,18 @@ class SceneFile:
     model: SceneModel
     base: Path
 
+    def with_render(self, **changes: Any) -> SceneFile:
+        """Return the file with other values of its ``[render]``."""
+        render = self.model.render.model_copy(update=changes)
+        model = self.model.model_copy(update={"render": render})
+        search = {name: value for name, value in changes.items() if name in self.paths}
+        return replace(self, model=model, paths=self.paths | search, render=self.render | changes)
 
-def load_scene(path: str | os.PathLike[str]) -> SceneFile:
-    """Read a scene file.
-
-    Parameters
-    ----------
-    path : path-like
-        A TOML file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or no TOML, or a field breaks a rule; the message names file or field, rule and value.
-    """
-    path = Path(path)
-    return build_scene(read_toml(path), path.parent)
+    def on_device(self, device: str) -> SceneFile:
+        """Return the file for a device of this machine, of which its text says nothing; one that it names stays."""
+        if self.render["device"] is not None:
+            return self
+        return replace(self, paths=self.paths | {"device": device}, render=self.render | {"device": device})
 
 
 def build_scene(content: dict[str, Any], base: Path) -> SceneFile:

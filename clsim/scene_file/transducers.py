@@ -10,7 +10,7 @@ from pydantic import Field
 
 from clsim.errors import InputError
 from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer, named_transducer
+from clsim.scene.transducer.transducer import Transducer
 from clsim.scene_file.model import Model
 
 
@@ -19,7 +19,7 @@ class _NamedTransducer(Model):
     name: str
 
     def build(self, base: Path) -> Transducer:
-        return named_transducer(self.name)
+        return Transducer.named(self.name)
 
 
 class _Resonance(Model):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimError, DeviceError, InputError
 from clsim.study.dispatch import WorkersLostError
-from clsim.study.member import STORE, check_worker, is_disk_full, row_of_group, run_member, told
+from clsim.study.member import STORE, check_worker, in_one_line, is_disk_full, row_of_group, run_member
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -122,7 +122,7 @@ def _scheduler_there() -> Iterator[None]:
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, ClsimError):
             raise
-        raise ClsimError(f"the connection to the scheduler was lost: {told(error)}") from error
+        raise ClsimError(f"the connection to the scheduler was lost: {in_one_line(error)}") from error
 
 
 def _on_worker(folder: str, number: int, devices: list[str]) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def _row(future: Any, number: int, group: Path) -> dict[str, Any] | None:
         return None
     if is_disk_full(error):
         raise error
-    return {"member": number, "status": "failed", "error": told(error), "seconds": 0.0}
+    return {"member": number, "status": "failed", "error": in_one_line(error), "seconds": 0.0}
 
 
 @contextmanager
@@ -172,7 +172,7 @@ def remote_team(scheduler: str, study: Study, folder: Path) -> Iterator[DaskTeam
         try:
             client = Client(scheduler, timeout=_REACH, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise InputError("--scheduler", f"{scheduler} cannot be reached: {told(error)}") from error
+            raise InputError("--scheduler", f"{scheduler} cannot be reached: {in_one_line(error)}") from error
         with client:
             yield DaskTeam(client, folder, [], *_needs(study))
 
@@ -210,14 +210,14 @@ def local_team(number: int, study: Study, folder: Path) -> Iterator[DaskTeam]:
                     dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
                 )  # fmt: skip
         except (OSError, RuntimeError) as error:
-            raise WorkersLostError(f"no worker could be started: {told(error)}") from error
+            raise WorkersLostError(f"no worker could be started: {in_one_line(error)}") from error
         with cluster, Client(cluster, set_as_default=False) as client:
             yield DaskTeam(client, folder, devices, needs_device, device)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Have Dask say nothing of what is told in one line anyway."""
+    """Have Dask say nothing of what is said in one line anyway."""
     import logging
 
     from distributed.utils import silence_logging_cmgr
@@ -267,7 +267,7 @@ def _devices() -> list[str]:
 
 
 def worker_count(workers: int | None) -> int:
-    """Return how many processes are wanted on this machine: one per GPU, else one per two cores, if not told."""
+    """Return how many processes are wanted on this machine: as asked, else one per GPU, else one per two cores."""
     from clsim.opencl.device import list_devices
 
     if workers is not None:

@@ -126,9 +126,9 @@ class Dispatch:
         elif self._deaths[number] < _TOGETHER + _ALONE:
             self._suspects.append(number)
         else:
-            told = f"its worker died {self._deaths[number]} times, the last {_ALONE} while it ran nothing else"
+            deaths = f"its worker died {self._deaths[number]} times, the last {_ALONE} while it ran nothing else"
             yield self._settled(
-                number, {"member": number, "status": "failed", "error": f"{told} (out of memory?)", "seconds": 0.0}
+                number, {"member": number, "status": "failed", "error": f"{deaths} (out of memory?)", "seconds": 0.0}
             )
 
     def _settled(self, number: int, row: dict[str, Any]) -> dict[str, Any]:

@@ -16,9 +16,8 @@ from pydantic import Field, ValidationError
 from clsim.arrays import as_count, as_number
 from clsim.errors import InputError
 from clsim.files.input_files import read_toml
-from clsim.scene_file import build_scene, referenced_files
 from clsim.scene_file.model import Model
-from clsim.scene_file.scene import explain
+from clsim.scene_file.scene import build_scene, explain, referenced_files
 from clsim.study.fields import parsed, replaced
 
 if TYPE_CHECKING:
@@ -142,8 +141,8 @@ class Study:
             unknown = [f for f in member.changes if error.problem == "is no known key" and _reaches(f, error.field)]
             if unknown:
                 raise InputError("vary", f"must name fields of the scene, but {error.field} is no known key") from error
-            told = ", ".join(f"{f} = {json.dumps(v, default=str):.40}" for f, v in member.changes.items())
-            raise InputError(f"member {member.number} ({told:.200})", str(error)) from error
+            values = ", ".join(f"{f} = {json.dumps(v, default=str):.40}" for f, v in member.changes.items())
+            raise InputError(f"member {member.number} ({values:.200})", str(error)) from error
 
 
 def _reaches(path: str, field: str) -> bool:
@@ -227,8 +226,8 @@ def _members(model: _StudyModel, content: dict[str, Any], limit: int) -> tuple[M
 
 def _check_count(count: int, limit: int) -> None:
     if count > limit:
-        told = f"{count} (--limit {count} allows them)" if count < _COUNTABLE else f"more than {_COUNTABLE}"
-        raise InputError("vary", f"must give at most {limit} members, but gives {told}")
+        many = f"{count} (--limit {count} allows them)" if count < _COUNTABLE else f"more than {_COUNTABLE}"
+        raise InputError("vary", f"must give at most {limit} members, but gives {many}")
 
 
 def _fields(vary: _Vary, content: dict[str, Any], names: dict[str, str]) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from clsim.errors import ClsimWarning
 from clsim.files.atomic import safe_path
 from clsim.output.stores import consolidate, texts
-from clsim.study.member import PARTIAL, STORE, as_row, discard, root_attributes, row_of_group, told
+from clsim.study.member import PARTIAL, STORE, as_row, discard, in_one_line, root_attributes, row_of_group
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -200,7 +200,7 @@ def metrics_of(group: Path) -> dict[str, Any] | str:
     except MemoryError:
         raise
     except Exception as error:  # of any kind: the packages below do not say which they raise for files that are broken
-        return f"{group} cannot be read: {told(error)}"
+        return f"{group} cannot be read: {in_one_line(error)}"
 
 
 def _stacked(folder: Path, index: Index) -> dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]:

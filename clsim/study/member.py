@@ -21,17 +21,17 @@ import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.files.atomic import to_disk, tree_to_disk
-from clsim.output.stores import STORE_FORMAT, StoredSound, consolidate, texts
-from clsim.paths.ground_truth import direct_path
+from clsim.output.stores import STORE_FORMAT, consolidate, texts
 from clsim.study.file import TAKEN, Member, Study
 from clsim.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from clsim.paths.path_set import PathSet
+    from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.path_table import PathTable
     from clsim.recording import Recording
-    from clsim.scene_file import SceneFile
+    from clsim.scene.scene import Scene
 
 STORE = "study.zarr"
 SETTINGS = "study.json"
@@ -50,7 +50,7 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
     Raises
     ------
     OSError
-        If the disk is full: then all others would fail too. Whatever else goes wrong is told in the row.
+        If the disk is full: then all others would fail too. Whatever else goes wrong is said in the row.
     """
     study = _settings(folder)
     member = study.members[number]
@@ -72,7 +72,7 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
         except (Exception, SystemExit) as error:  # of the user's function, too: the others go on
             if is_disk_full(error):
                 raise
-            row |= {"status": "failed", "error": told(error)}
+            row |= {"status": "failed", "error": in_one_line(error)}
     row["seconds"] = round(time.perf_counter() - begun, 3)
     row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
     return row
@@ -127,7 +127,7 @@ def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[s
         if needs_device:
             find_device(device)
     except Exception as error:
-        return told(error), isinstance(error, DeviceError)
+        return in_one_line(error), isinstance(error, DeviceError)
     return "", False
 
 
@@ -136,7 +136,7 @@ def is_disk_full(error: BaseException) -> bool:
     return isinstance(error, OSError) and error.errno in _DISK_FULL
 
 
-def told(error: BaseException) -> str:
+def in_one_line(error: BaseException) -> str:
     """Return an error in a line; for one that clsim did not expect, with its place."""
     text = " ".join(str(error).split())[:500]
     if isinstance(error, ClsimError):
@@ -186,12 +186,14 @@ def metrics_function(name: str, folder: Path) -> Callable[..., dict[str, Any]]:
     module, _, function = name.partition(":")
     file = folder / f"{module}.py"
     try:
-        found = getattr(_module(module, file, file.stat().st_mtime_ns if file.exists() else 0), function)
+        found: Callable[..., dict[str, Any]] = getattr(
+            _module(module, file, file.stat().st_mtime_ns if file.exists() else 0), function
+        )
     except Exception as error:
         raise InputError("metrics", f"{name!r} cannot be loaded: {type(error).__name__}: {error}") from error
     if not callable(found):
         raise InputError("metrics", f"must be a function, but {name!r} is {found!r:.80}")
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 @lru_cache(maxsize=8)
@@ -211,48 +213,33 @@ def _module(name: str, file: Path, changed: int) -> Any:
 def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, str]:
     """Return all that is kept of a member, an xarray Dataset, and the device that made it."""
     from clsim.opencl.device import find_device
-    from clsim.paths.find_paths import find_paths
-    from clsim.render.render import render
-    from clsim.scene_file import build_scene
+    from clsim.scene_file.scene import build_scene
+    from clsim.workflow.checkpoint import run_identity
+    from clsim.workflow.pipeline import plan_scene
 
     file = build_scene(study.content_of(member), study.base)
-    if device is not None:
-        file.render["device"] = file.render["device"] or device
-        file.paths["device"] = file.paths["device"] or device
-    paths = find_paths(file.scene, **file.paths)
-    recording = render(paths, **file.render)
-    content = _described(file, recording, study, member)
+    planned = plan_scene(file if device is None else file.on_device(device))
+    recording = planned.record()
+    sound = planned.stored_sound(study.base)
+    content = sound.coordinates()
+    content.attrs |= {
+        "parameters": json.dumps(member.parameters), "identity": json.dumps(run_identity(planned)),
+    }  # fmt: skip
     if "recording" in study.keep:
-        content["sound"] = (("receiver", "time"), recording.samples, content.attrs.pop("sound"))
-    content.attrs.pop("sound", None)
+        content["sound"] = (("receiver", "time"), recording.samples, sound.sound_attributes)
     times = _instants(study.table_rate, recording)
     if "ground_truth" in study.keep:
-        _add_ground_truth(content, paths, times, file.render["motion"])
+        _add_ground_truth(content, planned.ground_truth(times), planned.paths.scene)
     if "paths" in study.keep:
-        _add_paths(content, paths, times, file)
+        _add_paths(content, planned.path_table(times))
     if study.metrics:
         function = metrics_function(study.metrics, study.folder)
-        _add_metrics(content, function(recording, paths, dict(member.parameters)), {*TAKEN, *member.parameters})
-    if file.render["engine"] != "opencl":
+        metrics = function(recording, planned.paths, dict(member.parameters))
+        _add_metrics(content, metrics, {*TAKEN, *member.parameters})
+    if planned.plan.options.engine != "opencl":
         return content, ""
-    used, _ = find_device(file.render["device"])
+    used, _ = find_device(planned.plan.options.device)
     return content, f"{used.id} {used.name}"
-
-
-def _described(file: SceneFile, recording: Recording, study: Study, member: Member) -> Any:
-    """Return what a group says of a member beside its results."""
-    from clsim.scene_file import completed_scene
-
-    scene, samples = file.scene, recording.samples.shape[1]
-    positions = np.concatenate([r.trajectory.position(np.zeros(1)) for r in scene.receivers])
-    text = completed_scene(file, study.base, duration=samples / recording.sampling_rate)
-    stored = StoredSound(
-        recording.receiver_names, recording.units, positions, recording.sampling_rate, samples, samples, text,
-        __version__, recording.carrier,
-    )  # fmt: skip
-    content = stored.coordinates()
-    content.attrs |= {"parameters": json.dumps(member.parameters), "sound": stored.sound_attributes}
-    return content
 
 
 def _instants(rate: float, recording: Recording) -> Any:
@@ -260,20 +247,18 @@ def _instants(rate: float, recording: Recording) -> Any:
     return np.arange(count) / rate
 
 
-def _add_ground_truth(content: Any, paths: PathSet, times: Any, motion: str) -> None:
-    found = direct_path(paths, times, motion)
+def _add_ground_truth(content: Any, found: DirectPath, scene: Scene) -> None:
     over = ("source", "receiver", "times")
     content.coords["times"] = ("times", found.times, _OF_RECEPTION)
-    content.coords["source"] = texts(s.name for s in paths.scene.sources)
+    content.coords["source"] = texts(s.name for s in scene.sources)
     content["delay"] = (over, found.delay, {"units": "s"})
     content["doppler_factor"] = (over, found.doppler_factor)
     content["line_of_sight"] = (over, found.line_of_sight)
     content["radial_speed"] = (over, found.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
 
 
-def _add_paths(content: Any, paths: PathSet, times: Any, file: SceneFile) -> None:
-    table = paths.table(times, file.render["motion"], file.render["amplitude"])
-    content.coords["times"] = ("times", times, _OF_RECEPTION)
+def _add_paths(content: Any, table: PathTable) -> None:
+    content.coords["times"] = ("times", table.times, _OF_RECEPTION)
     for name in ("source", "receiver", "order", "direct"):
         content[f"path_{name}"] = ("path", getattr(table, name))
     content["path_interactions"] = (("path", "interaction"), table.interactions)

@@ -6,23 +6,20 @@ import hashlib
 import json
 import os
 import shutil
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
 from clsim.files.atomic import locked, safe_path
 from clsim.version import __version__
+from clsim.workflow.console import no_progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
-
     from clsim.study.dispatch import Dispatch
     from clsim.study.file import Study
     from clsim.study.index import Index, MemberRow
-
-    Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
+    from clsim.workflow.console import Progress
 
 _STARTS = 3  # of the processes of this machine, without any member done with in between
 
@@ -90,7 +87,7 @@ def run_study(
     from clsim.study.index import Index, write_summary
     from clsim.study.member import PARTIAL, STORE, metrics_function
 
-    progress = progress or _no_progress
+    progress = progress or no_progress
     _check_where(workers, scheduler)
     study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()
@@ -134,11 +131,6 @@ def _check_packages() -> None:
     missing = [name for name in ("dask", "distributed", "xarray", "zarr") if find_spec(name) is None]
     if missing:
         raise InputError("study", f'a study needs {" and ".join(missing)}: pip install "clsim[study]"')
-
-
-@contextmanager
-def _no_progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
-    yield lambda amount: None
 
 
 def _refuse_begun(folder: Path) -> None:

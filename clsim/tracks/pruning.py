@@ -17,7 +17,7 @@ from clsim.tracks.tracks import PairTracks, SceneTracks
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
-    from clsim.scene.directivity.patterns import Directivity
+    from clsim.scene.directivity.directivity import Directivity
 
 _STEP = 0.25  # s, over which distances are bounded
 _LEAST_MOVE = 0.05  # m, or for as long as motions take for it

@@ -14,7 +14,7 @@ from clsim.errors import InputError
 from clsim.opencl.device import find_device
 from clsim.render.render import render_chunks
 from clsim.render.rendering import Rendering
-from clsim.scene_file import referenced_files
+from clsim.scene_file.scene import referenced_files
 from clsim.version import __version__
 from clsim.workflow.console import progress
 
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clsim.output.stores import SoundStore
-    from clsim.paths.path_set import PathSet
     from clsim.render.plan import Plan
-    from clsim.scene_file import SceneFile
+    from clsim.workflow.pipeline import PlannedScene
     from clsim.workflow.result_folder import ResultFolder
 
 _PERIOD = 1.0  # s between notes in the journal, at least: what a killed run loses beside the chunk it was at
@@ -40,7 +39,7 @@ def render_sound(results: ResultFolder, plan: Plan, store: SoundStore, identity:
     plan : Plan
         What to render.
     store : SoundStore
-        In the folder of unfinished results.
+        In the folder of what is not whole yet.
     identity : dict
         Of the run, for the journal.
     """
@@ -86,22 +85,11 @@ def _render(
         store.close()
 
 
-def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str, Any]) -> dict[str, Any]:
-    """Return all that the samples of a run depend on, in texts and numbers.
-
-    Parameters
-    ----------
-    file : SceneFile
-        With the contents of the files that it names.
-    paths : PathSet
-        Their digest stands for the search.
-    plan : Plan
-        Says the device, and what was resolved.
-    options : dict
-        Of the command line.
-    """
+def run_identity(planned: PlannedScene) -> dict[str, Any]:
+    """Return all that the samples of a scene file depend on, in texts and numbers."""
     import scipy
 
+    file, paths, plan = planned.file, planned.paths, planned.plan
     device = "none"
     if plan.options.engine == "opencl":
         info, _ = find_device(plan.options.device)
@@ -115,7 +103,6 @@ def run_identity(file: SceneFile, paths: PathSet, plan: Plan, options: dict[str,
         "scene": content,
         "contents": {os.path.relpath(path, file.base): _digest(path) for path in referenced_files(file)},
         "device": device,
-        "options": options,
         "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
         "paths": paths.digest(),
         "contributions": {contribution.name: contribution.digest() for contribution in plan.contributions},

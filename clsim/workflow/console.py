@@ -12,6 +12,9 @@ from clsim.errors import ClsimWarning
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from contextlib import AbstractContextManager
+
+    Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
 
 _PATIENCE = 2.0  # s after which progress is shown
 
@@ -48,6 +51,12 @@ def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
     finally:
         if shown:
             bar.stop()
+
+
+@contextmanager
+def no_progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
+    """Yield a function that shows nothing: where no terminal is, or others show what is done."""
+    yield lambda amount: None
 
 
 @contextmanager

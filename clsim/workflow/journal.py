@@ -25,7 +25,7 @@ class Journal:
     Parameters
     ----------
     folder : Path
-        Of the unfinished results.
+        Of what is not whole yet.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -74,9 +74,9 @@ def first_difference(old: Any, new: Any, field: str = "") -> str | None:
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         inside = [(f"{field}[{i}]", a, b) for i, (a, b) in enumerate(zip(old, new, strict=True))]
     else:
-        return None if old == new else f"{field or 'it'} was {_told(old)} and is {_told(new)}"
+        return None if old == new else f"{field or 'it'} was {_in_words(old)} and is {_in_words(new)}"
     return next((found for k, a, b in inside if (found := first_difference(a, b, k)) is not None), None)
 
 
-def _told(value: Any) -> str:
+def _in_words(value: Any) -> str:
     return "not given" if value is None else f"{value!r:.60}"

@@ -1,45 +1,121 @@
-"""From a scene file to its paths and the plan of rendering them, for all commands alike."""
+"""From a scene file to its paths, the plan of rendering them and the recording: for commands and studies alike."""
 
 from __future__ import annotations
 
+import re
 import warnings
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.errors import ClsimWarning, InputError
+from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
+from clsim.paths.ground_truth import direct_path
 from clsim.render.planning import plan_render
-from clsim.scene_file import referenced_files
-from clsim.workflow.console import progress
+from clsim.render.render import record
+from clsim.scene_file.scene import completed_scene, referenced_files
+from clsim.version import __version__
+from clsim.workflow.console import no_progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from clsim.arrays import Floats
+    from clsim.paths.ground_truth import DirectPath
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
+    from clsim.recording import Recording
     from clsim.render.plan import Plan
-    from clsim.scene_file import SceneFile
+    from clsim.scene_file.scene import SceneFile
+    from clsim.workflow.console import Progress
 
 
-def planned(file: SceneFile, overrides: dict[str, Any]) -> tuple[PathSet, Plan]:
-    """Return the paths of a scene file and the plan of rendering them, with overrides of its ``[render]``."""
-    paths = found_paths(file, overrides)
-    try:
-        return paths, plan_render(paths, **(file.render | overrides))
-    except InputError as error:
-        if error.field.split("[")[0] in ("room", "sources", "receivers"):
-            raise
-        raise error.within("render") from error
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedScene:
+    """A scene file, its paths, and the plan of rendering them.
+
+    Attributes
+    ----------
+    file : SceneFile
+        What was read.
+    paths : PathSet
+        All of its paths.
+    plan : Plan
+        Of rendering them as the file says.
+    """
+
+    file: SceneFile
+    paths: PathSet
+    plan: Plan
+
+    def record(self) -> Recording:
+        """Return the recording, held in memory as a whole."""
+        with _errors_within("render"):
+            return record(self.plan)
+
+    def path_table(self, times: Floats, receiver: int | None = None) -> PathTable:
+        """Return the table of all paths, or of those to one receiver, as they are rendered, by time of reception, s."""
+        paths = self.paths if receiver is None else self.paths.heard_by(receiver)
+        return paths.table(times, self.plan.options.motion, self.plan.options.amplitude)
+
+    def ground_truth(self, times: Floats) -> DirectPath:
+        """Return what receivers should find out of the direct sound, at times of reception, s."""
+        return direct_path(self.paths, times, self.plan.options.motion)
+
+    def completed(self, folder: Path) -> str:
+        """Return the text of the scene file with all defaults and what was chosen, that works from a folder."""
+        return completed_scene(self.file, folder, duration=self.plan.duration, chunk=self.plan.chunk)
+
+    def stored_sound(self, folder: Path) -> StoredSound:
+        """Return what a store in a folder says of the sound."""
+        plan, receivers = self.plan, self.paths.scene.receivers
+        positions = np.concatenate([receiver.trajectory.position(np.zeros(1)) for receiver in receivers])
+        return StoredSound(
+            plan.tracks.receiver_names, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk,
+            self.completed(folder), __version__, plan.carrier,
+        )  # fmt: skip
 
 
-def found_paths(file: SceneFile, overrides: dict[str, Any]) -> PathSet:
-    """Return the paths of a scene file, with overrides of its ``[render]``."""
-    search = file.paths | {name: overrides[name] for name in ("engine", "device") if name in overrides}
+def plan_scene(file: SceneFile, progress: Progress = no_progress) -> PlannedScene:
+    """Return the paths of a scene file and the plan of rendering them.
+
+    Parameters
+    ----------
+    file : SceneFile
+        From `load_scene`.
+    progress : callable
+        As `clsim.workflow.console.progress`.
+
+    Raises
+    ------
+    InputError
+        If something breaks a rule; the field is that of the scene file.
+    """
+    paths = find_scene_paths(file, progress)
+    with _errors_within("render"):
+        return PlannedScene(file, paths, plan_render(paths, **file.render))
+
+
+def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathSet:
+    """Return the paths of a scene file; parameters as in `plan_scene`.
+
+    Raises
+    ------
+    InputError
+        If something breaks a rule; the field is that of the scene file.
+
+    Warns
+    -----
+    ClsimWarning
+        If no path reaches a receiver.
+    """
     try:
         with progress("finding paths", 1.0) as advance:
-            paths = find_paths(file.scene, **search, progress=shares(advance))
+            paths = find_paths(file.scene, **file.paths, progress=shares(advance))
     except InputError as error:
         raise error.within("paths") from error
     except MemoryError as error:
@@ -50,7 +126,18 @@ def found_paths(file: SceneFile, overrides: dict[str, Any]) -> PathSet:
     return paths
 
 
-def read_files(scene: Path, file: SceneFile) -> list[Path]:
+@contextmanager
+def _errors_within(table: str) -> Iterator[None]:
+    """Have errors name the field of the scene file, which is this table's if it is not of the scene itself."""
+    try:
+        yield
+    except InputError as error:
+        if re.split(r"[.[]", error.field)[0] in ("room", "sources", "receivers"):
+            raise
+        raise error.within(table) from error
+
+
+def input_files(scene: Path, file: SceneFile) -> list[Path]:
     """Return all files that a scene is read from: its own, and those that it names."""
     return [scene, *referenced_files(file)]
 
@@ -65,8 +152,3 @@ def shares(advance: Callable[[float], None]) -> Callable[[float], None]:
         done = share
 
     return report
-
-
-def path_table(paths: PathSet, plan: Plan, times: Any) -> PathTable:
-    """Return the table of paths at times of reception, s, delayed and weakened as the plan renders them."""
-    return paths.table(times, plan.options.motion, plan.options.amplitude)

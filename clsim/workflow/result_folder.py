@@ -110,9 +110,9 @@ class ResultFolder:
             self._clear(lock=False)
         if not self._resume or self._record.identity != self._identity:
             self._record = self._record.outdated()
-        told = sorted({*self._names, *self._contents()})
+        made_here = sorted({*self._names, *self._contents()})
         with safe_path(self.work / _CONTENTS) as temporary:
-            temporary.write_text(json.dumps(told), "utf-8")
+            temporary.write_text(json.dumps(made_here), "utf-8")
 
     def is_whole(self, name: str) -> bool:
         """Return whether a result of this run is there, as it was written."""

@@ -125,7 +125,7 @@ def trajectory(random: np.random.Generator, x: float) -> dict[str, Any]:
 
 def directivity(random: np.random.Generator) -> dict[str, Any]:
     return pick(random, [
-        {"kind": "omni"}, {"kind": "cardioid", "weight": 0.5}, {"kind": "piston", "radius": 0.005},
+        {"kind": "omni"}, {"kind": "first-order", "weight": 0.5}, {"kind": "piston", "radius": 0.005},
         {"kind": "table", "path": "beam.csv", "scale": "db", "rear": "hold", "outside": "hold"},
         {"kind": "table", "path": "beam.npz", "scale": "linear", "outside": "hold"},
         {"kind": "named", "name": "MA40S4S", "outside": "hold"},

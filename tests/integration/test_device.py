@@ -11,8 +11,9 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.opencl import device as device_module
+from clsim.opencl import compiler as compiler_module
 from clsim.opencl.device import find_device, list_devices
+from clsim.opencl.launch import work
 
 TONE = clsim.Signal.tone(40e3, 0.01, 192e3, fade=0.002)
 
@@ -47,8 +48,8 @@ def test_unknown_device_lists_those_there_are(device: None) -> None:
 
 
 def test_build_failure_names_device_and_file(device: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    original = device_module.kernel_source
-    monkeypatch.setattr(device_module, "kernel_source", lambda name: original(name) + "\nthis is no OpenCL C;")
+    original = compiler_module.kernel_source
+    monkeypatch.setattr(compiler_module, "kernel_source", lambda name: original(name) + "\nthis is no OpenCL C;")
     with pytest.raises(clsim.DeviceError, match=r"(?s)could not build \w+\.cl.*reference"):
         render(convolve_static=False)
 
@@ -65,7 +66,7 @@ def test_poisoned_cache_is_built_around(device: None, tmp_path: Path) -> None:
         "room = clsim.Shoebox((8, 6, 3), clsim.Material.from_reflection(0.9));"
         "s = clsim.Source('s', t, clsim.Trajectory.fixed((4, 3, 1)));"
         "scene = clsim.Scene(room, clsim.Air(), [s], [clsim.Receiver('r', clsim.Trajectory.fixed((1, 1, 2)))]);"
-        "p = clsim.render(scene, clsim.find_paths(scene, 1), 192e3, convolve_static=False).pressure; print(float((p**2).sum()))"
+        "p = clsim.render(clsim.find_paths(scene, 1), 192e3, convolve_static=False).pressure; print(float((p**2).sum()))"
     )
 
     def run(died: bool = False, warning: str = "") -> str:
@@ -90,7 +91,7 @@ def test_poisoned_cache_is_built_around(device: None, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 1000])
 def test_work_is_whole_groups_of_one_size(count: int) -> None:
-    size, group = device_module.work(count, 3)
+    size, group = work(count, 3)
     assert (group, size[1]) == ((32, 1), 3)
     assert size[0] % 32 == 0
     assert count <= size[0] < count + 32

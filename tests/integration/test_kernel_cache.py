@@ -12,7 +12,7 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.opencl import cache
+from clsim.opencl import kernel_cache as cache
 
 
 @pytest.fixture

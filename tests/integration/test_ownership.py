@@ -429,15 +429,15 @@ def test_pictures_and_tables_that_fail_cost_no_sound(tmp_path: Path, capsys, mon
     def broken(*_: object, **__: object) -> None:
         raise ValueError("no font")
 
-    monkeypatch.setattr("clsim.commands.run.spectrogram_picture", broken)
-    monkeypatch.setattr("clsim.commands.run.echogram_picture", broken)
+    monkeypatch.setattr("clsim.workflow.pictures.spectrogram_picture", broken)
+    monkeypatch.setattr("clsim.workflow.pictures.echogram_picture", broken)
     monkeypatch.setattr("clsim.commands.run.write_table", broken)
     with pytest.raises(ValueError, match="no font"):
         main(["run", str(scene), "-o", str(out)])
     assert soundfile.info(out / "left.wav").frames > 300
     monkeypatch.undo()
-    monkeypatch.setattr("clsim.commands.run.spectrogram_picture", broken)
-    monkeypatch.setattr("clsim.commands.run.echogram_picture", broken)
+    monkeypatch.setattr("clsim.workflow.pictures.spectrogram_picture", broken)
+    monkeypatch.setattr("clsim.workflow.pictures.echogram_picture", broken)
     assert main(["run", str(scene), "-o", str(out), "--resume"]) == 0
     err = capsys.readouterr().err
     assert "left_spectrogram.png could not be drawn: no font" in err

@@ -294,9 +294,9 @@ def test_stores_hold_the_same_sound(scene: Path, tmp_path: Path, device) -> None
 def test_pictures_are_drawn_from_every_store(scene: Path, tmp_path: Path, monkeypatch, device) -> None:
     drawn = []
     monkeypatch.setattr(
-        "clsim.commands.run.spectrogram_picture", lambda sound, *_, **__: drawn.append(sound[0 : len(sound)])
+        "clsim.workflow.pictures.spectrogram_picture", lambda sound, *_, **__: drawn.append(sound[0 : len(sound)])
     )
-    monkeypatch.setattr("clsim.commands.run.echogram_picture", lambda *_: None)
+    monkeypatch.setattr("clsim.workflow.pictures.echogram_picture", lambda *_: None)
     for kind in KINDS:
         skip_without(kind)
         arguments = ["run", str(scene), "-o", str(tmp_path / kind), "--store", kind, "--duration", "0.1"]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import clsim
+from clsim.opencl import compiler as compiler_module
 from clsim.opencl import device as device_module
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
@@ -152,11 +153,11 @@ MUTANTS = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_mutants_are_caught(name: str, made: Plan, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     program, old, new = MUTANTS[name]
-    original = device_module.kernel_source
+    original = compiler_module.kernel_source
     assert original(program).count(old) == 1
 
     def mutated(asked: str) -> str:
         return original(asked).replace(old, new) if asked == program else original(asked)
 
-    monkeypatch.setattr(device_module, "kernel_source", mutated)
+    monkeypatch.setattr(compiler_module, "kernel_source", mutated)
     assert apart_db(BasebandEngine(made).render(0, made.samples), wanted) > TOLERANCE_DB + 6.0

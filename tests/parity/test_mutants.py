@@ -9,7 +9,7 @@ from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 from scipy.spatial.transform import Rotation, Slerp
 
 import clsim
-from clsim.opencl import device as device_module
+from clsim.opencl import compiler as compiler_module
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine
 from clsim.render.planning import plan_render
@@ -138,8 +138,8 @@ MUTANTS = {
     "curve dropped": ("render", "sample[j] * paths->curve[p] + ", ""),
     "gain slope's sign": ("render", "(sample[j] * slope", "(-sample[j] * slope"),
     "fraction's sign": ("render", "out->fraction + p) = at - whole", "out->fraction + p) = whole - at"),
-    "group's centre": ("render", "- 0.5f * (GROUP - 1)", "- 0.5f * GROUP"),
-    "block's centre": ("render", "GROUP + GROUP - 1)", "GROUP + GROUP)"),
+    "group's centre": ("render", "- 0.5f * (SUBBLOCK - 1)", "- 0.5f * SUBBLOCK"),
+    "block's centre": ("render", "SUBBLOCK + SUBBLOCK - 1)", "SUBBLOCK + SUBBLOCK)"),
     "cubic term of the delay": ("render", "CUBIC(LOAD(c), c1, c2, c3, t)", "CUBIC(LOAD(c), c1, c2, c2, t)"),
     "gain in its block": ("render", "CUBIC(LOAD(g), g1,", "CUBIC(LOAD(g), -g1,"),
     "gain slope dropped": ("render", "sample[j] * slope + ", ""),
@@ -153,18 +153,18 @@ MUTANTS = {
     "Doppler's sign": ("tracks", "(receding - mach) * a->stretch", "(receding + mach) * a->stretch"),
     "curvature of the delay": ("tracks", "c[2 * apart] = (float)(0.25 * (e1", "c[2 * apart] = (float)(0.2 * (e1"),
     "absorption from 0 m": ("tracks", "(distance - 1.0f)", "distance"),
-    "clock's delay": ("tracks", "a->delay - here->ahead;", "a->delay;"),
-    "clock at reception": ("tracks", "block_time + ear[STILL ? 0 : i].ahead;", "block_time;"),
-    "clock's pace": ("tracks", "a->rate * here->pace - (here->pace - 1.0)", "a->rate - (here->pace - 1.0)"),
-    "clock's own rate": ("tracks", "a->rate * here->pace - (here->pace - 1.0)", "a->rate * here->pace"),
-    "receiver of another node": ("tracks", "rows + at * 14", "rows + n * 14"),
+    "clock's delay": ("tracks", "a->delay - here->clock_error;", "a->delay;"),
+    "clock at reception": ("tracks", "block_time + receiver[STATIC_RECEIVERS ? 0 : i].clock_error;", "block_time;"),
+    "clock's pace": ("tracks", "a->rate * here->clock_rate - (here->clock_rate - 1.0)", "a->rate - (here->clock_rate - 1.0)"),
+    "clock's own rate": ("tracks", "a->rate * here->clock_rate - (here->clock_rate - 1.0)", "a->rate * here->clock_rate"),
+    "receiver of another node": ("tracks", "rows + at)", "rows + n)"),
     "node beside the right one": ("tracks", "node + (n - ready)", "node + (n - ready) / 2"),
     "emission at reception": ("tracks", "RETARDED ? time - a->delay : time", "time"),
     "Mach exponent": ("tracks", "#if MACH_EXPONENT >= 1", "#if MACH_EXPONENT >= 2"),
     "Mach exponent twice": ("tracks", "#if MACH_EXPONENT >= 2", "#if MACH_EXPONENT >= 1"),
     "rate without stretch": ("tracks", "(receding - mach) * a->stretch", "(receding - mach)"),
     "source's speed": ("tracks", "c[3] + u * (2 * c[6]", "c[3] + u * (c[6]"),
-    "receiver's speed dropped": ("tracks", "STILL ? 0.0 : path->slowness * inner(departure, receiver_velocity)", "0.0"),
+    "receiver's speed dropped": ("tracks", "STATIC_RECEIVERS ? 0.0 : path->slowness * inner(departure, receiver_velocity)", "0.0"),
     "slope of the gain": ("tracks", "s0 = 0.25f", "s0 = -0.25f"),
     "slope of the delay": ("tracks", "e1 = node->rate[2]", "e1 = node->rate[1]"),
     "absorption twice": ("tracks", "nepers[b] * (distance - 1.0f)", "nepers[b] * (distance + distance - 1.0f)"),
@@ -191,7 +191,7 @@ ELSEWHERE = {
     "another wall's table": ("phased", "tracks", "s->walls + (long)wall *", "s->walls + (long)(wall ^ 1) *"),
     "another path's normal": ("phased", "tracks", "s->normal + 3 * i * slots + slot", "s->normal + 3 * i * slots + (slot ^ 1)"),
     "axes of the normal": ("phased", "tracks", "n[slots] * (float)a->departure.y", "n[2 * slots] * (float)a->departure.y"),
-    "imaginary part unprojected": ("phased", "tracks", "m < PARTS * NODES; m++", "m < NODES; m++"),
+    "imaginary part unprojected": ("phased", "tracks", "m < PARTS * FREQUENCIES; m++", "m < FREQUENCIES; m++"),
     "cube's second axis": ("lopsided", "tracks", "(axis == 0 ? y : axis == 1 ? z : x) * scale", "(axis == 0 ? y : axis == 1 ? x : z) * scale"),
     "cube's face": ("lopsided", "tracks", "(along < 0.0f)) * SIDE", "(along > 0.0f)) * SIDE"),
     "spline's weights": ("lopsided", "tracks", "t * t * (1.0f + s)", "t * t * (1.0f + t)"),
@@ -199,7 +199,7 @@ ELSEWHERE = {
     "source's third axis": ("lopsided", "tracks", "z = cross_product(x, y)", "z = cross_product(y, x)"),
     "source's second axis": ("lopsided", "tracks", "y = cubic(a->knot + 24", "y = cubic(a->knot + 12"),
     "receiver's frame by its mirrored axes": (
-        "lopsided", "tracks", "turned_back(image_matrix, slots, slot, cross_product(at_row(row + 6), at_row(row + 9)))", "cross_product(out.frame[0], out.frame[1])",
+        "lopsided", "tracks", "turned_back(image_matrix, slots, slot, cross_product(at_row(node->axes[0]), at_row(node->axes[1])))", "cross_product(out.frame[0], out.frame[1])",
     ),
     "twist dropped": ("near", "render", "sample[j] * paths->twist[p] + ", ""),
     "bend dropped": ("near", "render", "* sample[j] + slope) * sample[j] + gain", "* 0.0f + slope) * sample[j] + gain"),
@@ -215,13 +215,13 @@ ELSEWHERE = {
 @pytest.mark.parametrize("name", [*MUTANTS, *ELSEWHERE])
 def test_mutants_are_caught(name: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
     kind, program, old, new = ELSEWHERE.get(name) or ("real", *MUTANTS[name])
-    original = device_module.kernel_source
+    original = compiler_module.kernel_source
     assert original(program).count(old) == 1
 
     def mutated(wanted: str) -> str:
         text = original(wanted)
         return text.replace(old, new) if wanted == program else text
 
-    monkeypatch.setattr(device_module, "kernel_source", mutated)
+    monkeypatch.setattr(compiler_module, "kernel_source", mutated)
     # The smallest, the curve of a group of 32 samples, leaves -90 dB.
     assert difference_db(kind) > TOLERANCE_DB + 6.0

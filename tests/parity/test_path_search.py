@@ -7,7 +7,7 @@ import pytest
 from made_meshes import box, joined, l_room, pillar_room, screen
 
 import clsim
-from clsim.opencl import device as device_module
+from clsim.opencl import compiler as compiler_module
 from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.intervals import Intervals, VisibilityQuery, find_intervals
@@ -188,7 +188,7 @@ MUTANTS = {
 
 @pytest.fixture
 def agree_with(monkeypatch: pytest.MonkeyPatch, wanted) -> Callable[[str, str], bool]:
-    original = device_module.kernel_source
+    original = compiler_module.kernel_source
 
     def check(old: str, new: str) -> bool:
         assert original("intervals").count(old) == 1
@@ -197,7 +197,7 @@ def agree_with(monkeypatch: pytest.MonkeyPatch, wanted) -> Callable[[str, str], 
             text = original(program)
             return text.replace(old, new) if program == "intervals" else text
 
-        monkeypatch.setattr(device_module, "kernel_source", mutated)
+        monkeypatch.setattr(compiler_module, "kernel_source", mutated)
         try:
             return agree(wanted)
         except clsim.ClsimError:  # the search did not end

@@ -7,7 +7,7 @@ import pytest
 from made_meshes import pillar_room
 
 import clsim
-from clsim.opencl import device as device_module
+from clsim.opencl import compiler as compiler_module
 from clsim.render.opencl import branch_signals as branches_module
 from clsim.render.opencl.activity import CELL, Activity, sounding
 from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
@@ -144,10 +144,10 @@ MUTANTS = {
     "last group too early": ("tracks", "+ 1) * CELL - start + longest", "+ 1) * CELL - start + shortest - 40.0"),
     "cells before the origin": ("tracks", "s->origin + (double)block * BLOCK;\n    return", "(double)block * BLOCK;\n    return"),
     "last node forgotten": ("tracks", "solved = block + 3;", "solved = block + 4;"),
-    "first group left out": ("render", "+ (span & 0xffff), end", "+ (span & 0xffff) + 1, end"),
+    "first group left out": ("render", "+ (active & 0xffff), end", "+ (active & 0xffff) + 1, end"),
     "last group left out": ("render", "g < until; g += WORKERS", "g < until - 1; g += WORKERS"),
-    "path left out": ("render", "if (!span) continue;", "if (!span || slot % 64 == 7) continue;"),
-    "last path left out": ("render", "i < count[g - first_group]; i++", "i < count[g - first_group] - 1; i++"),
+    "path left out": ("render", "if (!active) continue;", "if (!active || slot % 64 == 7) continue;"),
+    "last path left out": ("render", "i < count[g - first_subblock]; i++", "i < count[g - first_subblock] - 1; i++"),
     "curve of another term": ("render", "CUBIC_CURVE(c[2], c[3], t)", "CUBIC_CURVE(c[2], c[2], t)"),
     "slope of another term": ("render", "CUBIC_SLOPE(c[1], c[2], c[3], t)", "CUBIC_SLOPE(c[1], c[2], c[2], t)"),
     "gains of other functions": ("render", "i * functions + first)", "i * functions + first + 1)"),
@@ -159,7 +159,7 @@ MUTANTS = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_mutants_are_caught(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     program, old, new = MUTANTS[name]
-    original = device_module.kernel_source
+    original = compiler_module.kernel_source
     assert original(program).count(old) == 1
     plan = box_plan(pulses(0.1, 5), order=2)
     wanted = rendered(plan, False)
@@ -168,5 +168,5 @@ def test_mutants_are_caught(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         text = original(wanted)
         return text.replace(old, new) if wanted == program else text
 
-    monkeypatch.setattr(device_module, "kernel_source", mutated)
+    monkeypatch.setattr(compiler_module, "kernel_source", mutated)
     assert not np.array_equal(rendered(plan, True), wanted)

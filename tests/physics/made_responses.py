@@ -10,7 +10,7 @@ _BAND = np.linspace(20e3, 60e3, 401)
 
 
 @dataclass(frozen=True)
-class OffCentre:
+class OffCentre(clsim.AxisymmetricDirectivity):
     """A cardioid-like beam that radiates from a point `ahead` (m) of where it is said to be."""
 
     ahead: float
@@ -23,7 +23,7 @@ class OffCentre:
 
 
 @dataclass(frozen=True)
-class Lopsided:
+class Lopsided(clsim.Directivity):
     """A beam without any symmetry: different to the left, above and ahead, and not centred either; or real."""
 
     is_complex: bool = True

@@ -157,7 +157,7 @@ def test_chunks_change_nothing_and_silence_is_silent() -> None:
 def test_electronics_come_after() -> None:
     """Noise, cuts and converter see the same pressure, so a converter of 12 bits gives nearly the same codes."""
     end = clsim.Electronics(self_noise_db=30, seed=1, low_cut=1e3, gain_db=20.0, adc_bits=12, adc_full_scale=1.0)
-    scene = scene_of(clsim.Trajectory.fixed(A), [at(B, electronics=end, transducer=clsim.named_transducer("MA40S4R"))])
+    scene = scene_of(clsim.Trajectory.fixed(A), [at(B, electronics=end, transducer=clsim.Transducer.named("MA40S4R"))])
     paths = clsim.find_paths(scene, 1)
     options = {"duration": 0.06, "response_error_db": -100.0, "interpolator": clsim.Bandlimited(-110.0)}
     convolved, by_path = (

@@ -86,8 +86,7 @@ def by_hand(world: clsim.Scene, paths, times: np.ndarray) -> np.ndarray:
         f = frequencies[k]
         response = 10 ** (-AIR.absorption_at(f) * (distance - 1.0) / 20) / (distance * (1.0 - mach)) + 0j
         for beam, towards in ((world.sources[0].directivity, leaving), (world.receivers[0].directivity, coming)):
-            sided = isinstance(beam, Lopsided)
-            response *= beam.gain_towards(towards, f, C) if sided else beam.gain(towards[..., 0], f, C)
+            response *= beam.gain_towards(towards, f, C)
         for bounce in paths.walls.T:
             for p in np.flatnonzero(bounce >= 0):  # unfolded, a ray meets all walls across an axis at one angle
                 cosine = np.abs(table.departure[p, :, bounce[p] // 2])
@@ -104,7 +103,7 @@ def sent_back(material: clsim.Material, f: float, cosine: np.ndarray):
     return rough_factor(f, cosine, C) if material is ROUGH else float(material.reflection_at(f))
 
 
-class _Seen:
+class _Seen(clsim.Directivity):
     """A beam seen in a mirror across x."""
 
     is_complex = True

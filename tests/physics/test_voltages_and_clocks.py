@@ -13,7 +13,7 @@ from clsim.cli import main
 RATE = 192e3
 AIR = clsim.Air()
 ROOM = clsim.Shoebox((6, 5, 4), clsim.Material.from_reflection(0.8))
-SPEAKER, EAR = clsim.named_transducer("MA40S4S"), clsim.named_transducer("MA40S4R")
+SPEAKER, EAR = clsim.Transducer.named("MA40S4S"), clsim.Transducer.named("MA40S4R")
 
 
 def rendered(source: clsim.Source, *receivers: clsim.Receiver, order: int = 0, rate: float = RATE, **options):

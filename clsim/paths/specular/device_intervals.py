@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.device import find_device, opened, upload, work
-from clsim.paths.specular.intervals import GRAZE, MOST_EVALUATIONS, SMALLEST_MOVE, Intervals, VisibilityQuery, merged
+from clsim.opencl.compiler import compiler_of
+from clsim.opencl.device import find_device
+from clsim.opencl.launch import upload, work
+from clsim.paths.specular.intervals import (
+    GRAZE,
+    GRAZE_TIME,
+    MOST_EVALUATIONS,
+    SMALLEST_MOVE,
+    Intervals,
+    VisibilityQuery,
+    merged,
+)
 from clsim.scene.room.walls import INSIDE
 
 if TYPE_CHECKING:
@@ -40,26 +50,27 @@ class DeviceSearch:
         import pyopencl as cl
 
         self._query = query
-        context, self._compiler = opened(device or find_device(None)[1])
-        self._queue = cl.CommandQueue(context)
+        self._compiler = compiler_of(device or find_device(None)[1])
+        self._queue = cl.CommandQueue(self._compiler.context)
         walls, ends = query.walls, query.trajectory_tables
-        plane = np.concatenate([walls.normal, walls.offset[:, None]], axis=1)
-        ball = np.concatenate([walls.centre, walls.radius[:, None]], axis=1)
-        whole = (walls.plane, walls.first_edge, walls.first_piece, walls.first_line, walls.first_twin)
         owner = np.repeat(np.arange(len(walls)), np.diff(walls.first_edge))
         away = np.einsum("eci,ei->ec", walls.edge, walls.normal[owner]) - walls.offset[owner, None]
         thickness = float(np.abs(away).max(initial=0.0)) + SMALLEST_MOVE * walls.size
-        self._room = (
-            np.int32(len(walls)), np.float64(INSIDE * walls.size), np.float64(thickness),
-            self._upload(plane), self._upload(ball),
-            *(self._upload(column.astype(np.int32)) for column in whole),
-            self._upload(walls.edge), self._upload(walls.line), self._upload(np.append(walls.twin, 0).astype(np.int32)),
-        )  # fmt: skip
-        self._ends = (
-            self._upload(ends.places), self._upload(ends.scales), self._upload(ends.knots), self._upload(ends.speeds),
-            self._upload(ends.mounts),
-            np.float64(query.speed_of_sound),
-        )  # fmt: skip
+        room = {
+            "plane": np.concatenate([walls.normal, walls.offset[:, None]], axis=1),
+            "sphere": np.concatenate([walls.centre, walls.radius[:, None]], axis=1),
+            "same": walls.plane, "first_edge": walls.first_edge, "first_piece": walls.first_piece,
+            "first_line": walls.first_line, "first_twin": walls.first_twin, "edge": walls.edge, "line": walls.line,
+            "twin": np.append(walls.twin, 0),
+        }  # fmt: skip
+        tables = {name: getattr(ends, name) for name in ("places", "scales", "knots", "speeds", "mounts")}
+        whole = {name: column.astype(np.int32) for name, column in room.items() if column.dtype.kind == "i"}
+        self._arguments = {name: self._upload(column) for name, column in (room | whole | tables).items()}
+        self._arguments |= {
+            "wall_count": len(walls), "tolerance": INSIDE * walls.size, "thickness": thickness,
+            "smallest_move": SMALLEST_MOVE * walls.size, "graze": GRAZE * walls.size, "resolution": query.resolution,
+            "speed_of_sound": query.speed_of_sound,
+        }  # fmt: skip
 
     def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
         """Return the intervals in which paths are valid; arguments as in `find_intervals`."""
@@ -82,10 +93,13 @@ class DeviceSearch:
 
         query, context, flags = self._query, self._queue.context, cl.mem_flags
         states = self._beginning(query.first[receiver], query.last[receiver])
-        constants = {"ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": 12, "RETARDED": 1, "STILL": 0}
+        constants = {
+            "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": 12, "RETARDED": 1, "STATIC_RECEIVERS": 0,
+            "GRAZE_TIME": GRAZE_TIME,
+        }  # fmt: skip
         kernel = self._compiler.kernel("intervals", constants)
-        columns = (np.append(sequence.ravel(), 0), receiver)
-        rows = tuple(self._upload(column.astype(np.int32)) for column in columns)
+        columns = {"sequences": np.append(sequence, 0).astype(np.int32), "receiver_of": receiver.astype(np.int32)}
+        paths = {name: self._upload(column) for name, column in columns.items()}
         on_device = self._upload(states)
         active = np.flatnonzero(states["depth"]).astype(np.int32)
         parts = []
@@ -95,10 +109,8 @@ class DeviceSearch:
             found = cl.Buffer(context, flags.READ_WRITE, _INTERVAL.itemsize * room)
             count = self._upload(np.zeros(1, dtype=np.int32))
             kernel(
-                self._queue, *work(len(active), group=16), *self._room, *self._ends, *rows,
-                self._upload(active), np.int32(len(active)), np.float64(query.resolution),
-                np.float64(SMALLEST_MOVE * query.walls.size), np.float64(GRAZE * query.walls.size),
-                np.int32(budget), on_device, found, count,
+                self._queue, work(len(active), group=16), **self._arguments, **paths, active=active,
+                active_count=len(active), budget=budget, states=on_device, found=found, found_count=count,
             )  # fmt: skip
             made = np.empty(1, dtype=np.int32)
             cl.enqueue_copy(self._queue, made, count)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.opencl.device import work
+from clsim.opencl.launch import work
 from clsim.render.baseband import WIDEST_SUBBLOCK
 from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.engine import OpenclEngine, Run
@@ -38,15 +37,6 @@ class BasebandEngine(OpenclEngine):
         out = np.empty((len(rows) // 2, rows.shape[1]), dtype=np.complex64)
         out.real, out.imag = rows[::2], rows[1::2]
         return out
-
-
-@dataclass(frozen=True, slots=True)
-class _Launch:
-    """What both kernels take alike."""
-
-    constants: dict[str, int]
-    branches: tuple[Any, ...]
-    envelope: tuple[Any, ...]
 
 
 class _BasebandRun(Run):
@@ -84,14 +74,18 @@ class _BasebandRun(Run):
         vectors = min(block, WIDEST_SUBBLOCK) // lanes if lanes > 1 else 1
         spans = (end - begin) // (vectors * lanes)
         size = work(spans, len(self._slots.groups), group=1 if lanes > 1 else math.gcd(spans, 32))
-        launch = self._launch(nodes, begin, block, first_block)
-        kernel = engine._compiler.kernel(
-            "baseband",
-            launch.constants | {"VECTORS": vectors, "SPARSE": int(nodes.spans is not None)},
-        )
+        filters = self._filters
+        constants = {
+            "LANES": lanes,
+            "VECTORS": vectors,
+            "SUBBLOCK": filters.bank.subblock,
+            "FUNCTIONS": self._functions,
+        }
+        kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
         kernel(
-            engine._queue, *size, *launch.branches[:6], self._first_slot, *launch.branches[6:], self._row,
-            *launch.envelope, nodes.delay if nodes.spans is None else nodes.spans,
+            engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),
+            **self._envelope_arguments(begin), first_row=filters.rows, first_slot=self._first_slot, block_samples=block,
+            envelope_row=self._row,
         )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
@@ -100,38 +94,26 @@ class _BasebandRun(Run):
         fades = find_fades(self._bounds, self._slots, self._start + begin, block, -(-(end - begin) // block))
         if fades is None:
             return
-        launch, ramp = self._launch(nodes, begin, block, first_block), self._bounds.ramp
         slot = engine._upload(fades.slot)
-        columns = (fades.start, fades.end, fades.first, fades.row, fades.at)
-        kernel = engine._compiler.kernel("baseband_edges", launch.constants | {"LANES": 1})
+        constants = {"LANES": 1, "FUNCTIONS": self._functions}
+        kernel = engine._compiler.kernel("baseband_fades", constants | self._polynomial_constants(nodes))
         kernel(
-            engine._queue, *work(block, len(fades.row), group=math.gcd(block, 32)), *launch.branches,
-            np.float32(1.0 / ramp if ramp else 0.0), slot, *(engine._upload(column) for column in columns),
-            *launch.envelope, np.int32(end - begin), np.int32(nodes.spans is not None),
-            nodes.delay if nodes.spans is None else nodes.spans,
+            engine._queue, work(block, len(fades.row), group=math.gcd(block, 32)), **self._branch_arguments(begin),
+            **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
+            **self._envelope_arguments(begin), first_row=self._filters.rows,
         )  # fmt: skip
-        self._mute(nodes, slot, engine._upload(fades.block + np.int32(first_block)))
+        self._clear_gains(nodes, slot, engine._upload(fades.block + np.int32(first_block)))
 
-    def _launch(self, nodes: Any, begin: int, block: int, first_block: int) -> _Launch:
+    @property
+    def _filters(self) -> EnvelopeFilters:
         filters = self._plan.source_filters[self._source]
         assert isinstance(filters, EnvelopeFilters)
-        constants = {
-            "LANES": self._engine._layout.lanes,
-            "DELAY_TERMS": self._plan.delay_terms,
-            "FUNCTIONS": self._functions,
-            "GROUP": filters.bank.subblock,
-        }
-        turn = round(filters.mixer.turn * 2**64) % 2**64
-        return _Launch(
-            constants,
-            (
-                self._branches.rows, np.int32(self._branches.stride),
-                self._engine._upload(filters.rows.astype(np.int32)),
-                np.int32(self._start + begin - self._branches.first), nodes.delay, nodes.cubics,
-                np.int32(self._slots.count), np.int32(block), np.int32(first_block),
-            ),
-            (
-                self._pressure, np.int32(self._length), np.int32(begin), np.uint64(turn),
-                np.float32(2.0 * filters.cycles),
-            ),
-        )  # fmt: skip
+        return filters
+
+    def _envelope_arguments(self, begin: int) -> dict[str, Any]:
+        """Return the envelopes for samples of the chunk from `begin` on, as kernels take them."""
+        return {
+            "envelope": self._pressure, "envelope_stride": self._length, "first_sample": begin,
+            "turn_per_sample": round(self._filters.mixer.turn * 2**64) % 2**64,
+            "half_turns_per_sample": 2.0 * self._filters.cycles,
+        }  # fmt: skip

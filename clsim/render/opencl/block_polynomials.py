@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
 
+GAIN_ERROR = {4: 0.02, 8: 0.03}  # of the last differences of gains, by the terms of delays; see `block_error`
+
 
 def block_polynomials(
     delay: Floats,
@@ -97,7 +99,8 @@ def block_error(
     else:
         cubed = 0.125 * block_time * (rate[:, 1:-2] + rate[:, 2:-1]) - 0.25 * np.diff(delay, axis=1)[:, 1:-1]
         delay_samples = delay_samples + np.abs(cubed) * part**3
-    change = (0.03 * _fourth(gain) if terms == 8 else 0.02 * np.abs(np.diff(gain, 3, axis=2))).sum(axis=0)
+    last = _fourth(gain) if terms == 8 else np.abs(np.diff(gain, 3, axis=2))
+    change = (GAIN_ERROR[terms] * last).sum(axis=0)
     if terms == 4:
         g0, g1, g2, g3 = _nodes(gain)
         change = np.hypot(change, 0.0625 * part**2 * np.abs((g3 - g2) - (g1 - g0)).sum(axis=0))

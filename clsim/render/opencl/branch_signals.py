@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.opencl.device import upload, work
+from clsim.opencl.launch import upload, work
 from clsim.render.opencl.activity import CELL, Activity, sounding
 from clsim.render.opencl.batches import ActivePaths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.opencl.device import Compiler, Scratch
+    from clsim.opencl.compiler import Compiler
+    from clsim.opencl.launch import Scratch
     from clsim.render.interpolator import Bank
     from clsim.render.plan import Plan
 
+_VECTORS = 8  # of samples that a work-item filters
 _MARGIN = 64  # samples of branch signal beyond the bounds of the delays
 
 
@@ -127,18 +129,19 @@ class BranchSignals:
         stride = feed.width + 16 * filters.oversampling
         out, following = self._rows(self._parts * int(filters.rows[-1]), stride, found)
         emitted, samples = self._emit(feed)
-        channel = 8 * self._lanes
+        channel = _VECTORS * self._lanes
         for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
             rows, taps = bank.taps.shape
-            constants = {"LANES": self._lanes, "TAPS": taps, "CELL": CELL, "SPARSE": int(found is not None)}
-            constants["OVERSAMPLING"] = filters.oversampling
+            constants = {
+                "LANES": self._lanes, "VECTORS": _VECTORS, "TAPS": taps, "OVERSAMPLING": filters.oversampling,
+                "CELL": CELL, "SPARSE": int(found is not None),
+            }  # fmt: skip
             kernel = self._compiler.kernel("branches", constants)
             kernel(
-                self._queue, *work(feed.width // channel, rows), emitted,
-                np.int32((k * self._parts + part) * samples + feed.before - _taps_before(bank)),
-                self._upload(bank.taps.astype(np.float32)), np.int32(feed.width), np.int32(stride),
-                np.int32(self._parts * filters.rows[k] + part * rows), out,
-                following,
+                self._queue, work(feed.width // channel, rows), emitted=emitted,
+                first_emitted=(k * self._parts + part) * samples + feed.before - _taps_before(bank),
+                taps=bank.taps, width=feed.width, stride=stride,
+                first_row=self._parts * filters.rows[k] + part * rows, rows=out, following=following,
             )  # fmt: skip
         return Branches(out, stride, feed.first, feed.least, feed.most, found)
 
@@ -151,15 +154,17 @@ class BranchSignals:
 
         def emit(count: int, places: Any, values: Any, clear: bool) -> None:
             kernel = self._compiler.kernel("emit", {})
-            size = work(count, rows)
-            kernel(self._queue, *size, np.int32(count), places, values, np.int32(clear), np.int64(samples), out)
+            kernel(
+                self._queue, work(count, rows), count=count, places=places, values=values, clear=clear, stride=samples,
+                emitted=out,
+            )  # fmt: skip
 
         if self._emitted is not None and self._emitted[0] == (rows, samples):
-            emit(*self._emitted[1:], out, clear=True)
+            emit(*self._emitted[1:], None, clear=True)
         else:
             cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, 4 * rows * samples)
         self._emitted = (rows, samples), len(feed.places), self._upload(feed.places)
-        emit(*self._emitted[1:], self._upload(feed.values), clear=False)
+        emit(*self._emitted[1:], feed.values, clear=False)
         return out, samples
 
     def _rows(self, count: int, stride: int, found: Activity | None) -> tuple[Any, Any]:
@@ -169,7 +174,7 @@ class BranchSignals:
         out, shape = self._scratch.take("rows", 4 * count * stride), (count, stride)
         if found is None:
             self._written = None
-            return out, out  # of no use: all is written
+            return out, None  # all is written
         if self._written is None or self._written[0] != shape:
             cl.enqueue_fill_buffer(self._queue, out, np.zeros(1, np.float32), 0, 4 * count * stride)
             write = found

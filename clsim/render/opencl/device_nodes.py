@@ -9,12 +9,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.quaternions import rotate
-from clsim.opencl.device import Scratch, upload, work
+from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.response import SceneResponse
 from clsim.paths.trajectory_cubics import knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
-from clsim.render.opencl.lookup_tables import CELLS, SIDE, SPHERICAL, beam_kind, beam_table, wall_table
+from clsim.render.opencl.block_polynomials import GAIN_ERROR
+from clsim.render.opencl.lookup_tables import (
+    AXIAL,
+    CELLS,
+    OMNI,
+    SIDE,
+    SPHERICAL,
+    beam_kind,
+    beam_table,
+    wall_table,
+)
 from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:
@@ -23,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.opencl.device import Compiler
+    from clsim.opencl.compiler import Compiler
     from clsim.paths.specular.family import SpecularPaths
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
@@ -35,14 +45,19 @@ if TYPE_CHECKING:
 
     Walls = NDArray[np.signedinteger[Any]]
 
+# A receiver at a node, as in nodes/image.h.
+RECEIVER_NODE = np.dtype(
+    [("position", "f8", 3), ("velocity", "f8", 3), ("axes", "f8", (2, 3)), ("clock_error", "f8"), ("clock_rate", "f8")]
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceNodes:
     """Block polynomials of a run on the device, and what was found while they were made."""
 
     delay: Any
-    cubics: Any
-    spans: Any  # groups of each block and path in which something sounds; None if all are looked at
+    polynomials: Any
+    activity: Any  # subblocks of each block and path in which something sounds; None if all are looked at
     error: Floats  # (segments,), of all paths together, relative to what is heard, of the receiver where it is most
     unheld: Floats  # (segments,), the same of what no function of frequency holds
     shortest: float  # s
@@ -56,11 +71,12 @@ class _Chunk:
     source: int
     slots: PathBatch
     start: int  # sample
-    images: tuple[Any, ...]
+    images: dict[str, Any]
+    columns: dict[str, Any]
     bounds: Boundaries
-    anchors: Any
-    knots: tuple[Any, ...]
-    sounding: tuple[Any, ...] | None
+    coarse_delays: Any
+    trajectory: dict[str, Any]
+    sounding: dict[str, Any] | None
     first: int  # sample of the branches
 
 
@@ -121,41 +137,38 @@ class DeviceTracks:
         receiver_of = np.repeat(np.arange(len(slots.groups), dtype=np.int32), np.diff(slots.first_slot))
         rate = plan.sampling_rate
         longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
-        spare = 0.05 + plan.segment / rate  # for nodes and anchors beside the run
+        spare = 0.05 + plan.segment / rate  # for nodes and coarse delays beside the run
         knots, knot_first = motion_knots(
             scene.sources[source], start / rate - longest - 0.01 * abs(longest) - spare,
             (start + length) / rate - shortest + spare,
             self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
         )  # fmt: skip
-        columns = (
-            matrix.reshape(-1, 9).T, offset.T, receiver_of, reflection, *around.bounces(walls),
-        )  # fmt: skip
-        images = tuple(self._upload(column) for column in columns)
-        motion = (
-            self._upload(knots), np.int32(len(knots)), np.float64(knot_first), np.float64(self._knot_rates[source]),
-        )  # fmt: skip
-        anchors = self._anchors(source, slots, images, motion, start, -(-length // plan.segment) + 3)
+        images = self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T, receiver_of=receiver_of)
+        wall_of, normal = around.bounces(walls)
+        columns = self._uploaded(reflection=reflection, wall_of=wall_of, normal=normal)
+        trajectory = {
+            "knots": self._upload(knots), "knot_count": len(knots), "first_knot": knot_first,
+            "knot_rate": self._knot_rates[source],
+        }  # fmt: skip
+        coarse = self._coarse_delays(source, slots, images | trajectory, start, -(-length // plan.segment) + 3)
         cells = None
         if sounding is not None:
-            signal = (sounding.following, sounding.preceding)
-            cells = (*(self._upload(column) for column in signal), np.int32(len(sounding.cells)))
-        return _Chunk(source, slots, start, images, bounds, anchors, motion, cells, first)
+            cells = self._uploaded(following=sounding.following, preceding=sounding.preceding)
+            cells["cells"] = len(sounding.cells)
+        return _Chunk(source, slots, start, images, columns, bounds, coarse, trajectory, cells, first)
 
-    def _anchors(
-        self, source: int, slots: PathBatch, images: tuple[Any, ...], motion: tuple[Any, ...], start: int, ends: int
-    ) -> Any:
+    def _coarse_delays(self, source: int, slots: PathBatch, paths: dict[str, Any], start: int, ends: int) -> Any:
         """Solve the delays at the ends of segments, from which those between are predicted."""
         import pyopencl as cl
 
         rate, segment = self._plan.sampling_rate, self._plan.segment
         out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * slots.count)
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
-        kernel = self._compiler.kernel("anchors", self._motion_constants(source))
+        kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source))
         kernel(
-            self._queue, *work(slots.count, ends), *images[:3],
-            self._upload(self._receivers_at(slots, times)), np.int32(ends), *motion,
-            np.float64(start / rate), np.float64(segment / rate),
-            np.float64(self._tracks.scene.air.speed_of_sound), out,
+            self._queue, work(slots.count, ends), **paths, receivers=self._receivers_at(slots, times), ends=ends,
+            start=start / rate, walk_time=segment / rate, speed_of_sound=self._tracks.scene.air.speed_of_sound,
+            delays=out,
         )  # fmt: skip
         return out
 
@@ -171,30 +184,32 @@ class DeviceTracks:
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * slots.count)
-        cubics = self._scratch.take(("cubics", block), 4 * (terms * blocks * slots.count + 8))
+        polynomials = self._scratch.take(("polynomials", block), 4 * (terms * blocks * slots.count + 8))
         found = np.empty((walks, slots.count, 4), dtype=np.float32)
         unheld = np.empty((walks, slots.count), dtype=np.float32)
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
         receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
+        heard_from, heard_until = chunk.bounds.samples_from(start)
         around = self._surroundings[chunk.source]
         spread = filters.filter_half / rate  # by which the functions' filters are longer than what is emitted
-        spans, cells = None, (delay, delay, np.int32(0))
+        activity: Any = None
+        cells: dict[str, Any] = {"following": None, "preceding": None, "cells": 0}
         if chunk.sounding is not None:
-            spans, cells = self._scratch.take(("spans", block), 4 * blocks * slots.count), chunk.sounding
-            cl.enqueue_fill_buffer(self._queue, spans, np.zeros(1, np.int32), 0, 4 * blocks * slots.count)
-        constants = self._constants(chunk.source, block) | {"SPARSE": int(spans is not None)}
+            activity, cells = self._scratch.take(("activity", block), 4 * blocks * slots.count), chunk.sounding
+            cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * slots.count)
+        constants = self._constants(chunk.source, block) | {"SPARSE": int(activity is not None)}
         kernel = self._compiler.kernel("tracks", constants)
         kernel(
-            self._queue, *work(slots.count, walks), *chunk.images,
-            *(self._upload(samples) for samples in chunk.bounds.samples_from(start)), self._upload(receivers),
-            np.int32(blocks + 3), chunk.anchors, np.int32((start - chunk.start) // plan.segment), *chunk.knots,
-            np.float64(start / rate), np.float64(rate), np.float64(c),
-            *around.basis, np.float64(filters.delay_samples),
-            np.float64(filters.start - spread), np.float64(filters.start + filters.signal.duration + spread),
-            np.float32(2.0 * math.pi * filters.swiftness), *around.tables,
-            self._upload(around.beam_of[slots.receiver]),
-            np.int32(blocks), delay, cubics, found_there, unheld_there, *cells, np.float64(start - chunk.first),
-            np.float64(self._max_rates[chunk.source]), delay if spans is None else spans,
+            self._queue, work(slots.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **cells,
+            **around.basis, **around.tables, directivity_of=around.directivity_of[slots.receiver],
+            receivers=receivers, nodes=blocks + 3,
+            heard_from=heard_from, heard_until=heard_until,
+            coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
+            start=start / rate, sampling_rate=rate, speed_of_sound=c, delay_samples=filters.delay_samples,
+            emitted_first=filters.start - spread, emitted_last=filters.start + filters.signal.duration + spread,
+            angular_frequency=2.0 * math.pi * filters.swiftness, origin=start - chunk.first,
+            max_rate=self._max_rates[chunk.source], blocks=blocks, delay=delay, polynomials=polynomials,
+            found=found_there, unheld=unheld_there, activity=activity,
         )  # fmt: skip
         if meanwhile is not None:
             meanwhile()
@@ -208,8 +223,8 @@ class DeviceTracks:
         )
         heard = np.maximum(heard, 1e-30)
         return DeviceNodes(
-            delay, cubics, spans, (error / heard).max(axis=1), (left / heard).max(axis=1), float(found[..., 2].min()),
-            float(found[..., 3].max()),
+            delay, polynomials, activity, (error / heard).max(axis=1), (left / heard).max(axis=1),
+            float(found[..., 2].min()), float(found[..., 3].max()),
         )  # fmt: skip
 
     def _motion_constants(self, source: int) -> dict[str, int]:
@@ -217,38 +232,42 @@ class DeviceTracks:
         return {
             "KNOT_COLUMNS": 36 if sideways else 24,
             "RETARDED": int(self._tracks.motion == "retarded"),
-            "STILL": int(self._still),
+            "STATIC_RECEIVERS": int(self._still),
         }
 
-    def _constants(self, source: int, block: int) -> dict[str, int]:
+    def _constants(self, source: int, block: int) -> dict[str, Any]:
         retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
         return self._motion_constants(source) | {
             "BLOCK": block,
-            "TOGETHER": self._together,
-            "GROUP": self._plan.subblock(source, block),
+            "NODES_AT_ONCE": self._together,
+            "SUBBLOCK": self._plan.subblock(source, block),
             "FINE": int(self._plan.is_fine(block)),
             "OVERSAMPLING": self._plan.source_filters[source].oversampling,
             "CELL": CELL,
             "WALK": self._plan.segment // block,
             "DELAY_TERMS": self._plan.delay_terms,
             "FUNCTIONS": len(self._plan.source_filters[source].basis),
-            "NODES": around.count,
+            "FREQUENCIES": around.count,
             "PARTS": around.parts,
             "CELLS": CELLS,
             "SIDE": SIDE,
             "MACH_EXPONENT": MACH_EXPONENT[self._tracks.amplitude] if retarded else 0,
-            "SOURCE_BEAM": around.source_kind,
-            "RECEIVER_BEAM": around.receiver_kind,
+            "SOURCE_DIRECTIVITY": around.source_kind,
+            "RECEIVER_DIRECTIVITY": around.receiver_kind,
+            "OMNI": OMNI,
+            "AXIAL": AXIAL,
+            "SPHERICAL": SPHERICAL,
+            "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
             "ANGULAR": around.angular,
         }
 
-    def _receivers_at(self, slots: PathBatch, times: Floats) -> Floats:
-        """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes, 14).
+    def _receivers_at(self, slots: PathBatch, times: Floats) -> NDArray[Any]:
+        """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes).
 
         Where all receivers are at rest, a single node is enough.
         """
         times = times[:1] if self._still else times
-        out = np.empty((len(slots.groups), len(times), 14))
+        out = np.empty((len(slots.groups), len(times)), dtype=RECEIVER_NODE)
         for i, r in enumerate(slots.receiver):
             out[i] = self._at_rest[r] if r in self._at_rest else _receiver_at(self._tracks.scene.receivers[r], times)
         return out
@@ -256,16 +275,20 @@ class DeviceTracks:
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
 
+    def _uploaded(self, **columns: NDArray[Any]) -> dict[str, Any]:
+        return {name: self._upload(column) for name, column in columns.items()}
 
-def _receiver_at(receiver: Receiver, times: Floats) -> Floats:
-    """Return position, velocity, axes and clock of a receiver, (times, 14)."""
-    ahead = receiver.clock_error(times)
-    true = times + ahead
-    axes = [rotate(receiver.orientation(true), axis) for axis in np.eye(3)[:2]]
-    clock = [ahead[:, None], np.full((len(times), 1), receiver.clock_rate)]
-    return np.concatenate(
-        [receiver.trajectory.position(true), receiver.trajectory.velocity(true), *axes, *clock], axis=1
-    )
+
+def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
+    """Return position, velocity, axes and clock of a receiver, (times,)."""
+    out = np.empty(len(times), dtype=RECEIVER_NODE)
+    out["clock_error"] = receiver.clock_error(times)
+    out["clock_rate"] = receiver.clock_rate
+    true = times + out["clock_error"]
+    out["position"], out["velocity"] = receiver.trajectory.position(true), receiver.trajectory.velocity(true)
+    for i, axis in enumerate(np.eye(3)[:2]):
+        out["axes"][:, i] = rotate(receiver.orientation(true), axis)
+    return out
 
 
 NODE_PROGRAMS = {"images": DeviceTracks}  # what makes the nodes of kinds of paths, by `PathFamily.device`
@@ -279,25 +302,26 @@ class _Surroundings:
         self.count, self.parts = len(basis.nodes), basis.parts
         self._responses = SceneResponse(scene, basis.nodes)
         padding = -len(basis) % 8 if len(basis) > 1 else 0  # of gains, which stand side by side
-        columns = (
-            self._responses.nepers, np.pad(basis.projection.T, ((0, 0), (0, padding))), basis.functions, basis.weight,
-            np.pad(basis.strengths, (0, padding)),
-        )  # fmt: skip
-        self.basis = tuple(put(column.astype(np.float32)) for column in columns)
+        columns = {
+            "nepers": self._responses.nepers, "projection": np.pad(basis.projection.T, ((0, 0), (0, padding))),
+            "functions": basis.functions, "weight": basis.weight, "strengths": np.pad(basis.strengths, (0, padding)),
+        }  # fmt: skip
+        self.basis = {name: put(column.astype(np.float32)) for name, column in columns.items()}
         beams = [r.directivity for r in scene.receivers]
         self.source_kind, self.receiver_kind = beam_kind([scene.sources[source].directivity]), beam_kind(beams)
         source_beam = beam_table(scene.sources[source].directivity, self.source_kind, basis.nodes, c, self.parts)
         kinds = list(dict.fromkeys(beams))
         tables = [beam_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
         bands = len(tables[0]) // min(self.count, 8)
-        self.beam_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
+        self.directivity_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
         materials, angular = scene.room.faces.materials, self._responses.angular
         different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
         kind = {key: i for i, key in enumerate(different)}
         self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)
         walls = [wall_table(m, basis.nodes, c, self.parts) for m in different.values()]
         nothing = np.zeros(8, dtype=np.float32)
-        self.tables = tuple(put(np.concatenate([*part, nothing])) for part in (walls, [source_beam], tables))
+        flat = {"wall_tables": walls, "source_directivity": [source_beam], "receiver_directivities": tables}
+        self.tables = {name: put(np.concatenate([*parts, nothing])) for name, parts in flat.items()}
         self.angular = 0
 
     def most_bounces(self, pairs: Iterable[Walls]) -> None:

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError
-from clsim.opencl.device import Scratch, find_device, opened, upload, work
+from clsim.opencl.compiler import compiler_of
+from clsim.opencl.device import find_device
+from clsim.opencl.launch import Scratch, upload, work
 from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
 from clsim.render.opencl.device_nodes import NODE_PROGRAMS, DeviceTracks
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.paths.family import PathFamily
+    from clsim.render.opencl.fades import Fades
 
     NodeMaker = DeviceTracks | HostTracks
 
@@ -52,9 +55,9 @@ class Layout:
             "SPARSE": int(sparse),
             "FINE": int(fine),
             "OVERSAMPLING": oversampling,
-            **({} if sparse else {"BATCH": BATCH}),
+            "BATCH": 1 if sparse else BATCH,
             "TILE": _TILE,
-            "SPAN": (self.sparse_span if sparse else self.span) * (32 // subblock),
+            "SUBBLOCKS": (self.sparse_span if sparse else self.span) * (32 // subblock),
         }
 
 
@@ -86,7 +89,8 @@ class OpenclEngine:
         self._plan = plan
         self._info, device = find_device(plan.options.device)
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
-        self._context, self._compiler = opened(device)
+        self._compiler = compiler_of(device)
+        self._context = self._compiler.context
         self._queue = cl.CommandQueue(self._context)
         self._scratch = Scratch(self._context)
         self.branch_signals = BranchSignals(
@@ -265,26 +269,23 @@ class Run:
         engine, filters = self._engine, self._plan.source_filters[self._source]
         self._render_fades(nodes, segment, end, block, first_block)
         subblock, fine = self._plan.subblock(self._source, block), self._plan.is_fine(block)
-        constants = engine._layout.constants(
-            subblock, sparse=nodes.spans is not None, fine=fine, oversampling=filters.oversampling
-        )
-        spans = nodes.delay if nodes.spans is None else nodes.spans
+        sparse = nodes.activity is not None
+        layout = engine._layout.constants(subblock, sparse=sparse, fine=fine, oversampling=filters.oversampling)
         begin = segment * self._plan.segment
         subblocks = (end - begin) // subblock
-        size = (-(-subblocks // constants["SPAN"]) * constants["WORKERS"], len(self._slots.groups))
+        size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._slots.groups))
         counts = [len(bank.taps) for bank in filters.banks]
-        together = _TOGETHER if nodes.spans is not None else 1
+        together = _TOGETHER if sparse else 1
         for k in range(0, len(counts), together):
             here = counts[k : k + together]
             each = "".join(f"ADD({i},{count})" for i, count in enumerate(here))
             functions: dict[str, int | str] = {"FUNCTIONS": len(here), "EACH_FUNCTION": each, "MOST_ROWS": max(here)}
-            kernel = engine._compiler.kernel("render", constants | functions)
+            kernel = engine._compiler.kernel("render", {**layout, **functions, "DELAY_TERMS": self._plan.delay_terms})
             kernel(
-                engine._queue, size, (constants["WORKERS"], 1), self._branches.rows, np.int32(self._branches.stride),
-                np.int32(filters.rows[k]), np.int32(self._functions), np.int32(k),
-                np.int32(self._lead(begin)), nodes.delay, nodes.cubics, self._first_slot,
-                np.int32(self._slots.count), np.int32(block // subblock), np.int32(first_block),
-                np.int32(subblocks), self._row, self._pressure, np.int32(self._length), np.int32(begin), spans,
+                engine._queue, (size, (layout["WORKERS"], 1)), **self._branch_arguments(begin),
+                **self._block_arguments(nodes, first_block), first_row=filters.rows[k], functions=self._functions,
+                first_function=k, first_slot=self._first_slot, block_subblocks=block // subblock, subblocks=subblocks,
+                pressure_row=self._row, pressure=self._pressure, pressure_stride=self._length, first_sample=begin,
             )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
@@ -293,36 +294,52 @@ class Run:
         fades = find_fades(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
         if fades is None:
             return
-        per_ramp, rows = self._bounds.ramp, self._plan.source_filters[self._source].rows.astype(np.int32)
+        filters = self._plan.source_filters[self._source]
         slot, at = engine._upload(fades.slot), engine._upload(fades.block + np.int32(first_block))
-        oversampling = self._plan.source_filters[self._source].oversampling
-        kernel = engine._compiler.kernel(
-            "edges", {"SPARSE": int(nodes.spans is not None), "OVERSAMPLING": oversampling}
-        )
+        constants = {"OVERSAMPLING": filters.oversampling, **self._polynomial_constants(nodes)}
+        kernel = engine._compiler.kernel("fades", constants)
         kernel(
-            engine._queue, *work(block, len(fades.row), group=math.gcd(block, 32)), self._branches.rows,
-            np.int32(self._branches.stride),
-            np.int32(self._functions), engine._upload(rows), np.int32(self._lead(begin)),
-            nodes.delay, nodes.cubics, np.int32(slots.count), np.int32(block), np.int32(first_block),
-            np.float32(1.0 / per_ramp if per_ramp else 0.0), slot,
-            *(engine._upload(column) for column in (fades.start, fades.end, fades.first, fades.row, fades.at)),
-            self._pressure, np.int32(self._length), np.int32(begin), np.int32(end - begin),
-            nodes.delay if nodes.spans is None else nodes.spans,
+            engine._queue, work(block, len(fades.row), group=math.gcd(block, 32)), **self._branch_arguments(begin),
+            **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
+            functions=self._functions, first_row=filters.rows, pressure=self._pressure,
+            pressure_stride=self._length, first_sample=begin,
         )  # fmt: skip
-        self._mute(nodes, slot, at)
+        self._clear_gains(nodes, slot, at)
+
+    def _polynomial_constants(self, nodes: Any) -> dict[str, int]:
+        """Return what says how the polynomials of blocks are laid out."""
+        return {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(nodes.activity is not None)}
+
+    def _branch_arguments(self, begin: int) -> dict[str, Any]:
+        """Return the branch signals for samples of the chunk from `begin` on, as kernels take them."""
+        return {"branches": self._branches.rows, "stride": self._branches.stride, "lead": self._lead(begin)}
+
+    def _block_arguments(self, nodes: Any, first_block: int) -> dict[str, Any]:
+        """Return the polynomials of blocks from one on, as kernels take them."""
+        return {
+            "delay": nodes.delay, "polynomials": nodes.polynomials, "activity": nodes.activity,
+            "slots": self._slots.count, "first_block": first_block,
+        }  # fmt: skip
+
+    def _fade_arguments(self, fades: Fades, slot: Any, block: int, samples: int) -> dict[str, Any]:
+        """Return the blocks in which paths begin or end, as kernels take them."""
+        ramp = self._bounds.ramp
+        return {
+            "slot_of": slot, "start": fades.start, "end": fades.end, "first": fades.first, "row": fades.row,
+            "block": fades.at, "per_ramp": 1.0 / ramp if ramp else 0.0, "block_samples": block, "samples": samples,
+        }  # fmt: skip
 
     def _lead(self, begin: int) -> int:
         """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
         return self._start + begin - self._branches.first // self._plan.source_filters[self._source].oversampling
 
-    def _mute(self, nodes: Any, slot: Any, at: Any) -> None:
-        """Take paths, by slot and block, out of the polynomials."""
-        kernel = self._engine._compiler.kernel(
-            "mute", {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(nodes.spans is not None)}
-        )
+    def _clear_gains(self, nodes: Any, slot: Any, at: Any) -> None:
+        """Clear the gains of paths, by slot and block."""
+        kernel = self._engine._compiler.kernel("clear_gains", self._polynomial_constants(nodes))
+        count = slot.size // 4
         kernel(
-            self._engine._queue, *work(slot.size // 4), np.int32(slot.size // 4), slot, at, np.int32(self._functions),
-            nodes.cubics, np.int32(self._slots.count),
+            self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._functions,
+            polynomials=nodes.polynomials, slots=self._slots.count,
         )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.opencl.device import upload
+from clsim.opencl.launch import upload
 from clsim.render.opencl.block_polynomials import block_error, block_polynomials
 from clsim.render.plan import Plan, node_times
 
@@ -28,8 +28,8 @@ class HostNodes:
     """Block polynomials of a run, uploaded, and what was found while they were made."""
 
     delay: Any
-    cubics: Any
-    spans: None
+    polynomials: Any
+    activity: None
     error: Floats
     unheld: Floats
     shortest: float
@@ -96,7 +96,7 @@ class HostTracks:
                 out=error,
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
-        if plan.delay_terms == 8:  # as in nodes.h
+        if plan.delay_terms == 8:  # as in polynomials.h
             cubics = cubics.transpose(0, 2, 1)
         return HostNodes(
             self._upload(whole), self._upload(cubics), None, error, np.zeros(len(error)), shortest, longest

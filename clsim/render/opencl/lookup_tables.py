@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.response import covered, directivity_gain
-from clsim.scene.directivity.patterns import DirectionalPattern, Omni
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity
+from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,33 +16,33 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.scene.directivity.patterns import Directivity
+    from clsim.scene.directivity.directivity import Directivity
     from clsim.scene.material.material import Material
 
 CELLS = 1024  # of a table over an angle; its cubics are within 1e-9 for a piston of ka = 10
 SIDE = 101  # points of a table over a sphere along a face of the cube: 96 cells and two points beyond either edge
 _MARGIN = 14  # points beyond an edge that the spline is made of, where 0.27 ** 12 of what is not known there is left
-NONE, AXIAL, SPHERICAL = 0, 1, 2  # as in gain.h
+OMNI, AXIAL, SPHERICAL = range(3)  # kinds of tables of directivities: none, by angle to an axis, by direction
 
 
 def beam_kind(directivities: Sequence[Directivity]) -> int:
     """Return the kind of table that holds all of some directivities."""
-    if any(isinstance(d, DirectionalPattern) for d in directivities):
+    if not all(isinstance(d, AxisymmetricDirectivity) for d in directivities):
         return SPHERICAL
-    return NONE if all(isinstance(d, Omni) for d in directivities) else AXIAL
+    return OMNI if all(isinstance(d, Omni) for d in directivities) else AXIAL
 
 
 def beam_table(
     directivity: Directivity, kind: int, frequencies: Floats, speed_of_sound: float, parts: int
 ) -> NDArray[np.float32]:
-    """Return the table of a directivity, flat; see ``gain.h`` for its layout.
+    """Return the table of a directivity, flat; see ``response.h`` for its layout.
 
     Parameters
     ----------
-    directivity : Directivity or SphericalDirectivity
+    directivity : Directivity
         What to tabulate.
     kind : int
-        `NONE`, `AXIAL` or `SPHERICAL`; axial directivities have tables of either kind.
+        `OMNI`, `AXIAL` or `SPHERICAL`; axial directivities have tables of either kind.
     frequencies : ndarray (M,)
         Hz.
     speed_of_sound : float
@@ -49,13 +50,13 @@ def beam_table(
     parts : int
         1 for real gains, 2 for complex ones.
     """
-    if kind == NONE:
+    if kind == OMNI:
         return np.zeros(0, dtype=np.float32)
     if kind == SPHERICAL:
         return _sphere(
             lambda towards: directivity_gain(directivity, towards, frequencies, speed_of_sound), len(frequencies), parts
         )
-    assert not isinstance(directivity, DirectionalPattern)
+    assert isinstance(directivity, AxisymmetricDirectivity)
     frequencies = covered(frequencies, directivity)
     half = CELLS // 2  # two splines: the gain of a piston bends at 90 degrees
     cosine = np.linspace(-1.0, 1.0, CELLS + 1)

@@ -57,14 +57,14 @@ def within_half_turn(angles: Floats, values: NDArray[Any], unit: str) -> tuple[F
     mirrored = np.where(angles < 90.0, -angles, 360.0 - angles)
     near = np.abs(angles[:, None] - mirrored[~kept]) <= 100.0 * SAME_ANGLE
     pairs = np.argwhere(near & kept[:, None])
-    told = ""
+    difference = ""
     if len(pairs):
         apart = float(np.abs(values[pairs[:, 0]] - values[~kept][pairs[:, 1]]).max())
         most = float(np.abs(values).max()) or 1.0
-        told = f" within {apart:.3g} dB" if unit else f" within {apart / most:.2g} of the largest value"
+        difference = f" within {apart:.3g} dB" if unit else f" within {apart / most:.2g} of the largest value"
     warnings.warn(
         f"angles_degrees: go from {angles[0]:.6g}° to {angles[-1]:.6g}°; what lies beyond 0° and 180° is left out, for "
-        f"the angles on the other side are there{told and ', and the same'}{told}",
+        f"the angles on the other side are there{difference and ', and the same'}{difference}",
         ClsimWarning,
         stacklevel=4,
     )

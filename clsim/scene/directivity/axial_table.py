@@ -1,11 +1,11 @@
-"""A beam that was measured: values by angle from the axis and frequency."""
+"""A measured directivity that is the same all round its axis: values by angle and frequency."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,15 +14,16 @@ from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
 from clsim.scene.directivity.angles import SAME_ANGLE as _SAME_ANGLE
 from clsim.scene.directivity.angles import overhangs, within_half_turn
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 from clsim.scene.directivity.gain_tables import (
     as_frequencies,
     as_gains,
-    check_known,
+    check_coverage,
     check_level,
     check_options,
     joined_over_frequency,
-    known_band,
     over_axis,
+    table_band,
 )
 from clsim.scene.directivity.text_files import as_table, read_csv_table, read_mat_arrays, read_npz_arrays
 
@@ -38,7 +39,7 @@ _FALL = math.radians(10.0)  # over which rear="zero" falls to nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AxialDirectivity:
+class AxialDirectivity(AxisymmetricDirectivity):
     """A gain by angle from the axis and by frequency, the same all round the axis.
 
     Parameters
@@ -83,13 +84,12 @@ class AxialDirectivity:
 
     Examples
     --------
-    >>> beam = AxialDirectivity([0, 45, 90], [40e3], [[0.0], [-6.0], [-20.0]], scale="db", rear="hold")
-    >>> gain = beam.gain(np.cos(np.radians([0.0, 45.0, 150.0])), 40e3, 343.0)
+    >>> table = AxialDirectivity([0, 45, 90], [40e3], [[0.0], [-6.0], [-20.0]], scale="db", rear="hold")
+    >>> gain = table.gain(np.cos(np.radians([0.0, 45.0, 150.0])), 40e3, 343.0)
     >>> (20 * np.log10(gain)).round(6).tolist()
     [0.0, -6.0, -20.0]
     """
 
-    kind: ClassVar[str] = "table"
     angles_degrees: Floats
     frequencies: Floats
     values: NDArray[Any]
@@ -149,11 +149,11 @@ class AxialDirectivity:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Frequencies (low, high) in Hz at which the gain is known."""
-        return known_band(self.frequencies, self.outside)
+        """Frequencies (low, high) in Hz that the table covers."""
+        return table_band(self.frequencies, self.outside)
 
     def gain(self, cosine: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain; see `Directivity.gain`.
+        """Return the gain; see `AxisymmetricDirectivity.gain`.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class AxialDirectivity:
             If a frequency lies outside `band`.
         """
         f = np.asarray(frequency, dtype=np.float64)
-        check_known(f, self.band)
+        check_coverage(f, self.band)
         angle = np.arccos(np.clip(np.asarray(cosine, dtype=np.float64), -1.0, 1.0))
         knots = np.radians(self.angles_degrees)
         behind = np.pi - angle if self.rear == "mirror" else knots[-1]
@@ -209,8 +209,8 @@ class AxialDirectivity:
 
         Examples
         --------
-        >>> beam = AxialDirectivity.from_db([0, 180], [1e3], [[0.0], [-6.0206]], [[0.0], [90.0]])
-        >>> beam.gain(-1.0, 1e3, 343.0).imag.round(4).tolist()
+        >>> table = AxialDirectivity.from_db([0, 180], [1e3], [[0.0], [-6.0206]], [[0.0], [90.0]])
+        >>> table.gain(-1.0, 1e3, 343.0).imag.round(4).tolist()
         0.5
         """
         angles, f = (np.asarray(given) for given in (angles_degrees, frequencies))

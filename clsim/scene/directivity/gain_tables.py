@@ -97,19 +97,25 @@ def over_axis(values: NDArray[Any], axis: NDArray[Any], frequencies: Floats) -> 
     return np.asarray(values / axis)
 
 
-def known_band(frequencies: Floats, outside: str | None) -> tuple[float, float]:
-    """Return the frequencies (low, high) in Hz at which a table is known."""
+def table_band(frequencies: Floats, outside: str | None) -> tuple[float, float]:
+    """Return the frequencies (low, high) in Hz that a table covers."""
     return (0.0, math.inf) if outside == "hold" else (float(frequencies[0]), float(frequencies[-1]))
 
 
-def check_known(f: Floats, band: tuple[float, float]) -> None:
-    """Raise an InputError if one of the frequencies (...) in Hz lies outside a band (low, high)."""
+def check_coverage(f: Floats, band: tuple[float, float]) -> None:
+    """Check that a directivity's band (low, high) covers frequencies (...), Hz.
+
+    Raises
+    ------
+    InputError
+        If it does not.
+    """
     low, high = band[0] * (1.0 - _SAME_FREQUENCY), band[1] * (1.0 + _SAME_FREQUENCY)
     beyond = f[(f < low) | (f > high)]
     if beyond.size:
         raise InputError(
             "directivity",
-            f"must be known at {beyond.ravel()[0]:.6g} Hz, but is known from {band[0]:.6g} to {band[1]:.6g} Hz; "
+            f"must cover {beyond.ravel()[0]:.6g} Hz, but covers {band[0]:.6g} to {band[1]:.6g} Hz; "
             'measure more of it or give outside="hold"',
         )
 

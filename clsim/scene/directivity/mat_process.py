@@ -17,13 +17,13 @@ def main(largest: int, variable: str, names: list[str]) -> int:
 
     _limit()
     try:
-        told = _read(io.BytesIO(sys.stdin.buffer.read()), largest, variable, names)
+        content = _read(io.BytesIO(sys.stdin.buffer.read()), largest, variable, names)
     except NotImplementedError:
         return VERSION_73
     except Exception as error:  # whatever a parser meets in a broken file
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 1
-    np.savez(sys.stdout.buffer, **told)
+    np.savez(sys.stdout.buffer, **content)
     return 0
 
 
@@ -39,10 +39,10 @@ def _read(file: Any, largest: int, variable: str, names: list[str]) -> dict[str,
     if sum(16 * float(np.prod(shape, dtype=float)) for name, shape, _ in there if name in wanted) > largest:
         raise ValueError(f"it holds more than {largest} bytes")
     found = {} if not wanted else loadmat(file, variable_names=wanted)
-    told = {"names": np.array([name for name, _, _ in there], dtype=str), "structs": np.array(structs, dtype=str)}
+    content = {"names": np.array([name for name, _, _ in there], dtype=str), "structs": np.array(structs, dtype=str)}
     if variable in structs:
         struct = np.asarray(found[variable])
-        told |= {"count": np.array(struct.size), "fields": np.array(struct.dtype.names or (), dtype=str)}
+        content |= {"count": np.array(struct.size), "fields": np.array(struct.dtype.names or (), dtype=str)}
         found = {name: struct.ravel()[0][name] for name in struct.dtype.names or () if struct.size == 1}
     arrays = {name: np.asarray(found[name]) for name in names if name in found}
     for name, array in arrays.items():
@@ -50,7 +50,7 @@ def _read(file: Any, largest: int, variable: str, names: list[str]) -> dict[str,
             raise ValueError(f"{name} holds no numbers")
     if sum(array.nbytes for array in arrays.values()) > largest:
         raise ValueError(f"it holds more than {largest} bytes")
-    return told | {f"array {name}": array for name, array in arrays.items()}
+    return content | {f"array {name}": array for name, array in arrays.items()}
 
 
 def _limit() -> None:

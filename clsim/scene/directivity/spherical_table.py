@@ -1,10 +1,10 @@
-"""A beam that was measured all round: values by direction and frequency."""
+"""A directivity that was measured all round: values by direction and frequency."""
 
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -12,15 +12,16 @@ from clsim.acoustics.acoustic_centre import fit_delay
 from clsim.arrays import Floats, as_floats, read_only
 from clsim.errors import InputError
 from clsim.numerics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere
+from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.directivity.gain_tables import (
     as_frequencies,
     as_gains,
-    check_known,
+    check_coverage,
     check_level,
     check_options,
     joined_over_frequency,
-    known_band,
     over_axis,
+    table_band,
 )
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ class _Joined(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SphericalDirectivity:
+class SphericalDirectivity(Directivity):
     """A gain by direction and by frequency.
 
     Parameters
@@ -78,7 +79,6 @@ class SphericalDirectivity:
     [1.0, 0.5, 0.5, 0.0, 0.5, 0.5]
     """
 
-    kind: ClassVar[str] = "spherical"
     directions: Floats
     frequencies: Floats
     values: NDArray[Any]
@@ -128,11 +128,11 @@ class SphericalDirectivity:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Frequencies (low, high) in Hz at which the gain is known."""
-        return known_band(self.frequencies, self.outside)
+        """Frequencies (low, high) in Hz that the table covers."""
+        return table_band(self.frequencies, self.outside)
 
     def gain_towards(self, direction: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain; see `SphericalDirectivity.gain_towards`.
+        """Return the gain; see `Directivity.gain_towards`.
 
         Raises
         ------
@@ -140,7 +140,7 @@ class SphericalDirectivity:
             If a frequency lies outside `band`.
         """
         f = np.asarray(frequency, dtype=np.float64)
-        check_known(f, self.band)
+        check_coverage(f, self.band)
         towards = np.asarray(direction, dtype=np.float64)
         shape = towards.shape[:-1]
         unique, column = np.unique(f, return_inverse=True)

@@ -114,16 +114,16 @@ def read_mat_arrays(
         raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
     stamp = (found.st_mtime_ns, found.st_size, found.st_ino)
     try:
-        told = _mat_variables(Path(path).absolute(), stamp, names, variable or "")
+        content = _mat_variables(Path(path).absolute(), stamp, names, variable or "")
     except NotImplementedError as error:
         raise InputError("path", f"must be a MATLAB file up to version 7.2; save it with -v7: {path}") from error
     except (OSError, ValueError) as error:
         raise InputError("path", f"must be a MATLAB file, but is not: {path} ({error})") from error
     if variable is not None:
-        _check_struct(told, variable, path)
-    there = told["names"] if variable is None else told["fields"]
-    arrays = {name: told.get(f"array {name}") for name in there.tolist()}
-    return _picked(arrays, names, path, [] if variable is not None else told["structs"].tolist())
+        _check_struct(content, variable, path)
+    there = content["names"] if variable is None else content["fields"]
+    arrays = {name: content.get(f"array {name}") for name in there.tolist()}
+    return _picked(arrays, names, path, [] if variable is not None else content["structs"].tolist())
 
 
 def as_table(arrays: tuple[Any, Any, Any], angle_unit: str) -> tuple[Any, Any, Any]:
@@ -169,15 +169,15 @@ def _mat_variables(path: Path, stamp: tuple[int, ...], names: tuple[str, ...], v
     return dict(np.load(io.BytesIO(done.stdout), allow_pickle=False))
 
 
-def _check_struct(told: Mapping[str, Any], variable: str, path: str | PathLike[str]) -> None:
+def _check_struct(content: Mapping[str, Any], variable: str, path: str | PathLike[str]) -> None:
     """Refuse a variable that a MATLAB file does not hold, or that is not one struct."""
-    there = sorted(told["names"].tolist())
+    there = sorted(content["names"].tolist())
     if variable not in there:
         raise InputError("variable", _must_be_one_of(there, variable, path))
-    if variable not in told["structs"]:
+    if variable not in content["structs"]:
         raise InputError("variable", f"must be a struct, but {variable!r} is an array; leave it out: {path}")
-    if told["count"] != 1:
-        raise InputError("variable", f"must be one struct, but {variable!r} is {int(told['count'])} of them: {path}")
+    if content["count"] != 1:
+        raise InputError("variable", f"must be one struct, but {variable!r} is {int(content['count'])} of them: {path}")
 
 
 def _must_be_one_of(there: list[str], name: str, path: str | PathLike[str]) -> str:

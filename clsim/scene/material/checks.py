@@ -1,4 +1,4 @@
-"""Checks of what is told or measured of walls."""
+"""Checks of reflection factors that are given or measured."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LONGEST = 2**17  # samples of an impulse response
 ROUNDING = 1e-9  # by which a magnitude may exceed 1, and within which frequencies are the same
 _UNCLEAR = 0.75 * math.pi  # rad, step of phase beyond which its direction is a guess
 _FAINT = 0.1  # of the largest magnitude, below which it does not matter
-_NOISE = 0.02  # error of a factor beyond which its noise is told
+_NOISE = 0.02  # error of a factor beyond which there is a warning of its noise
 
 
 def checked_frequencies(value: ArrayLike) -> Floats:

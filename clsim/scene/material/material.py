@@ -311,7 +311,7 @@ class Material(ReflectingSurface):
 
         Notes
         -----
-        The mismatch of impedances is told by `clsim.acoustics.reflection.mismatch_reflection`, the boundary layer by
+        The mismatch of impedances is that of `clsim.acoustics.reflection.mismatch_reflection`, the boundary layer by
         `clsim.acoustics.reflection.boundary_layer_admittance`. Bending and resonances of thin plates are left out.
 
         Examples

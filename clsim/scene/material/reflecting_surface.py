@@ -62,7 +62,7 @@ class ReflectingSurface:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Frequencies between which the material is known (or was extended by name), Hz."""
+        """Frequencies (low, high) in Hz that the material covers, or was extended to by name."""
         return self.model.band
 
     def describe(self) -> str:
@@ -121,7 +121,7 @@ class ReflectingSurface:
         Raises
         ------
         InputError
-            If a value is out of bounds, or the material is not known at a frequency.
+            If a value is out of bounds, or the material does not cover a frequency.
 
         Warns
         -----
@@ -142,7 +142,7 @@ class ReflectingSurface:
             shape = np.broadcast_shapes(f.shape, cos.shape)
         except ValueError as error:
             raise InputError("cosine", f"must broadcast with frequency, {f.shape}, but has {cos.shape}") from error
-        self.check_known(f)
+        self.check_coverage(f)
         f, cos = np.clip(f, *self.model.band), np.minimum(cos, 1.0)
         factor = self.model.factor(f, cos, c)
         if self.roughness:
@@ -150,8 +150,19 @@ class ReflectingSurface:
         factor = factor / np.maximum(np.abs(factor), 1.0)
         return np.array(np.broadcast_to(factor, shape))
 
-    def check_known(self, frequency: ArrayLike) -> None:
-        """Raise an InputError if the material is not known at frequencies in Hz, warn if it is held there."""
+    def check_coverage(self, frequency: ArrayLike) -> None:
+        """Check that the material covers frequencies (...) in Hz.
+
+        Raises
+        ------
+        InputError
+            If it does not.
+
+        Warns
+        -----
+        ClsimWarning
+            If it is held, or goes on, there by name.
+        """
         f = np.asarray(frequency, dtype=np.float64)
         low, high = self.model.band
         outside = (f < low * (1.0 - _ROUNDING)) | (f > high * (1.0 + _ROUNDING))
@@ -160,10 +171,10 @@ class ReflectingSurface:
         if not self.model.beyond:
             raise InputError(
                 "frequency",
-                f"must be from {low:.6g} to {high:.6g} Hz, where the material {self._called} is known, but is "
+                f"must be from {low:.6g} to {high:.6g} Hz, which the material {self._called} covers, but is "
                 f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it",
             )
-        text = f"the material {self._called} is known from {low:.6g} to {high:.6g} Hz; {self.model.beyond}"
+        text = f"the material {self._called} covers {low:.6g} to {high:.6g} Hz; {self.model.beyond}"
         warnings.warn(text, ClsimWarning, stacklevel=3)
 
     @property

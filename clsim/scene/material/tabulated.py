@@ -1,4 +1,4 @@
-"""Walls of which factors are told or measured: a number, tables by frequency, an impulse response."""
+"""Materials whose reflection factors are given or measured: a number, tables by frequency, an impulse response."""
 
 from __future__ import annotations
 

@@ -66,9 +66,9 @@ def as_increasing(times: Any) -> Floats:
     if np.abs(t).max() > 2.0 * LONGEST:  # seconds since 1970 pass
         i = int(np.argmax(np.abs(t)))
         raise InputError(f"times[{i}]", f"must be within {2.0 * LONGEST:g} s, but is {t[i]:g} s")
-    late = np.flatnonzero(np.diff(t) < SHORTEST)
-    if len(late):
-        i = int(late[0])
+    close = np.flatnonzero(np.diff(t) < SHORTEST)
+    if len(close):
+        i = int(close[0])
         raise InputError(
             "times",
             f"must increase strictly, but [{i + 1}] = {t[i + 1]:.12g} s follows [{i}] = {t[i]:.12g} s",

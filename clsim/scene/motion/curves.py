@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.interpolate import PPoly
 
-_SLICE = 65536  # cubics looked at at a time
+_SLICE = 65536  # cubics that are bounded at a time
 CONTINUATION = 0.05  # s, by which a trajectory goes on before its start and after its end
 
 
@@ -35,8 +35,8 @@ class Curve(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Still:
-    """A point at rest at `point` (3,) m."""
+class Static:
+    """A static point at `point` (3,) m."""
 
     point: Floats
 
@@ -159,14 +159,14 @@ class Piecewise:
         return np.asarray(np.max([np.linalg.norm(point, axis=1) for point in points], axis=0))
 
 
-def is_still(curve: Curve) -> bool:
-    """Return whether a curve is known to stay at one place, to the last bit."""
+def is_static(curve: Curve) -> bool:
+    """Return whether a curve surely stays at one place, to the last bit."""
     if isinstance(curve, Straight):
         return not np.any(curve.speed)
     if isinstance(curve, Piecewise):
         coefficients = curve.polynomial.c
         return not np.any(coefficients[:-1]) and not np.any(np.ptp(coefficients[-1], axis=0))
-    return isinstance(curve, Still)
+    return isinstance(curve, Static)
 
 
 def frame_about(axis: Floats) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""Evenly spaced instants, looked at only as closely as the motion asks for."""
+"""Evenly spaced instants, evaluated only as closely as the motion asks for."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
     Indices = NDArray[np.int64]
-    Look = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
+    Probe = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
 
-_TOGETHER = 8192  # ranges looked at at a time
+_BATCH = 8192  # ranges evaluated at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,29 +53,29 @@ class Instants:
         """Return how far ranges go to either side of an instant within, s."""
         return np.asarray(self.step * np.maximum(middle - first, last - middle))
 
-    def first(self, look: Look) -> int | None:
-        """Return the first instant of which `look` says that it is met, as looking at every single one would.
+    def first(self, probe: Probe) -> int | None:
+        """Return the first instant of which `probe` says that it is met, as evaluating every single one would.
 
         Parameters
         ----------
-        look : callable
+        probe : callable
             Takes the first, the middle and the last instants of ranges (n,), in the order of time. Returns the first
-            that is known to be met in each, or -1, and whether others of the range may be: then its halves before and
-            behind the middle are looked at as well.
+            that is surely met in each, or -1, and whether others of the range may be: then its halves before and
+            behind the middle are evaluated as well.
         """
         met, waiting = None, [np.array([[0, self.count - 1]])]
         while waiting:
             ranges = waiting.pop()
-            if len(ranges) > _TOGETHER:
-                waiting.append(ranges[_TOGETHER:])
-            ranges = ranges[:_TOGETHER]
+            if len(ranges) > _BATCH:
+                waiting.append(ranges[_BATCH:])
+            ranges = ranges[:_BATCH]
             first, last = ranges.T
             middle = (first + last) // 2
-            known, unsure = look(first, middle, last)
-            hits = np.flatnonzero(known >= 0)
+            hit, unsure = probe(first, middle, last)
+            hits = np.flatnonzero(hit >= 0)
             if len(hits):  # what is later does not matter any more
                 i, waiting = int(hits[0]), []
-                met = int(known[i])
+                met = int(hit[i])
                 first, middle, last, unsure = first[: i + 1], middle[: i + 1], last[: i + 1].copy(), unsure[: i + 1]
                 last[i] = met - 1
             halves = _halves(first[unsure], middle[unsure], last[unsure])

@@ -15,7 +15,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.scene.motion.curves import Piecewise, spline_through
 from clsim.scene.motion.smoothing import smooth_by_cross_validation, smooth_by_residual
 
-_BEACON = 40e3  # Hz, at which noise is told as Doppler
+_BEACON = 40e3  # Hz, at which noise is given as Doppler
 _SPEED_OF_SOUND = 343.0  # m/s, for that figure alone
 _ROUGH = 50.0  # m/s², acceleration that hands, robots and drones hardly reach
 # Speed noise of a cubic spline through white noise of unit deviation and unit step, rms over time: the square

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import Floats, as_number, read_only
-from clsim.scene.motion.curves import CONTINUATION, Curve, is_still
+from clsim.scene.motion.curves import CONTINUATION, Curve, is_static
 from clsim.scene.motion.instants import Instants
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Motion:
     @property
     def is_static(self) -> bool:
         """Whether it never moves; it may turn."""
-        return is_still(self.curve)
+        return is_static(self.curve)
 
     @property
     def turns(self) -> bool:
@@ -152,7 +152,7 @@ class Motion:
         Parameters
         ----------
         t : array_like
-            Times, s. Before the first and after the last known orientation, that one is held.
+            Times, s. Before the first and after the last orientation given, that one is held.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class Motion:
         instants = Instants(start, end, as_number("rate", rate, above=0.0, unit="Hz"))
         best = (float(np.linalg.norm(self.velocity(start))), start)
 
-        def look(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+        def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
             nonlocal best
             times = instants.times(middle)
             speed = np.linalg.norm(self.velocity(times), axis=1)
@@ -213,5 +213,5 @@ class Motion:
             bound = self.speed_over(instants.times(first), instants.times(last))
             return np.full(len(first), -1), bound > best[0] * (1.0 + _SAME)
 
-        instants.first(look)
+        instants.first(probe)
         return best

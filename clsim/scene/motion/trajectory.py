@@ -19,7 +19,7 @@ from clsim.scene.motion.checks import (
     as_places,
     as_span,
 )
-from clsim.scene.motion.curves import Circular, Still, Straight, frame_about, kinks, legs_through, spline_through
+from clsim.scene.motion.curves import Circular, Static, Straight, frame_about, kinks, legs_through, spline_through
 from clsim.scene.motion.motion import Motion
 from clsim.scene.motion.orientation import as_quaternions, quaternion_product, turning_between
 
@@ -74,7 +74,7 @@ class Trajectory(Motion):
         turning = None
         if orientation is not None:
             turning = turning_between(np.zeros(1), as_quaternions("orientation", orientation, (4,))[None])
-        return Trajectory(Still(as_places("position", position, (3,))), -math.inf, math.inf, turning)
+        return Trajectory(Static(as_places("position", position, (3,))), -math.inf, math.inf, turning)
 
     @staticmethod
     def line(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:

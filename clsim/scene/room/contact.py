@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.room.walls import Walls
 
-_STRETCH = 64  # positions looked at together
+_RANGE = 64  # positions taken together
 
 
 def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:
@@ -27,10 +27,10 @@ def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:
     positions : ndarray (n, 3)
         In the order of time, m; between them the motion is straight.
     """
-    starts = np.arange(0, len(positions), _STRETCH)
+    starts = np.arange(0, len(positions), _RANGE)
     low = np.minimum.reduceat(positions, starts)
     high = np.maximum.reduceat(positions, starts)
-    after = positions[np.minimum(starts + _STRETCH, len(positions) - 1)]
+    after = positions[np.minimum(starts + _RANGE, len(positions) - 1)]
     low, high = np.minimum(low, after), np.maximum(high, after)
     centre, radius = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1) + NEAREST
     for i, first in enumerate(starts):
@@ -39,7 +39,7 @@ def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:
         met = [
             (int(first) + at, int(w))
             for w in np.flatnonzero(near)
-            if (at := _contact(walls, int(w), positions[first : first + _STRETCH + 1])) is not None
+            if (at := _contact(walls, int(w), positions[first : first + _RANGE + 1])) is not None
         ]
         if met:
             return min(met)

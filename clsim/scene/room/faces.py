@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 NEAREST = 1e-6  # m; what is nearer to a wall is on it
 _UNIT = 1e-9  # by which the length of a normal may differ from 1
-_FINEST = 1e-8  # of the room's size: less could not be told from rounding where a wall blocks
+_FINEST = 1e-8  # of the room's size: less could not be distinguished from rounding where a wall blocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -300,7 +300,7 @@ class MeshRoom:
         return np.asarray(inside)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) have walls to all sides, as in a room whose walls are solids: six rays look."""
+        """Return which positions (n, 3) have walls to all sides, as in a room whose walls are solids: by six rays."""
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         return np.asarray(np.all([self._met(x, sign * ray) > 0 for ray in _RAYS for sign in (1.0, -1.0)], axis=0))
 
@@ -366,9 +366,9 @@ class MeshRoom:
         count, walls = np.zeros(len(x), dtype=int), self.walls
         for w in range(len(walls)):
             away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
-            ahead = np.flatnonzero(away > 0.0)
-            if len(ahead):
-                count[ahead] += walls.holds(w, x[ahead] + away[ahead, None] * ray)
+            forward = np.flatnonzero(away > 0.0)
+            if len(forward):
+                count[forward] += walls.holds(w, x[forward] + away[forward, None] * ray)
         return count
 
 

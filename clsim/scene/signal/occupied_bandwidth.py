@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.signal.signal import Signal
 
-CELLS = 64  # of a band, in which a signal's importance is told
+CELLS = 64  # of a band, by which a signal's importance is given
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -53,9 +53,9 @@ class Signal:
 
     @property
     def centre_frequency(self) -> float:
-        """Frequency at which air, walls and beams are taken, Hz: the carrier, the mean, or the centroid of energy."""
-        known = self.waveform.centre_frequency
-        return 0.25 * self.sampling_rate if known is None else known
+        """Frequency, Hz, that stands for the band: the carrier, the mean, or the centroid of energy."""
+        centre = self.waveform.centre_frequency
+        return 0.25 * self.sampling_rate if centre is None else centre
 
     def read(self, start: int, stop: int) -> Floats:
         """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut."""

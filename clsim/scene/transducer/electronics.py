@@ -30,7 +30,7 @@ class Electronics:
     ambient_noise_db : float, optional
         White noise in the air, dB re 20 µPa/√Hz; it passes through the transducer.
     snr_db, reference_level_db : float, optional
-        In place of it: the level, dB re 20 µPa, of the sound from which the ratio of signal to noise is told, and that
+        In place of it: the level, dB re 20 µPa, of the sound that the ratio of signal to noise refers to, and that
         ratio to all the noise from 0 Hz to half the sampling rate, dB.
     self_noise_db : float, optional
         White noise of the receiver, dB re 20 µPa/√Hz where the transducer is most sensitive; added to its voltage.
@@ -57,8 +57,8 @@ class Electronics:
 
     Notes
     -----
-    A ratio to the level of the recording itself would need the whole recording before its first sample is known;
-    recordings are made piece by piece in bounded memory, so the level is told beforehand: render once without noise
+    A ratio to the level of the recording itself would need the whole recording before its first sample;
+    recordings are made piece by piece in bounded memory, so the level is given beforehand: render once without noise
     to learn it. The converter rounds to whole steps of ``2 full_scale / 2^bits``, from ``-2^(bits-1)`` of them to
     ``2^(bits-1) - 1``.
 
@@ -143,7 +143,7 @@ class Electronics:
         return self.clock_ppm != 0.0 or self.clock_offset != 0.0
 
     def clock_error(self, times: Floats) -> Floats:
-        """Return how much later than told by the receiver's clock its samples are taken (n,), s."""
+        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken."""
         return 1e-6 * self.clock_ppm * times + self.clock_offset
 
     def check_rate(self, sampling_rate: float) -> None:

@@ -38,7 +38,7 @@ TRANSDUCER_NAMES = tuple(_NAMED_SENSITIVITY)
 class Transducer:
     """Frequency response on the axis: of a source in Pa at 1 m per V, of a receiver in V per Pa.
 
-    Made by one of the constructors below, or by `named_transducer`.
+    Made by one of the constructors below.
 
     Parameters
     ----------
@@ -98,14 +98,14 @@ class Transducer:
         return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
 
     def check_covers(self, band: tuple[float, float], what: str) -> None:
-        """Raise an InputError if the band (low, high) in Hz of `what` goes beyond what is known of the response."""
+        """Raise an InputError if the band (low, high) in Hz of `what` is not covered by the response."""
         low, high = self.model.band
         if band[0] < low or band[1] > high:
             extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
             raise InputError(
                 "transducer",
-                f"must be known over the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
-                f"but is known from {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}",
+                f"must cover the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
+                f"but covers {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}",
             )
 
     @classmethod
@@ -228,35 +228,35 @@ class Transducer:
         samples, rate = read_sound_file(path, channel)
         return cls.from_impulse_response(scale * samples.astype(np.float64), rate, name)
 
+    @classmethod
+    def named(cls, name: str) -> Transducer:
+        """Return the frequency response of a transducer by its name.
 
-def named_transducer(name: str) -> Transducer:
-    """Return the frequency response of a transducer by its name.
+        Parameters
+        ----------
+        name : {"MA40S4S", "MA40S4R"}
+            Murata's open 40 kHz transmitter (Pa at 1 m per V) and receiver (V per Pa). Nominal models, no measurements:
+            a resonance at 40 kHz, 2.4 kHz wide at -6 dB. MA40S4S makes 120 dB re 20 µPa at 0.3 m from 10 V rms, MA40S4R
+            has -63 dB re 10 V/Pa. Frequency, level and sensitivity are the catalogue's (Murata, "Ultrasonic Sensor
+            Application Manual", Cat. No. S15E), each within 3 dB; the width is a round typical value.
 
-    Parameters
-    ----------
-    name : {"MA40S4S", "MA40S4R"}
-        Murata's open 40 kHz transmitter (Pa at 1 m per V) and receiver (V per Pa). Nominal models, no measurements:
-        a resonance at 40 kHz, 2.4 kHz wide at -6 dB. MA40S4S makes 120 dB re 20 µPa at 0.3 m from 10 V rms, MA40S4R
-        has -63 dB re 10 V/Pa. Frequency, level and sensitivity are the catalogue's (Murata, "Ultrasonic Sensor
-        Application Manual", Cat. No. S15E), each within 3 dB; the width is a round typical value.
+        Returns
+        -------
+        Transducer
+            A resonance. Its directivity is another matter: see `Directivity.named`.
 
-    Returns
-    -------
-    Transducer
-        A resonance. Its beam is another matter: see `named_directivity`.
+        Raises
+        ------
+        InputError
+            If the name is unknown.
 
-    Raises
-    ------
-    InputError
-        If the name is unknown.
-
-    Examples
-    --------
-    >>> round(1e3 * named_transducer("MA40S4R").sensitivity, 2)  # mV/Pa
-    7.08
-    """
-    name = as_choice("name", name, TRANSDUCER_NAMES)
-    return Transducer.resonance(_RESONANCE, _WIDTH, _NAMED_SENSITIVITY[name], name)
+        Examples
+        --------
+        >>> round(1e3 * Transducer.named("MA40S4R").sensitivity, 2)  # mV/Pa
+        7.08
+        """
+        name = as_choice("name", name, TRANSDUCER_NAMES)
+        return cls.resonance(_RESONANCE, _WIDTH, _NAMED_SENSITIVITY[name], name)
 
 
 @lru_cache(maxsize=32)

@@ -22,7 +22,7 @@ walls = { reflection = 0.9 }
 name = "robot"
 signal = { kind = "tone", frequency = 10e3, duration = 0.5, sampling_rate = 48e3, fade = 0.005 }
 trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1.0 }
-directivity = { kind = "cardioid", weight = 0.5 }
+directivity = { kind = "first-order", weight = 0.5 }
 aim = [0, 1, 0]
 [[receivers]]
 name = "left/1"

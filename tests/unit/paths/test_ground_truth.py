@@ -2,7 +2,6 @@
 
 from dataclasses import fields
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from clsim.study.member import _add_ground_truth, _add_paths
 TIMES = np.array([0.0, 0.04, 0.1])
 OF_PATHS = ("source", "receiver", "order", "interactions", "objects", "direct")
 OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain", "departure", "arrival")
-OF_TRUTH = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
+OF_DIRECT_PATH = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +49,7 @@ def test_every_door_has_the_table_under_its_own_names(paths: clsim.PathSet, tabl
     assert read_table(tmp_path / "paths.npz").doppler_factor.shape == table.delay.shape
     xarray = pytest.importorskip("xarray")
     member = xarray.Dataset()
-    _add_paths(member, paths, TIMES, SimpleNamespace(render={"motion": "retarded", "amplitude": "wave-equation"}))
+    _add_paths(member, table)
     assert set(member.variables) == {"times", *(f"path_{name}" for name in OF_PATHS + OVER_TIME)}
     for name in OF_PATHS + OVER_TIME:
         np.testing.assert_array_equal(member[f"path_{name}"].values, getattr(table, name))
@@ -79,29 +78,29 @@ def test_parquet_has_the_names_of_the_table(table, tmp_path: Path) -> None:
     np.testing.assert_array_equal(rows["departure_y"].to_numpy(), table.departure[path, time, 1])
 
 
-def test_every_door_has_the_truth_under_its_own_names(paths: clsim.PathSet, table, tmp_path: Path) -> None:
-    truth = clsim.direct_path(paths, TIMES)
-    assert {f.name for f in fields(truth)} == {"times", *OF_TRUTH}
-    write_ground_truth(paths, TIMES, "retarded", tmp_path / "ground_truth.npz")
+def test_every_door_has_the_ground_truth_under_its_own_names(paths: clsim.PathSet, table, tmp_path: Path) -> None:
+    exact = clsim.direct_path(paths, TIMES)
+    assert {f.name for f in fields(exact)} == {"times", *OF_DIRECT_PATH}
+    write_ground_truth(exact, paths.scene, tmp_path / "ground_truth.npz")
     xarray = pytest.importorskip("xarray")
     member = xarray.Dataset()
-    _add_ground_truth(member, paths, TIMES, "retarded")
-    assert set(member.variables) == {"times", "source", *OF_TRUTH}
+    _add_ground_truth(member, exact, paths.scene)
+    assert set(member.variables) == {"times", "source", *OF_DIRECT_PATH}
     with np.load(tmp_path / "ground_truth.npz") as file:
-        assert set(file) == {"times", *OF_TRUTH, "source_names", "receiver_names"}
-        for name in ("times", *OF_TRUTH):
-            np.testing.assert_array_equal(file[name], getattr(truth, name))
-            np.testing.assert_array_equal(member[name], getattr(truth, name))
-    # The truth of the direct path is that of the table, where it is heard.
+        assert set(file) == {"times", *OF_DIRECT_PATH, "source_names", "receiver_names"}
+        for name in ("times", *OF_DIRECT_PATH):
+            np.testing.assert_array_equal(file[name], getattr(exact, name))
+            np.testing.assert_array_equal(member[name], getattr(exact, name))
+    # What is true of the direct path is that of the table, where it is heard.
     for row in np.flatnonzero(table.direct):
         heard, r = table.heard[row], table.receiver[row]
-        assert truth.line_of_sight[0, r][heard].all()
+        assert exact.line_of_sight[0, r][heard].all()
         for name in ("delay", "doppler_factor"):
-            np.testing.assert_array_equal(getattr(truth, name)[0, r][heard], getattr(table, name)[row][heard])
+            np.testing.assert_array_equal(getattr(exact, name)[0, r][heard], getattr(table, name)[row][heard])
     np.testing.assert_allclose(
-        truth.radial_speed, paths.scene.air.speed_of_sound * (1.0 - truth.doppler_factor), rtol=0, atol=1e-12
+        exact.radial_speed, paths.scene.air.speed_of_sound * (1.0 - exact.doppler_factor), rtol=0, atol=1e-12
     )
-    assert not truth.line_of_sight.all()
+    assert not exact.line_of_sight.all()
 
 
 def test_a_silent_path_is_not_counted_as_heard(paths: clsim.PathSet, table) -> None:

@@ -9,7 +9,8 @@ import pytest
 import clsim
 from clsim.cli import main
 from clsim.render.baseband import Baseband, as_baseband, blocks_of
-from clsim.scene_file.scene import completed_scene, load_scene
+from clsim.scene_file import load_scene
+from clsim.scene_file.scene import completed_scene
 
 RATE = 192e3
 TONE = clsim.Signal.tone(40e3, 0.05, RATE, fade=0.02)
@@ -70,7 +71,7 @@ def test_receivers_that_work_on_the_sound_are_refused() -> None:
     with pytest.raises(clsim.InputError, match=r"receivers\[0\].electronics: must be no more than a clock"):
         planned(scene(electronics=clsim.Electronics(gain_db=3.0)))
     with pytest.raises(clsim.InputError, match=r"receivers\[0\].transducer: must be left out in baseband"):
-        planned(scene(transducer=clsim.named_transducer("MA40S4R")))
+        planned(scene(transducer=clsim.Transducer.named("MA40S4R")))
     assert planned(scene(electronics=clsim.Electronics(clock_ppm=20.0))).samples > 0
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import clsim
 from clsim.scene.flush import find_mount
-from clsim.scene_file import build_scene, completed_scene
+from clsim.scene_file.scene import build_scene, completed_scene
 
 WALL = clsim.Material.from_reflection(0.9)
 BOX = clsim.Shoebox((8.0, 6.0, 3.0), WALL)

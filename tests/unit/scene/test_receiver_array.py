@@ -22,7 +22,7 @@ trajectory = { kind = "line", start = [2.0, 3.0, 1.5], end = [3.0, 3.0, 1.5], du
 [[receivers]]
 name = "ceiling"
 positions = { kind = "grid", x = [0.5, 7.5, 5], y = [0.5, 5.5, 4], z = 2.9 }
-directivity = { kind = "cardioid" }
+directivity = { kind = "first-order" }
 aim = [0.0, 0.0, -1.0]
 [[receivers]]
 name = "table"

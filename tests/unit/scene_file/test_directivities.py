@@ -11,7 +11,8 @@ import scipy.io
 import clsim
 from clsim.cli import main
 from clsim.output.directivity_plots import DirectivityDiagram, directivity_levels
-from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
+from clsim.scene_file import load_scene
+from clsim.scene_file.scene import build_scene, completed_scene, scene_schema
 
 SCENE = """
 format = 1
@@ -149,7 +150,7 @@ def test_the_schema_names_the_kinds() -> None:
 
 def test_levels_of_a_picture() -> None:
     angles = np.radians([0.0, 40.0, -40.0, 90.0])
-    beam = DirectivityDiagram("", clsim.named_directivity("MA40S4S"), np.array([40e3, 80e3]), 343.0)
+    beam = DirectivityDiagram("", clsim.Directivity.named("MA40S4S"), np.array([40e3, 80e3]), 343.0)
     expected = 20 * np.log10(np.abs(beam.directivity.gain(np.cos(angles)[:, None], beam.frequencies, 343.0)))
     np.testing.assert_allclose(directivity_levels(beam, angles), np.maximum(expected, -40.0), atol=1e-9)
     silent = DirectivityDiagram("", clsim.FirstOrder(), np.array([1e3]), 343.0)

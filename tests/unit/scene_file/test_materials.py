@@ -10,7 +10,8 @@ import tomli_w
 
 import clsim
 from clsim.cli import main
-from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
+from clsim.scene_file import load_scene
+from clsim.scene_file.scene import build_scene, completed_scene, scene_schema
 
 COMPLEX = {"frequencies": [30e3, 50e3], "factors": [[0.5, 0.1], 0.4]}
 IMPEDANCE = {"frequencies": [30e3, 50e3], "impedances": [[3.0, -1.0], 2.0]}
@@ -168,7 +169,7 @@ def test_a_material_beyond_its_table_is_told_once(command, folder, capsys, devic
     told = [line for line in capsys.readouterr().err.splitlines() if "the material" in line]
     assert len(told) == 2
     for line, name in zip(sorted(told), ("brick", "carpet"), strict=True):
-        assert line.startswith(f"clsim: warning: the material '{name}' is known from 125 to 4000 Hz; outside, the")
+        assert line.startswith(f"clsim: warning: the material '{name}' covers 125 to 4000 Hz; outside, the")
         assert f"'estimated-{name}', an estimate" in line
 
 
@@ -178,6 +179,6 @@ def test_a_table_that_does_not_reach_is_an_error_in_a_line(folder, capsys, devic
     assert main(["check", str(file)]) == 2
     printed = capsys.readouterr()
     assert printed.err.endswith(
-        "\nclsim: error: room: frequency must be from 1000 to 2000 Hz, where the material (table of factors) is known, "
+        "\nclsim: error: room: frequency must be from 1000 to 2000 Hz, which the material (table of factors) covers, "
         "but is 45093.8 Hz; extend it by name (outside=) or give more of it\n"
     )

@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import clsim
-from clsim.scene_file import build_scene, completed_scene, load_scene, scene_schema
+from clsim.scene_file import load_scene
+from clsim.scene_file.scene import build_scene, completed_scene, scene_schema
 
 EXAMPLE = """
 format = 1
@@ -38,7 +39,7 @@ directivity = { kind = "named", name = "MA40S4S" }
 [[receivers]]
 name = "ceiling"
 trajectory = { kind = "fixed", position = [1.0, 1.0, 2.9] }
-directivity = { kind = "cardioid", weight = 0.5 }
+directivity = { kind = "first-order", weight = 0.5 }
 transducer = { kind = "table", frequencies = [10e3, 40e3, 90e3], magnitudes = [0.001, 0.002, 0.001], outside = "zero" }
 electronics = { ambient_noise_db = 10.0, self_noise_db = 5.0, seed = 3, low_cut = 20e3, high_cut = 80e3, order = 4, gain_db = 40.0, adc_bits = 12, adc_full_scale = 1.0, clock_ppm = 50.0, clock_offset = 0.001 }
 [paths]

@@ -14,7 +14,8 @@ import pytest
 from clsim.errors import InputError
 from clsim.study import dispatch as dispatch_module
 from clsim.study.dispatch import Dispatch, WorkersLostError
-from clsim.study.run import _no_progress, _run
+from clsim.study.run import _run
+from clsim.workflow.console import no_progress
 
 
 class MadeTeam:
@@ -174,7 +175,7 @@ def run_with(monkeypatch: pytest.MonkeyPatch, teams: Iterator[MadeTeam | None], 
     rows: list[int] = []
     index = SimpleNamespace(add=lambda row: rows.append(row["member"]), found=lambda number: None)
     workers = None if scheduler else 1
-    _run(None, Dispatch([0, 1, 2], patience=0.0), index, Path(), workers, scheduler, _no_progress)
+    _run(None, Dispatch([0, 1, 2], patience=0.0), index, Path(), workers, scheduler, no_progress)
     return rows
 
 

@@ -7,7 +7,7 @@ import clsim
 from clsim import SphericalDirectivity
 from clsim.numerics.quaternions import rotate
 from clsim.numerics.sphere import GridOnSphere, largest_hole, merged
-from clsim.scene.directivity.patterns import AxialPattern, DirectionalPattern
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
 
 SPEED = 343.0
 PLACES = np.array([[0.012, 0.004, -0.003], [-0.004, 0.006, 0.009]])  # m, of two unequal sources
@@ -152,8 +152,8 @@ def test_frequencies_and_shapes() -> None:
     f = np.array([10e3, 20e3])
     table = SphericalDirectivity(SETS["few"], f, pattern(SETS["few"], f))
     assert table.band == (10e3, 20e3)
-    assert isinstance(table, DirectionalPattern)
-    assert not isinstance(table, AxialPattern)
+    assert isinstance(table, Directivity)
+    assert not isinstance(table, AxisymmetricDirectivity)
     assert table.gain_towards([1, 0, 0], 15e3, SPEED).shape == ()
     assert table.gain_towards(np.ones((4, 5, 1, 3)), f, SPEED).shape == (4, 5, 2)
     assert table.gain_towards([1, 0, 0], np.full((2, 3), 15e3), SPEED).shape == (2, 3)

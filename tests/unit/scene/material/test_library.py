@@ -39,7 +39,7 @@ def test_tables_are_met_at_their_own_frequencies_and_held_above_by_name(name):
     np.testing.assert_allclose(material.reflection_at(OCTAVES), np.sqrt(1.0 - coefficients), rtol=1e-13)
     assert material.band == (125.0, 4000.0)
     with pytest.warns(
-        ClsimWarning, match=f"'{name}' is known from 125 to 4000 Hz; outside, .* nearest end .*ultrasound"
+        ClsimWarning, match=f"'{name}' covers 125 to 4000 Hz; outside, .* nearest end .*ultrasound"
     ) as told:
         assert material.reflection_at(40e3) == pytest.approx(np.sqrt(1.0 - coefficients[-1]), rel=1e-14)
     instead = re.search(r"there is '([^']*)', an estimate", str(told[0].message))

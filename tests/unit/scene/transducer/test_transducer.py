@@ -7,7 +7,7 @@ import pytest
 import soundfile
 
 import clsim
-from clsim import InputError, Signal, Transducer, named_transducer
+from clsim import InputError, Signal, Transducer
 from clsim.numerics.resonator import minimum_phase, resonance_response
 
 RATE = 192e3
@@ -82,7 +82,7 @@ def test_complex_table_gives_back_the_impulse_response(rng: np.random.Generator)
 
 def test_outside_of_a_table_is_refused_or_extended_by_name() -> None:
     table = [36e3, 40e3, 44e3], [0.2, 0.6, 0.2]
-    with pytest.raises(InputError, match="transducer: must be known over the band of the signal"):
+    with pytest.raises(InputError, match="transducer: must cover the band of the signal"):
         Transducer.from_table(*table).drive(BURST)
     zero, hold = (Transducer.from_table(*table, outside=name) for name in ("zero", "hold"))
     np.testing.assert_allclose(np.abs(zero.response([36e3, 40e3, 44e3], RATE)), [0.2, 0.6, 0.2], rtol=0.01)
@@ -113,7 +113,7 @@ def test_impulse_response_at_another_rate_is_the_same_response(rate: float) -> N
 
 
 def test_driven_signal_is_a_convolution_however_it_is_cut(rng: np.random.Generator) -> None:
-    made = named_transducer("MA40S4S")
+    made = Transducer.named("MA40S4S")
     voltage = Signal.noise(0.2, RATE, seed=2)
     emitted = made.drive(voltage)
     taps = made.impulse_response(RATE)
@@ -128,7 +128,7 @@ def test_driven_signal_is_a_convolution_however_it_is_cut(rng: np.random.Generat
 
 def test_emitted_signal_has_its_own_band_and_centre() -> None:
     noise = Signal.noise(0.1, RATE, seed=1)
-    source = clsim.Source("s", noise, clsim.Trajectory.fixed((1, 1, 1)), transducer=named_transducer("MA40S4S"))
+    source = clsim.Source("s", noise, clsim.Trajectory.fixed((1, 1, 1)), transducer=Transducer.named("MA40S4S"))
     assert source.signal.centre_frequency == RATE / 4
     assert source.emitted.centre_frequency == pytest.approx(40e3, abs=1500)
     low, high = source.emitted.band()
@@ -138,13 +138,13 @@ def test_emitted_signal_has_its_own_band_and_centre() -> None:
     assert again.duration == pytest.approx(source.emitted.duration, abs=1e-3)
 
 
-def test_named_transducers_are_the_catalogues() -> None:
+def test_transducers_with_a_name_are_the_catalogues() -> None:
     # 120 dB re 20 µPa are 20 Pa rms at 0.3 m from 10 V rms; the air between 0.3 and 1 m takes 0.92 dB.
     loss = 10 ** (-0.7 * float(clsim.Air().absorption_at(40e3)) / 20)
-    assert named_transducer("MA40S4S").sensitivity == pytest.approx(2.0 * 0.3 * loss, rel=1e-12)
-    assert named_transducer("MA40S4R").sensitivity == pytest.approx(7.0795e-3, rel=1e-4)
+    assert Transducer.named("MA40S4S").sensitivity == pytest.approx(2.0 * 0.3 * loss, rel=1e-12)
+    assert Transducer.named("MA40S4R").sensitivity == pytest.approx(7.0795e-3, rel=1e-4)
     with pytest.raises(InputError, match="MA40S4S"):
-        named_transducer("MA40")
+        Transducer.named("MA40")
 
 
 TABLE = Transducer.from_table
@@ -162,7 +162,7 @@ BAD = {
     "samples[0]": lambda: Transducer.from_impulse_response([np.nan], RATE),
     "path": lambda: Transducer.from_wav("missing.wav"),
     "model": lambda: Transducer("MA40S4S"),  # type: ignore[arg-type]
-    "signal": lambda: named_transducer("MA40S4S").drive(np.ones(3)),  # type: ignore[arg-type]
+    "signal": lambda: Transducer.named("MA40S4S").drive(np.ones(3)),  # type: ignore[arg-type]
     "transducer": lambda: clsim.Receiver("r", clsim.Trajectory.fixed((1, 1, 1)), transducer="MA40S4R"),  # type: ignore[arg-type]
 }
 
@@ -177,5 +177,5 @@ def test_bad_input_names_the_field(field: str) -> None:
 def test_a_receivers_table_must_cover_what_is_emitted() -> None:
     source = clsim.Source("s", Signal.tone(40e3, 0.1, RATE, fade=0.01), clsim.Trajectory.fixed((1, 1, 1)))
     ear = clsim.Receiver("r", clsim.Trajectory.fixed((2, 1, 1)), transducer=TABLE([10e3, 30e3], [1.0, 1.0]))
-    with pytest.raises(InputError, match=r"receivers\[0\]\.transducer: must be known over the band of what 's' emits"):
+    with pytest.raises(InputError, match=r"receivers\[0\]\.transducer: must cover the band of what 's' emits"):
         clsim.Scene(clsim.Shoebox((4, 3, 2), clsim.Material.from_reflection(0.5)), clsim.Air(), [source], [ear])

@@ -1,14 +1,14 @@
-// The gains of one path at one node: its response (spreading, air, walls, Mach factor, beams) at NODES frequencies, in
+// The gains of one path at one node: its response (spreading, air, walls, Mach factor, beams) at FREQUENCIES frequencies, in
 // PARTS parts (real; imaginary too where a wall or a beam has a phase), projected on FUNCTIONS functions of frequency.
 
-#if NODES == 1
+#if FREQUENCIES == 1
 typedef float band;  // neighbouring frequencies side by side
 #define BANDS 1
 #define AS_BAND as_float
 #define AS_WHOLE as_int
 #else
 typedef float8 band;
-#define BANDS (NODES / 8)
+#define BANDS (FREQUENCIES / 8)
 #define AS_BAND as_float8
 #define AS_WHOLE as_int8
 #endif
@@ -23,13 +23,9 @@ typedef float8 chunk;
 static float sum_of(chunk x) { return ((x.s0 + x.s1) + (x.s2 + x.s3)) + ((x.s4 + x.s5) + (x.s6 + x.s7)); }
 #endif
 
-#define NONE 0
-#define AXIAL 1      // gain by the angle to an axis
-#define SPHERICAL 2  // gain by direction
-
 typedef struct {
     __global const band* nepers;         // [BANDS], of the amplitude, 1/m
-    __global const chunk* projection;    // [PARTS][NODES][CHUNKS]
+    __global const chunk* projection;    // [PARTS][FREQUENCIES][CHUNKS]
     __global const band* functions;      // [FUNCTIONS][PARTS][BANDS], weighted
     __global const band* weight;         // [BANDS]
     __global const chunk* sizes;         // [CHUNKS], most that each adds to a path
@@ -37,8 +33,8 @@ typedef struct {
     __global const band* walls;          // those that are not: [materials][CELLS][4][PARTS][BANDS]
     __global const int* wall_of;         // [ANGULAR][slots], -1 for none
     __global const float* normal;        // [ANGULAR][3][slots], unfolded
-    __global const band* source_beam;    // AXIAL: [CELLS][4][PARTS][BANDS]; SPHERICAL: [6][SIDE][SIDE][PARTS][BANDS]
-    __global const band* receiver_beam;  // likewise
+    __global const band* source_directivity;    // AXIAL: [CELLS][4][PARTS][BANDS]; SPHERICAL: [6][SIDE][SIDE][PARTS][BANDS]
+    __global const band* receiver_directivity;  // likewise
 } surroundings;
 
 typedef struct {
@@ -48,9 +44,9 @@ typedef struct {
 // exp(x) for -80 < x < 80 within 2e-7: 2^whole times a polynomial of the rest (Taylor, degree 7).
 static band exponential(band x)
 {
-    const band y = x * 1.44269504f, shifted = y + 12582912.0f;
-    const band f = (y - (shifted - 12582912.0f)) * 0.693147181f;
-    const band power = AS_BAND((AS_WHOLE(shifted) - 0x4B400000 + 127) << 23);
+    const band y = x * 1.44269504f, shifted = y + ROUNDING;
+    const band f = (y - (shifted - ROUNDING)) * 0.693147181f;
+    const band power = AS_BAND((AS_WHOLE(shifted) - ROUNDING_BITS + 127) << 23);
     return power * (1.0f + f * (1.0f + f * (0.5f + f * (0.166666667f + f * (0.0416666667f + f * (8.33333333e-3f +
                     f * (1.38888889e-3f + f * 1.98412698e-4f)))))));
 }
@@ -127,7 +123,7 @@ static void apply_sphere(__global const band* points, float x, float y, float z,
 // Sum of eight squares, or of one.
 static float total(band x)
 {
-#if NODES == 1
+#if FREQUENCIES == 1
     return x;
 #else
     return ((x.s0 + x.s1) + (x.s2 + x.s3)) + ((x.s4 + x.s5) + (x.s6 + x.s7));
@@ -139,13 +135,13 @@ static void project(const response* r, __global const chunk* projection, chunk* 
 {
     const float* at = (const float*)r;
     for (int k = 0; k < CHUNKS; k++) {
-#if NODES == 1
+#if FREQUENCIES == 1
         gain[k] = 0.0f;
         for (int m = 0; m < PARTS; m++) gain[k] += projection[m * CHUNKS + k] * at[m];
 #else
         chunk sum[4] = {0.0f, 0.0f, 0.0f, 0.0f};
 #pragma unroll
-        for (int m = 0; m < PARTS * NODES; m++) sum[m % 4] += projection[m * CHUNKS + k] * at[m];
+        for (int m = 0; m < PARTS * FREQUENCIES; m++) sum[m % 4] += projection[m * CHUNKS + k] * at[m];
         gain[k] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
 #endif
     }
@@ -181,18 +177,18 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
         // Over the root of the cosine: hard walls change within 0.1 degree of grazing.
         apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BANDS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
     }
-#if SOURCE_BEAM == AXIAL
+#if SOURCE_DIRECTIVITY == AXIAL
     const double cosine = inner(cubic(a->knot + 12, a->u), a->departure);
-    apply_cubics(s->source_beam, 0.5f * (float)(1.0 + cosine), &r);
-#elif SOURCE_BEAM == SPHERICAL
+    apply_cubics(s->source_directivity, 0.5f * (float)(1.0 + cosine), &r);
+#elif SOURCE_DIRECTIVITY == SPHERICAL
     const triple x = cubic(a->knot + 12, a->u), y = cubic(a->knot + 24, a->u), z = cross_product(x, y);
-    apply_sphere(s->source_beam, (float)inner(x, a->departure), (float)inner(y, a->departure),
+    apply_sphere(s->source_directivity, (float)inner(x, a->departure), (float)inner(y, a->departure),
                  (float)inner(z, a->departure), &r);
 #endif
-#if RECEIVER_BEAM == AXIAL
-    apply_cubics(s->receiver_beam, 0.5f * (float)(1.0 - inner(receiver_frame[0], a->departure)), &r);
-#elif RECEIVER_BEAM == SPHERICAL
-    apply_sphere(s->receiver_beam, -(float)inner(receiver_frame[0], a->departure),
+#if RECEIVER_DIRECTIVITY == AXIAL
+    apply_cubics(s->receiver_directivity, 0.5f * (float)(1.0 - inner(receiver_frame[0], a->departure)), &r);
+#elif RECEIVER_DIRECTIVITY == SPHERICAL
+    apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->departure),
                  -(float)inner(receiver_frame[1], a->departure), -(float)inner(receiver_frame[2], a->departure), &r);
 #endif
     project(&r, s->projection, gain);
@@ -210,6 +206,6 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
         whole += heard[b] * heard[b];
         left += rest[b] * rest[b];
     }
-    *unheld = total(left) / NODES;
-    return total(whole) / NODES;
+    *unheld = total(left) / FREQUENCIES;
+    return total(whole) / FREQUENCIES;
 }

@@ -3,8 +3,8 @@
 #define NEVER 0x7fffffff
 
 typedef struct {
-    __global const int* next;      // [cells], the next cell that sounds, or `cells`; itself if it does
-    __global const int* previous;  // [cells], the one before, or -1
+    __global const int* following;  // [cells], the next cell that sounds, or `cells`; itself if it does
+    __global const int* preceding;  // [cells], the one before, or -1
     int cells;
     double origin;                 // sample of the branches at the run's first sample, without delay
 } sound;
@@ -19,25 +19,25 @@ static int cell_at(const sound* s, double sample)
 static int sounds(const sound* s, int block, double shortest, double longest)
 {
     const double start = s->origin + (double)block * BLOCK;
-    return s->next[cell_at(s, start - longest)] <= cell_at(s, start + BLOCK - shortest);
+    return s->following[cell_at(s, start - longest)] <= cell_at(s, start + BLOCK - shortest);
 }
 
 // First block, from a given one on, in which anything may be heard, for delays between two bounds, samples.
 static int next_heard(const sound* s, int block, double shortest, double longest)
 {
     const double start = s->origin + (double)block * BLOCK;
-    const int cell = s->next[cell_at(s, start - longest)];
+    const int cell = s->following[cell_at(s, start - longest)];
     const double begin = (double)cell * CELL - start + shortest;
     return cell == s->cells ? NEVER : begin > 0.0 ? block + (int)(begin * (1.0 / BLOCK)) : block;
 }
 
-// First group of a block in which something is heard, and the one after the last shifted by 16 bits; 0 for none.
-static int heard_groups(const sound* s, int block, double shortest, double longest)
+// First subblock of a block in which something is heard, and the one after the last shifted by 16 bits; 0 for none.
+static int heard_subblocks(const sound* s, int block, double shortest, double longest)
 {
     const double start = s->origin + (double)block * BLOCK;
-    const double begin = (double)s->next[cell_at(s, start - longest)] * CELL - start + shortest;
-    const double end = (double)(s->previous[cell_at(s, start + BLOCK - shortest)] + 1) * CELL - start + longest;
-    const int first = begin > 0.0 ? (int)(begin / GROUP) : 0;
-    const int last = end < (double)BLOCK ? (int)(end / GROUP) + 1 : BLOCK / GROUP;
+    const double begin = (double)s->following[cell_at(s, start - longest)] * CELL - start + shortest;
+    const double end = (double)(s->preceding[cell_at(s, start + BLOCK - shortest)] + 1) * CELL - start + longest;
+    const int first = begin > 0.0 ? (int)(begin / SUBBLOCK) : 0;
+    const int last = end < (double)BLOCK ? (int)(end / SUBBLOCK) + 1 : BLOCK / SUBBLOCK;
     return first < last && end > 0.0 ? first | last << 16 : 0;
 }

@@ -1,28 +1,28 @@
 // Adds the envelopes of paths that begin or end within a block, sample by sample, with a weight that rises and falls.
 // Work-item: dimension 0 counts the samples of a block, dimension 1 the places: a receiver and one of its blocks each.
 
-__kernel void baseband_edges(
-    __global const float* branches, int stride, __constant int* first_row, int lead, __global const int* delay,
-    __global const float* nodes, int slots, int block_samples, int first_block,  // as in baseband.cl
-    float per_ramp,                  // 1 / samples of a transition; 0 for a gate
-    __global const int* slot_of, __global const float* start, __global const float* end,  // [edges]
-    __global const int* first,       // [places + 1]
+__kernel void baseband_fades(
+    __global const float* branches, int stride, int lead, __constant int* first_row,  // as in baseband.cl
+    __global const int* delay, __global const float* polynomials, __global const int* activity, int slots, int first_block,
+    __global const int* slot_of, __global const float* start, __global const float* end,  // [fades], as in fades.cl
+    __global const int* first,                           // [places + 1]
     __global const int* row, __global const int* block,  // [places]
-    __global float* envelope, int envelope_stride, int first_sample, ulong turn_per_sample, float half_turns_per_sample,
-    int samples,                     // in the run
-    int sparse, __global const int* spans)
+    float per_ramp, int block_samples, int samples,
+    __global float* envelope, int envelope_stride, int first_sample, ulong turn_per_sample, float half_turns_per_sample)
 {
     const int n = get_global_id(0), place = get_global_id(1), at = block[place] * block_samples + n;
     if (at >= samples) return;
     const float t = (float)(2 * n) / (float)block_samples - 1.0f;
     float real_sum = 0.0f, imaginary_sum = 0.0f;
-    for (int e = first[place]; e < first[place + 1]; e++) {
-        const int slot = slot_of[e];
+    for (int fade = first[place]; fade < first[place + 1]; fade++) {
+        const int slot = slot_of[fade];
         const int node = first_block + block[place];
-        if (sparse && spans[node * (long)slots + slot] == 0) continue;
-        __global const float* c = nodes + place_of(node, slot, FUNCTIONS, slots);
-        float both = weight((float)n - start[e], per_ramp);
-        both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[e], 0.0f) : weight(end[e] - (float)n, per_ramp);
+#if SPARSE
+        if (activity[node * (long)slots + slot] == 0) continue;
+#endif
+        __global const float* c = polynomials + place_of(node, slot, FUNCTIONS, slots);
+        float both = weight((float)n - start[fade], per_ramp);
+        both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[fade], 0.0f) : weight(end[fade] - (float)n, per_ramp);
         if (both == 0.0f) continue;
         float late = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
         for (int i = DELAY_TERMS - 1; i >= 0; i--) late = late * t + c[i];

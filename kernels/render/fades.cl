@@ -1,36 +1,36 @@
 // Adds the paths that begin or end within a block, sample by sample, with a weight that rises and falls. Work-item:
 // dimension 0 counts the samples of a block, dimension 1 the places: a receiver and one of its blocks each.
 
-__kernel void edges(__global const float* branches,  // [rows][stride]
+__kernel void fades(__global const float* branches,  // [rows][stride]
                     int stride,
-                    int functions, __global const int* first_row,  // [functions + 1], of their branches
                     int lead,                        // sample of `branches` emitted at the run's first sample
-                    __global const int* delay, __global const float* nodes, int slots,  // as in render.cl
-                    int block_samples,
-                    int first_block,                 // of `delay` and `nodes`, at the run's first sample
-                    float per_ramp,                  // 1 / samples of a transition; 0 for a gate
-                    __global const int* slot_of, __global const float* start, __global const float* end,  // [edges]
+                    int functions, __global const int* first_row,  // [functions + 1], of their branches
+                    __global const int* delay, __global const float* polynomials, __global const int* activity,
+                    int slots,                       // as in render.cl
+                    int first_block,                 // of `delay` and `polynomials`, at the run's first sample
+                    __global const int* slot_of, __global const float* start, __global const float* end,  // [fades]
                     __global const int* first,       // [places + 1]
                     __global const int* row, __global const int* block,  // [places]
-                    __global float* pressure, int pressure_stride,
-                    int first_sample,                // of `pressure`, at the run's first sample
+                    float per_ramp,                  // 1 / samples of a transition; 0 for a gate
+                    int block_samples,
                     int samples,                     // in the run
-                    __global const int* spans)       // as in render.cl
+                    __global float* pressure, int pressure_stride,
+                    int first_sample)                // of `pressure`, at the run's first sample
 {
     const int n = get_global_id(0), place = get_global_id(1), at = block[place] * block_samples + n;
     if (at >= samples) return;
     const int apart = APART(slots), power = functions * apart;
     const float t = (float)(2 * n) / (float)block_samples - 1.0f;
     float sum = 0.0f;
-    for (int e = first[place]; e < first[place + 1]; e++) {
-        const int slot = slot_of[e];
+    for (int fade = first[place]; fade < first[place + 1]; fade++) {
+        const int slot = slot_of[fade];
         const int node = first_block + block[place];
 #if SPARSE
-        if (spans[node * (long)slots + slot] == 0) continue;
+        if (activity[node * (long)slots + slot] == 0) continue;
 #endif
-        __global const float* c = nodes + place_of(node, slot, functions, slots);
-        float both = weight((float)n - start[e], per_ramp);
-        both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[e], 0.0f) : weight(end[e] - (float)n, per_ramp);
+        __global const float* c = polynomials + place_of(node, slot, functions, slots);
+        float both = weight((float)n - start[fade], per_ramp);
+        both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[fade], 0.0f) : weight(end[fade] - (float)n, per_ramp);
         if (both == 0.0f) continue;
         const float late = CUBIC(c[0], c[apart], c[2 * apart], c[3 * apart], t);
         const float rest = floor(late + 0.5f), mu = late - rest;

@@ -1,5 +1,5 @@
-// A group is GROUP = WORKERS * VECTORS * LANES neighbouring samples that share the whole part of a path's delay.
-// A batch is BATCH paths whose polynomials are expanded at a group's centre before any of them is summed: neighbours
+// A subblock is SUBBLOCK = WORKERS * VECTORS * LANES neighbouring samples that share the whole part of a path's delay.
+// A batch is BATCH paths whose polynomials are expanded at a subblock's centre before any of them is summed: neighbours
 // side by side; where signals pause a single one, the terms of its functions side by side. About the centre a delay goes
 // on with two more terms and a gain with one; where blocks are short because motion is near (FINE), with their cubics.
 
@@ -12,17 +12,16 @@
 #endif
 
 #if SPARSE
-#define BATCH 1
 #define EXPANDED __private
 #else
 #define EXPANDED SHARED
 #endif
 
-#define GROUP (WORKERS * VECTORS * LANES)
+#define SUBBLOCK (WORKERS * VECTORS * LANES)
 
 typedef struct {
     int whole[BATCH];               // whole delay, samples
-    float fraction[BATCH];          // rest of the delay at the group's centre, samples
+    float fraction[BATCH];          // rest of the delay at the subblock's centre, samples
     float rate[BATCH];              // its change per sample
     float curve[BATCH];             // its change per sample squared
     float gain[FUNCTIONS][BATCH];
@@ -35,20 +34,20 @@ typedef struct {
 } batch;
 
 #if SPARSE
-// List the paths of a tile that are heard in each of some groups. Every worker has groups of its own.
-static void find_heard(__global const int* spans, int slots, int tile, int tile_end, int first_block, int block_groups,
-                       int first_group, int last_group, int worker, SHARED uchar heard[SPAN][TILE], SHARED int* count)
+// List the paths of a tile that are heard in each of some subblocks. Every worker has subblocks of its own.
+static void find_heard(__global const int* activity, int slots, int tile, int tile_end, int first_block, int block_subblocks,
+                       int first_subblock, int last_subblock, int worker, SHARED uchar heard[SUBBLOCKS][TILE], SHARED int* count)
 {
-    for (int g = first_group + worker; g < last_group; g += WORKERS) count[g - first_group] = 0;
-    for (int block = first_group / block_groups; block * block_groups < last_group; block++) {
-        __global const int* row = spans + (long)(first_block + block) * slots;
+    for (int g = first_subblock + worker; g < last_subblock; g += WORKERS) count[g - first_subblock] = 0;
+    for (int block = first_subblock / block_subblocks; block * block_subblocks < last_subblock; block++) {
+        __global const int* row = activity + (long)(first_block + block) * slots;
         for (int slot = tile; slot < tile_end; slot++) {
-            const int span = row[slot];
-            if (!span) continue;
-            const int begin = block * block_groups + (span & 0xffff), end = block * block_groups + (span >> 16);
-            const int from = begin > first_group ? begin : first_group, until = end < last_group ? end : last_group;
-            for (int g = from + ((first_group + worker - from) & (WORKERS - 1)); g < until; g += WORKERS) {
-                heard[g - first_group][count[g - first_group]++] = slot - tile;
+            const int active = row[slot];
+            if (!active) continue;
+            const int begin = block * block_subblocks + (active & 0xffff), end = block * block_subblocks + (active >> 16);
+            const int from = begin > first_subblock ? begin : first_subblock, until = end < last_subblock ? end : last_subblock;
+            for (int g = from + ((first_subblock + worker - from) & (WORKERS - 1)); g < until; g += WORKERS) {
+                heard[g - first_subblock][count[g - first_subblock]++] = slot - tile;
             }
         }
     }
@@ -61,7 +60,7 @@ typedef float8 chunk;
 #endif
 typedef chunk __attribute__((aligned(4))) loose_chunk;
 
-// Expand one path about the group's centre t in [-1, 1] of its block, with the gains of `functions` from a first one on.
+// Expand one path about the subblock's centre t in [-1, 1] of its block, with the gains of `functions` from a first one on.
 static void expand(int delay, __global const float* c, int functions, int first, float t, float per_sample,
                    EXPANDED batch* out)
 {
@@ -92,12 +91,12 @@ static void expand(int delay, __global const float* c, int functions, int first,
 #endif
 }
 #else
-// Expand a batch about the group's centre t in [-1, 1] of its block, with the gains of `functions` from a first one on.
-static void expand(__global const int* delay, __global const float* node, int slots, int functions, int first, float t,
+// Expand a batch about the subblock's centre t in [-1, 1] of its block, with the gains of `functions` from a first one on.
+static void expand(__global const int* delay, __global const float* polynomials, int slots, int functions, int first, float t,
                    float per_sample, int worker, SHARED batch* out)
 {
     for (int p = worker * LANES; p < BATCH; p += WORKERS * LANES) {
-        __global const float* c = node + p;
+        __global const float* c = polynomials + p;
         const vec c1 = LOAD(c + slots), c2 = LOAD(c + 2 * slots), c3 = LOAD(c + 3 * slots);
         const vec at = CUBIC(LOAD(c), c1, c2, c3, t), whole = rounded(at);
         *(SHARED loose_ivec*)(out->whole + p) = *(__global const loose_ivec*)(delay + p) + nearest(at);

@@ -5,21 +5,21 @@
 
 __kernel void baseband(__global const float* branches,  // [rows][stride], real rows of a function before imaginary ones
                        int stride,
-                       __constant int* first_row,       // [FUNCTIONS + 1], of their branches; a real and an imaginary row each
                        int lead,                        // sample of `branches` emitted at the run's first sample
+                       __constant int* first_row,       // [FUNCTIONS + 1], of their branches; a real and an imaginary row each
                        __global const int* delay,       // [block][slots], whole samples
-                       __global const float* nodes,     // as in nodes.h, on [-1, 1]
-                       __global const int* first_slot,  // [receivers + 1]
+                       __global const float* polynomials,  // as in polynomials.h, on [-1, 1]
+                       __global const int* activity,    // [block][slots]: subblocks in which it sounds, see activity.h
                        int slots,
+                       int first_block,                 // of `delay` and `polynomials`, at the run's first sample
+                       __global const int* first_slot,  // [receivers + 1]
                        int block_samples,
-                       int first_block,                 // of `delay` and `nodes`, at the run's first sample
                        __global const int* envelope_row,  // [receivers]
                        __global float* envelope,        // [2 rows][envelope_stride], real and imaginary, added to
                        int envelope_stride,
                        int first_sample,                // of `envelope`, at the run's first sample
                        ulong turn_per_sample,           // of the carrier; one turn is 2^64
-                       float half_turns_per_sample,
-                       __global const int* spans)       // [block][slots]: groups that are heard, as in silence.h
+                       float half_turns_per_sample)
 {
     const int at = get_global_id(0) * WIDTH, receiver = get_global_id(1);
     const int block = at / block_samples, inside = at - block * block_samples;
@@ -32,10 +32,10 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
     }
     for (int slot = first_slot[receiver]; slot < first_slot[receiver + 1]; slot++) {
 #if SPARSE
-        const int heard = spans[row * (long)slots + slot];
-        if ((inside + WIDTH - 1) / GROUP < (heard & 0xffff) || inside / GROUP >= heard >> 16) continue;
+        const int active = activity[row * (long)slots + slot];
+        if ((inside + WIDTH - 1) / SUBBLOCK < (active & 0xffff) || inside / SUBBLOCK >= active >> 16) continue;
 #endif
-        __global const float* c = nodes + place_of(row, slot, FUNCTIONS, slots);
+        __global const float* c = polynomials + place_of(row, slot, FUNCTIONS, slots);
         float moved = c[DELAY_TERMS - 1];  // whole samples from the block's middle to that of these samples
 #pragma unroll
         for (int i = DELAY_TERMS - 2; i >= 0; i--) moved = moved * middle + c[i];

@@ -13,57 +13,57 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const int* receiver_of,      // [slots]
                      __global const band* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
-                     __global const double* receivers,     // [receivers][nodes, 1 if STILL][14]: position, velocity, axes, clock
+                     __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
                      int nodes,                            // blocks + 3, the first one before the run
-                     __global const double* anchors,       // [ends of walks][2][slots], of anchors.cl
-                     int first_anchor,                     // one walk before the run's first sample
-                     __global const double* knots, int knot_count, double knot_first, double knot_rate,
+                     __global const double* coarse_delays,  // [ends of walks][2][slots], of coarse_delays.cl
+                     int first_walk,                       // one walk before the run's first sample
+                     __global const double* knots, int knot_count, double first_knot, double knot_rate,
                      double start,                         // time of the run's first sample, s
                      double sampling_rate, double speed_of_sound,
                      __global const band* nepers, __global const chunk* projection, __global const band* functions,
-                     __global const band* weight, __global const chunk* sizes,
-                     double late,                          // added to the delay, samples
+                     __global const band* weight, __global const chunk* strengths,
+                     double delay_samples,                 // added to the delay
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
                      float angular_frequency,              // largest of the signal, rad/s
-                     __global const band* walls, __global const band* source_beam,
-                     __global const band* receiver_beams,  // of every kind that is there
-                     __global const int* beam_of,          // [receivers], bands from the first
+                     __global const band* wall_tables, __global const band* source_directivity,
+                     __global const band* receiver_directivities,  // of every kind that is there
+                     __global const int* directivity_of,   // [receivers], bands from the first
                      int blocks,
                      __global int* delay,                  // [blocks][slots]
-                     __global float* cubics,               // as in nodes.h
+                     __global float* polynomials,          // as in polynomials.h
                      __global float4* found,               // [walks][slots]: error squared, strength, delays
                      __global float* unheld,               // [walks][slots]: mean square of what no function holds
-                     __global const int* next, __global const int* previous, int cells, double origin,  // in silence.h
+                     __global const int* following, __global const int* preceding, int cells, double origin,  // in activity.h
                      double max_rate,                      // bound of how fast a delay changes
-                     __global int* spans)                  // [blocks][slots]: groups that are heard, as in silence.h
+                     __global int* activity)               // [blocks][slots]: subblocks in which it sounds, see activity.h
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
     const int first = walk * WALK, last = first + WALK < blocks ? first + WALK : blocks;
-    const motion path = {knots, knot_count, knot_first, knot_rate, 1.0 / speed_of_sound};
-    const triple offset = {image_offset[slot], image_offset[slots + slot], image_offset[2 * slots + slot]};
-    __global const double* rows = receivers + (long)receiver_of[slot] * (STILL ? 1 : nodes) * 14;
-    const surroundings around = {nepers,  projection, functions, weight,      sizes,
-                                 reflection, walls,   wall_of,   normal,      source_beam,
-                                 receiver_beams + beam_of[receiver_of[slot]]};
+    const trajectory path = {knots, knot_count, first_knot, knot_rate, 1.0 / speed_of_sound};
+    const triple offset = image_offset_of(image_offset, slots, slot);
+    __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
+    const surroundings around = {nepers,     projection,  functions, weight, strengths,
+                                 reflection, wall_tables, wall_of,   normal, source_directivity,
+                                 receiver_directivities + directivity_of[receiver_of[slot]]};
     const double block_time = (double)BLOCK / sampling_rate, walk_time = WALK * block_time;
-    __global const double* anchor = anchors + 2 * (first_anchor + walk) * (long)slots + slot;
+    __global const double* coarse = coarse_delays + 2 * (first_walk + walk) * (long)slots + slot;
     double ends[4], slopes[4], predicted[8];
     for (int i = 0; i < 4; i++) {
-        ends[i] = anchor[2 * i * (long)slots];
-        slopes[i] = anchor[(2 * i + 1) * (long)slots] * (0.5 * walk_time);
+        ends[i] = coarse[2 * i * (long)slots];
+        slopes[i] = coarse[(2 * i + 1) * (long)slots] * (0.5 * walk_time);
     }
     septic(ends, slopes, predicted);
     const int from = heard_from[slot], until = heard_until[slot];
 #if SPARSE
-    const sound signal = {next, previous, cells, origin};
+    const sound signal = {following, preceding, cells, origin};
 #endif
-    listener ear[STILL ? 1 : TOGETHER];
-#if STILL
-    ear[0] = listener_at(image_matrix, slots, slot, offset, rows);
+    receiver_in_image receiver[STATIC_RECEIVERS ? 1 : NODES_AT_ONCE];
+#if STATIC_RECEIVERS
+    receiver[0] = receiver_at(image_matrix, slots, slot, offset, rows);
 #endif
-    double times[TOGETHER];
-    arrival node[TOGETHER];
-    int ready = -TOGETHER;  // first of the nodes whose delays are solved
+    double times[NODES_AT_ONCE];
+    arrival node[NODES_AT_ONCE];
+    int ready = -NODES_AT_ONCE;  // first of the nodes whose delays are solved
     window w;
     int solved = first - 1;  // last node in the window
     float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
@@ -73,7 +73,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         if (!heard) continue;
         const double since = (block - first) * block_time, left = walk_time - since;
         // Delays from here to the end of the walk, and of this block.
-        const double late0 = late + sampling_rate * ends[1], late1 = late + sampling_rate * ends[2];
+        const double late0 = delay_samples + sampling_rate * ends[1], late1 = delay_samples + sampling_rate * ends[2];
         const double drift = sampling_rate * max_rate, until_end = drift * left, of_block = drift * block_time;
         const double low_here = later(late0 - drift * since, late1 - until_end);
         const double high_here = sooner(late0 + drift * since, late1 + until_end);
@@ -86,32 +86,32 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         if (!sounds(&signal, block, low_here - of_block - 2.0, high_here + of_block + 2.0)) continue;
 #endif
         for (int n = solved < block ? block : solved + 1; n <= block + 3; n++) {
-            if (n >= ready + TOGETHER) {
+            if (n >= ready + NODES_AT_ONCE) {
                 ready = n;
-                for (int i = 0; i < TOGETHER; i++) {
+                for (int i = 0; i < NODES_AT_ONCE; i++) {
                     const int at = n + i < last + 2 ? n + i : last + 2;
-#if !STILL
-                    ear[i] = listener_at(image_matrix, slots, slot, offset, rows + at * 14);
+#if !STATIC_RECEIVERS
+                    receiver[i] = receiver_at(image_matrix, slots, slot, offset, rows + at);
 #endif
                     const double u = (at - 1 - first) * (2.0 / WALK) - 1.0;
                     double expected = predicted[7];
 #pragma unroll
                     for (int k = 6; k >= 0; k--) expected = expected * u + predicted[k];
-                    times[i] = start + (double)(at - 1) * block_time + ear[STILL ? 0 : i].ahead;
-                    node[i].delay = expected + ear[STILL ? 0 : i].ahead;
+                    times[i] = start + (double)(at - 1) * block_time + receiver[STATIC_RECEIVERS ? 0 : i].clock_error;
+                    node[i].delay = expected + receiver[STATIC_RECEIVERS ? 0 : i].clock_error;
                 }
-                settle_together(&path, ear, times, node);
+                solve_nodes(&path, receiver, times, node);
             }
             const arrival* a = node + (n - ready);
-            const listener* here = ear + (STILL ? 0 : n - ready);
+            const receiver_in_image* here = receiver + (STATIC_RECEIVERS ? 0 : n - ready);
             for (int i = 0; i < 3; i++) {
                 w.delay[i] = w.delay[i + 1];
                 w.rate[i] = w.rate[i + 1];
                 for (int k = 0; k < CHUNKS; k++) w.gain[i][k] = w.gain[i + 1][k];
                 w.strength[i] = w.strength[i + 1];
             }
-            w.delay[3] = a->delay - here->ahead;
-            w.rate[3] = a->rate * here->pace - (here->pace - 1.0);
+            w.delay[3] = a->delay - here->clock_error;
+            w.rate[3] = a->rate * here->clock_rate - (here->clock_rate - 1.0);
             w.strength[3] = path_gains(a, speed_of_sound, &around, slots, slot, here->frame, w.gain[3], &left_over);
         }
         for (int i = 1; i < 3; i++) {
@@ -120,20 +120,20 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             longest = delay_now > longest ? delay_now : longest;
         }
         solved = block + 3;
-        write_block(&w, block, slots, slot, sampling_rate, late, heard, delay, cubics);
+        write_block(&w, block, slots, slot, sampling_rate, delay_samples, heard, delay, polynomials);
         if (!heard) continue;
 #if SPARSE
-        const double p1 = w.delay[1] * sampling_rate + late, p2 = w.delay[2] * sampling_rate + late;
+        const double p1 = w.delay[1] * sampling_rate + delay_samples, p2 = w.delay[2] * sampling_rate + delay_samples;
         const double r1 = w.rate[1] - (p2 - p1) / BLOCK, r2 = w.rate[2] - (p2 - p1) / BLOCK;
         const double bulge = 0.25 * BLOCK * ((r1 < 0.0 ? -r1 : r1) + (r2 < 0.0 ? -r2 : r2)) + 2.0;  // of the cubic
-        spans[block * (long)slots + slot] =
-            heard_groups(&signal, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
+        activity[block * (long)slots + slot] =
+            heard_subblocks(&signal, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
         strength = w.strength[3] > strength ? w.strength[3] : strength;
         rest = left_over > rest ? left_over : rest;
         const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
-            const float squared = block_error_squared(&w, sizes, angular_frequency, block_time);
+            const float squared = block_error_squared(&w, strengths, angular_frequency, block_time);
             error = squared > error ? squared : error;
         }
     }

@@ -1,7 +1,7 @@
 // The fractional delay as a Farrow bank: Horner's scheme in mu over the branch signals. What the runtime gives as
 // EACH_FUNCTION is ADD(0, rows) ADD(1, rows) ..., with the number of branches of every function of frequency.
 
-// Add one path's share of one function; `branches` points at the group's first sample in the first of its `rows` rows.
+// Add one path's share of one function; `branches` points at the subblock's first sample in the first of its `rows` rows.
 static void add_function(__global const float* branches, int stride, const int rows, const vec* sample, const vec* mu,
                          float gain, float slope, float bend, float flex, int worker, vec* sum)
 {
@@ -26,14 +26,14 @@ static void add_function(__global const float* branches, int stride, const int r
     }
 }
 
-// Add one of the expanded paths; `branches` points at the group's first sample in the first row of the first function.
+// Add one of the expanded paths; `branches` points at the subblock's first sample in the first row of the first function.
 static void add_path(__global const float* branches, int stride, const EXPANDED batch* paths, int p, int worker,
                      vec sum[FUNCTIONS][VECTORS])
 {
     vec sample[VECTORS], mu[VECTORS];
 #pragma unroll
     for (int j = 0; j < VECTORS; j++) {
-        sample[j] = RAMP + ((float)((worker * VECTORS + j) * LANES) - 0.5f * (GROUP - 1));
+        sample[j] = RAMP + ((float)((worker * VECTORS + j) * LANES) - 0.5f * (SUBBLOCK - 1));
 #if FINE
         mu[j] = ((sample[j] * paths->twist[p] + paths->curve[p]) * sample[j] + paths->rate[p]) * sample[j] +
                 paths->fraction[p];

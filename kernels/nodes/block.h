@@ -3,12 +3,6 @@
 // With DELAY_TERMS == 8, for long blocks of few samples, the delay is Hermite through all four nodes (septic.h), and
 // the gain's cubic goes through them.
 
-#if DELAY_TERMS == 8
-#define GAIN_ERROR 0.03f
-#else
-#define GAIN_ERROR 0.02f
-#endif
-#define ROUNDING 6755399441055744.0  // 1.5 * 2^52: adding and taking it away rounds to a whole number
 
 typedef struct {
     double delay[4], rate[4];  // s, and by the time of reception
@@ -45,7 +39,7 @@ static void write_block(const window* node, int block, int slots, int slot, doub
     const double rate = OVERSAMPLING * sampling_rate, half_block = 0.5 * OVERSAMPLING * BLOCK;
     const double p0 = node->delay[1] * rate + late, p1 = node->delay[2] * rate + late;
     const double e0 = node->rate[1] * half_block, e1 = node->rate[2] * half_block;
-    const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING) - ROUNDING;
+    const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
     delay[block * slots + slot] = (int)whole;
     c[0] = (float)(centre - whole);
     c[apart] = (float)(0.75 * (p1 - p0) - 0.25 * (e0 + e1));
@@ -96,7 +90,7 @@ static float block_error_squared(const window* node, __global const chunk* sizes
 #if FINE
     const float late = remainder;
 #else
-    const float part = (float)GROUP / (float)BLOCK;
+    const float part = (float)SUBBLOCK / (float)BLOCK;
     const float cubed = (float)(0.125 * block_time * (r[1] + r[2]) - 0.25 * (node->delay[2] - node->delay[1]));
     const float twist = cubed * part * part * part;
     const float late = (remainder < 0.0f ? -remainder : remainder) + (twist < 0.0f ? -twist : twist);

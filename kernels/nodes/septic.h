@@ -19,20 +19,18 @@ static void septic(const double* value, const double* slope, double* c)
 }
 
 #if DELAY_TERMS == 8
-#define NEAREST 6755399441055744.0  // 1.5 * 2^52: adding and taking it away rounds to a whole number
-
 // Write the delay of the block between the middle two nodes, in samples less the whole delay, which is returned.
 static int write_septic(const double* delay, const double* rate, double sampling_rate, double late,
                         __global float* c)
 {
-    const double first = delay[1] * sampling_rate + late, whole = (first + NEAREST) - NEAREST;
+    const double first = delay[1] * sampling_rate + late, whole = (first + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
     double p[4], e[4], exact[8];
     for (int i = 0; i < 4; i++) {
         p[i] = delay[i] * sampling_rate + late - whole;
         e[i] = rate[i] * (0.5 * BLOCK);
     }
     septic(p, e, exact);
-    const double more = (exact[0] + NEAREST) - NEAREST;  // whole samples from the block's start to its middle
+    const double more = (exact[0] + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;  // whole samples from the block's start to its middle
     c[0] = (float)(exact[0] - more);
     for (int i = 1; i < 8; i++) c[i] = (float)exact[i];
     return (int)(whole + more);

@@ -16,16 +16,6 @@ typedef struct {
     __global const int* twin;        // walls of lower index in the same plane
 } room;
 
-static triple sum(triple a, triple b)
-{
-    const triple out = {a.x + b.x, a.y + b.y, a.z + b.z};
-    return out;
-}
-static triple times(double factor, triple a)
-{
-    const triple out = {factor * a.x, factor * a.y, factor * a.z};
-    return out;
-}
 static double height(double4 plane, triple x) { return plane.x * x.x + plane.y * x.y + plane.z * x.z - plane.w; }
 static triple mirrored(double4 plane, triple x)
 {

@@ -4,14 +4,6 @@
 // Comparisons instead of clamp() and min(): some runtimes call, rather than inline, built-in functions.
 
 typedef struct {
-    __global const double* knots;  // [knot][KNOT_COLUMNS]: cubics of the source's position (12) and axes (12 or 24)
-    int count;
-    double first;                  // time of the first knot, s
-    double rate;                   // knots per second
-    double slowness;               // 1 / speed of sound
-} motion;
-
-typedef struct {
     double delay;       // s
     double rate;        // its derivative by the time of reception
     double stretch;     // 1 / (1 - Mach number of the source towards the receiver at emission)
@@ -20,7 +12,7 @@ typedef struct {
     double u;           // place of the emission time within the knot
 } arrival;
 
-static void locate(const motion* path, double emitted, arrival* a)
+static void locate(const trajectory* path, double emitted, arrival* a)
 {
     const double place = (emitted - path->first) * path->rate;
     int knot = (int)place;
@@ -32,14 +24,14 @@ static void locate(const motion* path, double emitted, arrival* a)
 }
 
 // One Newton step from `a->delay`; returns it. All else is that of the emission time before the step.
-static double newton_step(const motion* path, triple receiver, triple receiver_velocity, double time, arrival* a)
+static double newton_step(const trajectory* path, triple receiver, triple receiver_velocity, double time, arrival* a)
 {
     locate(path, RETARDED ? time - a->delay : time, a);
     const triple apart = difference(receiver, cubic(a->knot, a->u));
     const double squared = inner(apart, apart), inverse = 1.0 / sqrt(squared);
     const triple departure = {apart.x * inverse, apart.y * inverse, apart.z * inverse};
     const double mach = path->rate * path->slowness * inner(departure, cubic_rate(a->knot, a->u));
-    const double receding = STILL ? 0.0 : path->slowness * inner(departure, receiver_velocity);
+    const double receding = STATIC_RECEIVERS ? 0.0 : path->slowness * inner(departure, receiver_velocity);
     const double quasi_static = squared * inverse * path->slowness;
     a->departure = departure;
 #if RETARDED
@@ -57,7 +49,7 @@ static double newton_step(const motion* path, triple receiver, triple receiver_v
 }
 
 // From anywhere: Newton steps until one whose square, of the order of the next one, is as small as asked, s^2.
-static void settle(const motion* path, triple receiver, triple receiver_velocity, double time, double small, arrival* a)
+static void settle(const trajectory* path, triple receiver, triple receiver_velocity, double time, double small, arrival* a)
 {
     a->delay = 0.0;
     for (int i = 0; i < 40; i++) {

@@ -21,7 +21,7 @@ typedef struct {
 
 // A trajectory: cubics between knots, and the largest speed in each, in pairs of them, and so on.
 typedef struct {
-    motion path;
+    trajectory path;
     __global const double* speeds;
     double fastest;  // m/s
     double4 mount;   // unit normal of the wall that it sits in, and offset of the plane a step in front; 0 in the open
@@ -104,8 +104,8 @@ static void put(__global progress* p, double begin, double end, int path, __glob
     p->end = end;
 }
 
-__kernel void intervals(int walls, double tolerance, double thickness, __global const double4* plane,
-                        __global const double4* ball, __global const int* same, __global const int* first_edge,
+__kernel void intervals(int wall_count, double tolerance, double thickness, __global const double4* plane,
+                        __global const double4* sphere, __global const int* same, __global const int* first_edge,
                         __global const int* first_piece,
                         __global const int* first_line, __global const int* first_twin, __global const double* edge,
                         __global const double4* line, __global const int* twin,
@@ -117,7 +117,7 @@ __kernel void intervals(int walls, double tolerance, double thickness, __global 
                         __global const int* sequences, __global const int* receiver_of,  // [paths][ORDER], [paths]
                         __global const int* active, int active_count,  // paths that are not done
                         double resolution,              // s, to which ends are found
-                        double smallest,                // m, moves that are none
+                        double smallest_move,                // m, moves that are none
                         double graze,                   // m, clearance below which a path runs along an edge
                         int budget,                     // evaluations of each path in this launch
                         __global progress* states,      // [paths]
@@ -125,7 +125,7 @@ __kernel void intervals(int walls, double tolerance, double thickness, __global 
 {
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
-    const search s = {{walls, tolerance, thickness, plane, ball, same, first_edge, first_piece, first_line, first_twin, edge,
+    const search s = {{wall_count, tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
                        line, twin}, mover_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
                       mover_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
                       sequences + ORDER * path};
@@ -141,8 +141,8 @@ __kernel void intervals(int walls, double tolerance, double thickness, __global 
         double clear, reach, unused;
         const int valid = look(&s, middle, within, &clear, &reach);
         looks++;
-        int done = clear > reach || 2.0 * within <= resolution || reach < smallest;
-        if (!done && clear < graze && within <= 0.5e-3) {
+        int done = clear > reach || 2.0 * within <= resolution || reach < smallest_move;
+        if (!done && clear < graze && within <= 0.5 * GRAZE_TIME) {
             done = look(&s, now.begin, 0.0, &unused, &unused) == valid && look(&s, now.end, 0.0, &unused, &unused) == valid;
             looks += 2;
         }

@@ -3,31 +3,31 @@
 // heard (SPARSE) the rows are left as they are, zero. Where branch signals have OVERSAMPLING times the recording's sampling
 // rate, those of equal phase stand side by side, so that neighbouring samples of the recording read neighbours.
 
-#define CHANNEL (8 * LANES)
+#define CHANNEL (VECTORS * LANES)
 
 __kernel void branches(__global const float* emitted,
                        int first_emitted,              // TAPS - 1 - centre samples before the first row's
                        __constant float* taps,         // [rows][TAPS]
                        int width, int stride, int first_row, __global float* rows,
-                       __global const int* next)        // as in silence.h
+                       __global const int* following)   // as in activity.h
 {
     const int row = get_global_id(1);
     const int first = get_global_id(0) * CHANNEL;
     if (first >= width) return;
 #if SPARSE
-    if (next[first / CELL] > (first + CHANNEL - 1) / CELL) return;
+    if (following[first / CELL] > (first + CHANNEL - 1) / CELL) return;
 #endif
-    vec sum[8];
-    for (int j = 0; j < 8; j++) sum[j] = 0.0f;
+    vec sum[VECTORS];
+    for (int j = 0; j < VECTORS; j++) sum[j] = 0.0f;
     for (int k = 0; k < TAPS; k++) {
         const float tap = taps[row * TAPS + TAPS - 1 - k];
         __global const float* at = emitted + first_emitted + first + k;
 #pragma unroll
-        for (int j = 0; j < 8; j++) sum[j] += tap * LOAD(at + j * LANES);
+        for (int j = 0; j < VECTORS; j++) sum[j] += tap * LOAD(at + j * LANES);
     }
     __global float* out = rows + (long)(first_row + row) * stride;
 #if OVERSAMPLING == 1
-    for (int j = 0; j < 8; j++) *(__global loose_vec*)(out + first + j * LANES) = sum[j];
+    for (int j = 0; j < VECTORS; j++) *(__global loose_vec*)(out + first + j * LANES) = sum[j];
 #else
     for (int i = 0; i < CHANNEL; i++) {
         const int at = first + i;

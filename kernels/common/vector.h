@@ -21,7 +21,6 @@ typedef int loose_ivec;
 
 #define LOAD(pointer) (*(__global const loose_vec*)(pointer))
 
-// Nearest whole number by adding 1.5 * 2^23, right for |x| < 2^22; needs strict (not fast-math) arithmetic.
-#define ROUNDING 12582912.0f
-static ivec nearest(vec x) { return AS_IVEC(x + ROUNDING) - 0x4B400000; }
+// The nearest whole number, see rounding.h.
+static ivec nearest(vec x) { return AS_IVEC(x + ROUNDING) - ROUNDING_BITS; }
 static vec rounded(vec x) { return (x + ROUNDING) - ROUNDING; }

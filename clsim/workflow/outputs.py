@@ -9,13 +9,12 @@ from clsim.files.names import file_names
 from clsim.output.stores import store_names
 
 if TYPE_CHECKING:
-    import argparse
-
-    from clsim.scene_file import SceneFile
+    from clsim.scene_file.scene import SceneFile
 
 COMPLETED = "scene.completed.toml"
 GROUND_TRUTH = "ground_truth.npz"
 MOST_DRAWN = 16  # receivers
+PICTURES = ("paths", "spectrogram", "echogram")  # of each, the first only where paths come and go
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,16 +39,16 @@ class RunOutputs:
     drawn: list[str]
 
     @classmethod
-    def of(cls, file: SceneFile, options: argparse.Namespace) -> RunOutputs:
-        """Return what a scene file gives with the options of the command line."""
+    def of(cls, file: SceneFile, store: str, table: str, *, pictures: bool) -> RunOutputs:
+        """Return what a scene file gives with a kind of store, and of table, "none" for none of it."""
         names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
-        table = "" if options.table == "none" else f"paths.{options.table}"
-        return cls(names, store_names(options.store, names), table, [] if options.no_plots else names[:MOST_DRAWN])
+        file_of_table = "" if table == "none" else f"paths.{table}"
+        return cls(names, store_names(store, names), file_of_table, names[:MOST_DRAWN] if pictures else [])
 
     def beside_sound(self, changing: bool = True) -> list[str]:
         """Return what is made once there is sound, the completed scene last; `changing`: whether paths come and go."""
         tables = [self.table, GROUND_TRUTH] if self.table else [GROUND_TRUTH]
-        kinds = ("paths", "spectrogram", "echogram") if changing else ("spectrogram", "echogram")
+        kinds = PICTURES if changing else PICTURES[1:]
         return [*tables, *(picture(name, kind) for name in self.drawn for kind in kinds), COMPLETED]
 
     def all(self) -> list[str]:

@@ -3,17 +3,6 @@
 // are expanded together they are [block][terms][slots]; where one path is at a time, because signals pause (SPARSE) or
 // for envelopes (DELAY_TERMS == 8), [block][slots][terms].
 
-#ifndef DELAY_TERMS
-#define DELAY_TERMS 4
-#endif
-
-// Where a branch signal stands, `ahead` of its own samples after that of the recording's sample: see branches.cl.
-#if OVERSAMPLING == 1
-#define PLACE(ahead, stride) (ahead)
-#elif OVERSAMPLING == 2
-#define PLACE(ahead, stride) (((ahead) >> 1) + ((ahead) & 1) * ((stride) / 2))
-#endif
-
 static int terms(int functions) { return DELAY_TERMS + 4 * functions; }
 
 #if DELAY_TERMS == 8 || SPARSE

@@ -1,0 +1,111 @@
+"""Programs built on a device: one context for all of a process, and each text built once."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import uuid
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import ClsimError, DeviceError
+from clsim.opencl.kernel_cache import Trial, TriedKernel
+from clsim.opencl.kernels import PROGRAMS, kernel_source
+from clsim.opencl.launch import Launch
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    Constant = int | float | str | np.float32
+
+_compilers: dict[Any, Compiler] = {}
+_opening = threading.Lock()
+
+
+def compiler_of(device: Any) -> Compiler:
+    """Return the compiler of a device, with its context: the same one at every call in a process."""
+    import pyopencl as cl
+
+    with _opening:
+        if device not in _compilers:
+            _compilers[device] = Compiler(cl.Context([device]))
+        return _compilers[device]
+
+
+class Compiler:
+    """Builds the programs of one context, each text with each set of constants once.
+
+    Programs are those of all threads; every thread has kernels of its own, whose arguments are set before they run.
+    """
+
+    def __init__(self, context: Any) -> None:
+        self.context = context
+        self._built: dict[tuple[str, tuple[str, ...]], tuple[Any, Trial]] = {}
+        self._building = threading.Lock()
+        self._of_thread = threading.local()
+
+    def kernel(self, program: str, constants: Mapping[str, Constant]) -> Launch:
+        """Return the kernel of a program with compile-time constants.
+
+        Raises
+        ------
+        DeviceError
+            If the device's compiler refuses the program.
+        ClsimError
+            If a constant is missing or unknown: a defect of the caller.
+        """
+        kernels: dict[Any, Launch] = self._of_thread.__dict__.setdefault("kernels", {})
+        key = program, kernel_source(program), frozenset(constants.items())
+        if key not in kernels:
+            if constants.keys() != PROGRAMS[program].constants:
+                wrong = ", ".join(sorted(constants.keys() ^ PROGRAMS[program].constants))
+                raise ClsimError(f"constants of program {program}: missing or unknown {wrong}")
+            kernels[key] = self._launch(program, tuple(f"-D{n}={_literal(v)}" for n, v in sorted(constants.items())))
+        return kernels[key]
+
+    def _launch(self, program: str, options: tuple[str, ...]) -> Launch:
+        import pyopencl as cl
+
+        text = kernel_source(program)
+        with self._building:
+            if (text, options) not in self._built:
+                device = self.context.devices[0]
+                trial = Trial(program, f"{device.name} {device.driver_version}\n{text}", list(options))
+                with trial.marked():
+                    self._built[text, options] = self._build(program, text, trial.options), trial
+            built, trial = self._built[text, options]
+        return Launch(program, TriedKernel(cl.Kernel(built, program), trial), PROGRAMS[program].arguments)
+
+    def _build(self, program: str, text: str, options: list[str]) -> Any:
+        """Return the built program; it has been seen to hold its kernel."""
+        import pyopencl as cl
+
+        logging.getLogger("pyopencl").setLevel(logging.ERROR)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # compilers have something to say about every program
+            try:
+                try:
+                    built = cl.Program(self.context, text).build(options=options)
+                    cl.Kernel(built, program)
+                except cl.Error:
+                    # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the
+                    # driver: with a constant that nothing uses, the program is another one and is built anew.
+                    anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
+                    built = cl.Program(self.context, text).build(options=anew, cache_dir=False)  # type: ignore[arg-type]
+                    cl.Kernel(built, program)
+            except cl.Error as error:
+                device = self.context.devices[0].name.strip()
+                raise DeviceError(
+                    f"{device} could not build {program}.cl: {str(error)[:2000]}; update its driver, choose another "
+                    'device (see `clsim devices`), or use engine="reference"'
+                ) from error
+        return built
+
+
+def _literal(value: Constant) -> str:
+    """Return a constant as OpenCL C has it: numbers of Python are int and double, those of float32 are float."""
+    if isinstance(value, np.float32):
+        return f"{value!s}f"
+    return repr(value) if isinstance(value, float) else str(value)

@@ -1,0 +1,117 @@
+"""Launches of kernels by the names of their arguments, and the memory that these take."""
+
+from __future__ import annotations
+
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import ClsimError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from clsim.opencl.kernels import Argument
+
+    WorkItems = tuple[tuple[int, ...], tuple[int, ...]]  # in all, and in a group
+
+NUMBERS: dict[str, type[np.generic]] = {
+    "int": np.int32, "long": np.int64, "ulong": np.uint64, "float": np.float32, "double": np.float64,
+}  # fmt: skip
+
+
+class Launch:
+    """A kernel that is launched with arguments by name.
+
+    Parameters
+    ----------
+    name : str
+        Of the kernel, for messages.
+    kernel : callable
+        Takes queue, size, group, and the arguments in order.
+    arguments : mapping of str to Argument
+        All of them, in order.
+    """
+
+    def __init__(self, name: str, kernel: Callable[..., Any], arguments: Mapping[str, Argument]) -> None:
+        self._name, self._kernel, self._arguments = name, kernel, arguments
+        self._ordered = itemgetter(*arguments)
+        places = list(enumerate(arguments.values()))
+        self._numbers = [(i, NUMBERS[a.type]) for i, a in places if not a.shape]
+        self._read = [(i, NUMBERS.get(a.type.rstrip("0123456789"))) for i, a in places if a.access == "in"]
+
+    def __call__(self, queue: Any, items: WorkItems, /, **arguments: Any) -> Any:
+        """Launch it; return the event.
+
+        Parameters
+        ----------
+        queue : pyopencl.CommandQueue
+            Where.
+        items : (tuple of int, tuple of int)
+            Work-items in all, and in a group.
+        **arguments
+            Numbers and buffers. An array for a buffer that is only read is uploaded; None is a buffer that is not used.
+
+        Raises
+        ------
+        ClsimError
+            If an argument is missing or unknown: a defect of the caller.
+        """
+        try:
+            taken = list(self._ordered(arguments))
+        except KeyError:
+            raise self._refusal(arguments) from None
+        if len(arguments) != len(taken):
+            raise self._refusal(arguments)
+        for i, number in self._numbers:
+            taken[i] = number(taken[i])
+        for i, element in self._read:
+            if isinstance(taken[i], np.ndarray):
+                taken[i] = upload(queue.context, _elements(taken[i], element))
+        return self._kernel(queue, *items, *taken)
+
+    def _refusal(self, arguments: Mapping[str, Any]) -> ClsimError:
+        missing, unknown = self._arguments.keys() - arguments, arguments.keys() - self._arguments
+        told = [f"{what} {', '.join(sorted(n))}" for what, n in (("lacks", missing), ("has no", unknown)) if n]
+        return ClsimError(f"launch of kernel {self._name}: it {' and '.join(told)}")
+
+
+def _elements(array: NDArray[Any], element: type[np.generic] | None) -> NDArray[Any]:
+    """Return an array in the type of a buffer's elements; structures are as they are."""
+    return array if element is None else array.astype(element, casting="same_kind", copy=False)
+
+
+def upload(context: Any, array: NDArray[Any]) -> Any:
+    """Return a buffer of a context that holds a copy of an array."""
+    import pyopencl as cl
+
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(array))
+
+
+def work(count: int, *more: int, group: int = 32) -> WorkItems:
+    """Return the size of a launch and of its work-groups: `group` items of the first dimension, rounded up to these.
+
+    Left to itself a runtime may choose groups by the divisors of each size, and build the kernel anew for every one.
+    """
+    return (-(-count // group) * group, *more), (group, *(1 for _ in more))
+
+
+class Scratch:
+    """Buffers of a context that are used again, by name: fresh memory at every step of a run costs time."""
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+        self._kept: dict[Any, Any] = {}
+
+    def take(self, name: Any, size: int) -> Any:
+        """Return the buffer of a name, of at least `size` bytes; what it held may be lost."""
+        import pyopencl as cl
+
+        if name not in self._kept or self._kept[name].size < size:
+            self._kept.pop(name, None)
+            self._kept[name] = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
+        return self._kept[name]

@@ -1,0 +1,88 @@
+// Sum of all paths of one receiver over SUBBLOCKS subblocks of samples, for FUNCTIONS neighbouring functions of frequency.
+// Work-item (or work-group of WORKERS): dimension 0 counts spans, dimension 1 receivers. Paths come sorted by delay and
+// are walked in tiles, so that the branch signals in play stay in cache.
+
+__kernel __attribute__((reqd_work_group_size(WORKERS, 1, 1)))
+void render(__global const float* branches,     // [rows][stride], those of one function after those of another
+            int stride,
+            int lead,                           // sample of `branches` emitted at the run's first sample
+            int first_row,                      // of the first function here
+            int functions,                      // in all
+            int first_function,
+            __global const int* delay,          // [block][slots], whole samples
+            __global const float* polynomials,  // as in polynomials.h, on [-1, 1]
+            __global const int* activity,       // [block][slots]: subblocks in which it sounds, see activity.h
+            int slots,
+            int first_block,                    // of `delay` and `polynomials`, at the run's first sample
+            __global const int* first_slot,     // [receivers + 1], multiples of BATCH and of TILE
+            int block_subblocks,                // subblocks in a block
+            int subblocks,                      // in the run
+            __global const int* pressure_row,   // [receivers]
+            __global float* pressure,           // [rows][pressure_stride], added to
+            int pressure_stride,
+            int first_sample)                   // of `pressure`, at the run's first sample
+{
+    const int worker = get_local_id(0);
+    const int first_subblock = get_group_id(0) * SUBBLOCKS;
+    const int last_subblock = min(first_subblock + SUBBLOCKS, subblocks);
+    const int receiver = get_global_id(1);
+    const float per_sample = 2.0f / (float)(block_subblocks * SUBBLOCK);
+    __global const float* rows = branches + first_row * (long)stride + lead;
+    vec sum[SUBBLOCKS][FUNCTIONS][VECTORS];
+    EXPANDED batch paths;
+#if SPARSE
+    SHARED uchar heard[SUBBLOCKS][TILE];  // paths of a tile in each group
+    SHARED int count[SUBBLOCKS];          // of them
+#endif
+    for (int g = 0; g < SUBBLOCKS; g++) {
+        for (int k = 0; k < FUNCTIONS; k++) {
+            for (int j = 0; j < VECTORS; j++) sum[g][k][j] = 0.0f;
+        }
+    }
+    for (int tile = first_slot[receiver]; tile < first_slot[receiver + 1]; tile += TILE) {
+        const int tile_end = min(tile + TILE, first_slot[receiver + 1]);
+#if SPARSE
+        SYNCHRONISE;
+        find_heard(activity, slots, tile, tile_end, first_block, block_subblocks, first_subblock, last_subblock, worker, heard, count);
+        SYNCHRONISE;
+#endif
+        for (int g = first_subblock; g < last_subblock; g++) {
+            const int block = g / block_subblocks, row = first_block + block;
+            // The middle of the group lies half a sample before the middle of its span.
+            const float t = (float)(2 * (g - block * block_subblocks) * SUBBLOCK + SUBBLOCK - 1) * (0.5f * per_sample) - 1.0f;
+#if SPARSE
+            if (count[g - first_subblock] == 0) continue;
+#endif
+            vec subblock_sum[FUNCTIONS][VECTORS];
+            for (int k = 0; k < FUNCTIONS; k++) {
+                for (int j = 0; j < VECTORS; j++) subblock_sum[k][j] = 0.0f;
+            }
+#if SPARSE
+            for (int i = 0; i < count[g - first_subblock]; i++) {
+                const int slot = tile + heard[g - first_subblock][i];
+                expand(delay[row * slots + slot], polynomials + place_of(row, slot, functions, slots), functions,
+                       first_function, t, per_sample, &paths);
+                add_path(rows + g * SUBBLOCK, stride, &paths, 0, worker, subblock_sum);
+            }
+#else
+            for (int slot = tile; slot < tile_end; slot += BATCH) {
+                expand(delay + row * slots + slot, polynomials + place_of(row, slot, functions, slots), slots, functions,
+                       first_function, t, per_sample, worker, &paths);
+                SYNCHRONISE;
+                for (int p = 0; p < BATCH; p++) add_path(rows + g * SUBBLOCK, stride, &paths, p, worker, subblock_sum);
+                SYNCHRONISE;
+            }
+#endif
+            for (int k = 0; k < FUNCTIONS; k++) {
+                for (int j = 0; j < VECTORS; j++) sum[g - first_subblock][k][j] += subblock_sum[k][j];
+            }
+        }
+    }
+    for (int g = first_subblock; g < last_subblock; g++) {
+        __global float* out = pressure + (long)pressure_row[receiver] * pressure_stride + first_sample + g * SUBBLOCK;
+        for (int j = 0; j < VECTORS; j++) {
+            __global loose_vec* at = (__global loose_vec*)(out + (worker * VECTORS + j) * LANES);
+            for (int k = 0; k < FUNCTIONS; k++) *at = *at + sum[g - first_subblock][k][j];
+        }
+    }
+}
