@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _STEP = 0.25  # s, over which distances are bounded
 _LEAST_MOVE = 0.05  # m, or for as long as motions take for it
-_DIRECTIONS = 2000  # in which a beam's largest gain is looked for
+_DIRECTIONS = 2000  # in which the largest gain of a directivity is looked for
 _BETWEEN = 1.05  # by which it may be larger between them
 _FREQUENCIES = 9
 _SHARE = 1e-4  # of the signal's energy at either end, which is not looked at
@@ -100,7 +100,7 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
 
 
 def _peak(directivity: Directivity, frequencies: Floats, speed_of_sound: float) -> Floats:
-    """Return a bound of a beam's gain in any direction, (F,)."""
+    """Return a bound of a directivity's gain in any direction, (F,)."""
     if isinstance(directivity, Omni):
         return np.ones(len(frequencies))
     i = np.arange(_DIRECTIONS)
