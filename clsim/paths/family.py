@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import InputError
 from clsim.paths.propagation import delay_bounds, max_delay_rate, medium_of
@@ -17,16 +18,14 @@ from clsim.paths.response import SceneResponse, is_complex
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals
     from clsim.paths.propagation import Medium
     from clsim.scene.ends import Receiver, Source
     from clsim.scene.scene import Scene
 
-    Rows = slice | NDArray[np.int64]
 
+Rows = slice | NDArray[np.int64]  # of a kind of paths
 NONE, SPECULAR, DIFFRACTION, SCATTERING = -1, 0, 1, 2  # kinds of interaction
 
 

@@ -18,10 +18,10 @@ from clsim.scene.scene import Scene
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from clsim.paths.family import PathFamily
+
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 ENGINES = ("opencl", "reference")
-ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}  # of specular paths
-FAMILY_FINDERS: dict[str, FamilyFinder] = {}  # of other kinds of paths
 
 
 def find_paths(
@@ -88,9 +88,7 @@ def find_paths(
         resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
     limit = as_count("path_limit", path_limit, at_least=1)
     search = PathSearch(max_order, limit, finder, resolution, engine, device, progress or (lambda share: None))
-    find_specular = next(ROOM_FINDERS[kind] for kind in type(scene.room).__mro__ if kind in ROOM_FINDERS)
-    specular = find_specular(scene, scene.room, search)
-    return PathSet(scene, (specular, *(find(scene, search) for find in FAMILY_FINDERS.values())))
+    return PathSet(scene, tuple(find(scene, search) for find in FAMILY_FINDERS.values()))
 
 
 @contextmanager
@@ -100,19 +98,27 @@ def registered_family(name: str, finder: FamilyFinder) -> Iterator[None]:
     Parameters
     ----------
     name : str
-        Of the kind, unlike that of any other.
+        Of the kind; a kind of the same name, such as "specular", is not looked for meanwhile.
     finder : callable
         Takes a Scene and a `PathSearch`; returns a `PathFamily`, which may be empty.
-
-    Raises
-    ------
-    InputError
-        If the name is taken.
     """
-    if name in FAMILY_FINDERS:
-        raise InputError("name", f"must be new, but there are {sorted(FAMILY_FINDERS)} already")
+    before = dict(FAMILY_FINDERS)
     FAMILY_FINDERS[name] = finder
     try:
         yield
     finally:
-        del FAMILY_FINDERS[name]
+        FAMILY_FINDERS.clear()
+        FAMILY_FINDERS.update(before)
+
+
+def _specular_paths(scene: Scene, search: PathSearch) -> PathFamily:
+    """Return the paths that walls reflect, by the finder of the kind of room."""
+    find = next((ROOM_FINDERS[kind] for kind in type(scene.room).__mro__ if kind in ROOM_FINDERS), None)
+    if find is None:
+        kinds = " or ".join(kind.__name__ for kind in ROOM_FINDERS)
+        raise InputError("scene.room", f"must be a {kinds} to find paths, but is {scene.room!r:.80}")
+    return find(scene, scene.room, search)
+
+
+ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
+FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet

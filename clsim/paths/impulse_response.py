@@ -46,7 +46,7 @@ class ResponseBand:
     above: float
 
     @property
-    def reach(self) -> float:
+    def ringing(self) -> float:
         """How long an arrival rings before and after its own time, s."""
         return ringing(self.below, self.above)
 
@@ -116,7 +116,7 @@ def impulse_response(
     the sum's spectrum is multiplied by the response, taken at every frequency of the transform.
     """
     late = delays * sampling_rate
-    reach = math.ceil(band.reach * sampling_rate)
+    reach = math.ceil(band.ringing * sampling_rate)
     first = math.floor(float(late.min())) - reach
     span = math.ceil(float(late.max())) + reach - first
     few, weights = _skeleton(responses, len(delays), span, sampling_rate, band)

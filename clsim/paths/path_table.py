@@ -38,7 +38,8 @@ class PathTable:
     doppler_shift : ndarray (P, T)
         Received less emitted frequency at the centre frequency of the source's signal, Hz.
     gain : ndarray (P, T)
-        Received over emitted pressure at the signal's centre frequency, signed; complex where a wall or beam is.
+        Received over emitted pressure at the signal's centre frequency, signed; complex where walls or directivities
+        are.
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the source along the path, and from the receiver back along it.
     source_names, receiver_names, object_names : tuple of str

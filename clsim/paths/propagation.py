@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from clsim.scene.air import Air
     from clsim.scene.motion.motion import Motion
 
+    Rows = NDArray[np.int64]
+
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s
 _CONTRACTIONS = 1000
@@ -118,21 +120,43 @@ def medium_of(air: Air) -> Medium:
 
 
 def solve_delay(medium: Medium, source: Motion, stop: Floats, times: Floats) -> Floats:
-    """Return the delays (P, T) from a source to places (P, T, 3) at times of reception (T,), s.
-
-    Newton's method from the quasi-static value. For a source below the speed of sound the solution is the only one.
-    """
+    """Return the delays (P, T) of single legs from a source to places (P, T, 3) at times of reception (T,), s."""
     delay = medium.travel_time(source.position(times), stop)
     if np.isinf(source.end):
         return delay  # a fixed source was where it is
+
+    def travel(p: Rows, t: Rows, emission_time: Floats) -> tuple[Floats, Floats]:
+        leg = medium.leg(source.position(emission_time), stop[p, t])
+        return leg.time, leg.mach_at_departure(source.velocity(emission_time))
+
+    return refine_delay(travel, delay, times)
+
+
+def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], delay: Floats, times: Floats) -> Floats:
+    """Return the delays (P, T) of ways of any kind at times of reception (T,), s, by Newton's method.
+
+    Parameters
+    ----------
+    travel : callable
+        Takes paths p (n,), indices t (n,) of times and times of emission (n,), s; returns the travel times (n,), s, and
+        by how much these fall per second as the source moves on, the Mach number (n,) towards the way.
+    delay : ndarray (P, T)
+        Where to begin, such as the quasi-static value, s.
+    times : ndarray (T,)
+        s.
+
+    Notes
+    -----
+    For a source below the speed of sound there is one solution.
+    """
+    delay = np.array(delay)
     active: NDArray[np.bool_] = np.ones(delay.shape, dtype=bool)
     for _ in range(_NEWTON_LIMIT):
         p, t = np.nonzero(active)
         if not len(p):
             break
-        emission_time = times[t] - delay[p, t]
-        leg = medium.leg(source.position(emission_time), stop[p, t])
-        step = (leg.time - delay[p, t]) / (1.0 - leg.mach_at_departure(source.velocity(emission_time)))
+        time, mach = travel(p, t, times[t] - delay[p, t])
+        step = (time - delay[p, t]) / (1.0 - mach)
         delay[p, t] += step
         active[p, t] = np.abs(step) > _CONVERGED + 4e-16 * np.abs(times[t])
     return delay

@@ -118,7 +118,7 @@ class SceneResponse:
 
 
 def is_complex(scene: Scene) -> bool:
-    """Return whether any wall or beam of a scene has a phase."""
+    """Return whether any wall or directivity of a scene has a phase."""
     beams = [*(source.directivity for source in scene.sources), *(receiver.directivity for receiver in scene.receivers)]
     return any(m.is_complex for m in scene.room.faces.materials) or any(beam.is_complex for beam in beams)
 
@@ -161,7 +161,7 @@ def directivity_gain(
 
 
 def covered(frequencies: Floats, thing: Material | Directivity) -> Floats:
-    """Return the frequencies nearest to given ones at which a material or a beam is known.
+    """Return the frequencies nearest to given ones that a material or a directivity covers.
 
     Where a signal is more than next to nothing they are the same: plans see to that.
     """

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _STEP = 0.25  # s, over which distances are bounded
 _LEAST_MOVE = 0.05  # m, or for as long as motions take for it
-_DIRECTIONS = 2000  # in which a beam's largest gain is looked for
+_DIRECTIONS = 2000  # in which the largest gain of a directivity is looked for
 _BETWEEN = 1.05  # by which it may be larger between them
 _FREQUENCIES = 9
 _SHARE = 1e-4  # of the signal's energy at either end, which is not looked at
@@ -47,28 +47,25 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
     factors (1 where they depend on the angle), and of the directivities' largest gains, at nine frequencies of the
     signal's band. What all paths that are left out add is at most the sum of their bounds.
     """
-    kept, count = [], 0
-    lost: dict[tuple[int, int], float] = {}  # of each source and receiver, whose kinds of paths add up
-    for i in range(len(tracks.groups)):
-        bound, strongest = _bounds(tracks, i, until)
-        quiet = bound < 10 ** (below_db / 20) * strongest
-        if strongest > 0.0 and np.any(quiet):
-            pair = tracks.groups[i].source, tracks.groups[i].receiver
-            lost[pair] = lost.get(pair, 0.0) + float(bound[quiet].sum()) / strongest
-            count += int(np.count_nonzero(quiet))
-        kept.append(np.flatnonzero(~quiet))
+    bounds = [_bounds(tracks, i, until) for i in range(len(tracks.groups))]
+    pairs = [(group.source, group.receiver) for group in tracks.groups]
+    strongest: dict[tuple[int, int], float] = {}  # of paths of all kinds
+    for pair, (_, loudest) in zip(pairs, bounds, strict=True):
+        strongest[pair] = max(strongest.get(pair, 0.0), loudest)
+    groups, pair_paths, lost, count = [], [], dict.fromkeys(pairs, 0.0), 0
+    for pair, (bound, _), group, paths in zip(pairs, bounds, tracks.groups, tracks.pair_paths, strict=True):
+        quiet = bound < 10 ** (below_db / 20) * strongest[pair]
+        rows = np.flatnonzero(~quiet)
+        if np.any(quiet):
+            lost[pair] += float(bound[quiet].sum()) / strongest[pair]
+            count += len(quiet) - len(rows)
+        if len(rows):
+            groups.append(PairTracks(group.source, group.receiver, group.start[rows], group.end[rows]))
+            pair_paths.append(paths.part(rows))
     if not count:
         return tracks, f"no path stays below {below_db:g} dB"
-    groups = [
-        PairTracks(group.source, group.receiver, group.start[rows], group.end[rows])
-        for group, rows in zip(tracks.groups, kept, strict=True)
-    ]
-    reduced = replace(
-        tracks,
-        groups=tuple(groups),
-        pair_paths=tuple(pair.part(rows) for pair, rows in zip(tracks.pair_paths, kept, strict=True)),
-    )
-    most = max(lost.values(), default=0.0)
+    reduced = replace(tracks, groups=tuple(groups), pair_paths=tuple(pair_paths))
+    most = max(lost.values())
     together = f"reach at most {20.0 * math.log10(most):.1f} dB" if most > 0.0 else "are silent"
     return reduced, (
         f"{count} paths that stay below {below_db:g} dB of the strongest are left out; all of them together {together}"
@@ -103,7 +100,7 @@ def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, floa
 
 
 def _peak(directivity: Directivity, frequencies: Floats, speed_of_sound: float) -> Floats:
-    """Return a bound of a beam's gain in any direction, (F,)."""
+    """Return a bound of a directivity's gain in any direction, (F,)."""
     if isinstance(directivity, Omni):
         return np.ones(len(frequencies))
     i = np.arange(_DIRECTIONS)

@@ -215,17 +215,7 @@ class DeviceTracks:
             meanwhile()
         cl.enqueue_copy(self._queue, found, found_there)
         cl.enqueue_copy(self._queue, unheld, unheld_there)
-        first = slots.first_slot[:-1]
-        # Errors of paths add up like the paths themselves: as the root of the sum of squares.
-        error, heard, left = (
-            np.sqrt(np.add.reduceat(square, first, axis=1), dtype=np.float64)
-            for square in (found[..., 0], found[..., 1], unheld)
-        )
-        heard = np.maximum(heard, 1e-30)
-        return DeviceNodes(
-            delay, polynomials, activity, (error / heard).max(axis=1), (left / heard).max(axis=1),
-            float(found[..., 2].min()), float(found[..., 3].max()),
-        )  # fmt: skip
+        return _nodes_made(slots.first_slot[:-1], (delay, polynomials, activity), found, unheld)
 
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
@@ -277,6 +267,20 @@ class DeviceTracks:
 
     def _uploaded(self, **columns: NDArray[Any]) -> dict[str, Any]:
         return {name: self._upload(column) for name, column in columns.items()}
+
+
+def _nodes_made(
+    first: NDArray[np.int32], on_device: tuple[Any, Any, Any], found: NDArray[np.float32], unheld: NDArray[np.float32]
+) -> DeviceNodes:
+    """Return nodes with what was found of each walk and path, by receivers that begin at given paths."""
+    # Errors of paths add up like the paths themselves: as the root of the sum of squares.
+    error, heard, left = (
+        np.sqrt(np.add.reduceat(square, first, axis=1), dtype=np.float64)
+        for square in (found[..., 0], found[..., 1], unheld)
+    )
+    heard = np.maximum(heard, 1e-30)
+    shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
+    return DeviceNodes(*on_device, (error / heard).max(axis=1), (left / heard).max(axis=1), shortest, longest)
 
 
 def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
