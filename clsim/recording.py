@@ -84,7 +84,18 @@ class Recording:
         return np.arange(self.samples.shape[1]) / self.sampling_rate
 
     def reception_times(self, receiver: int) -> NDArray[np.float64]:
-        """Return the true times (samples,) at which a receiver took its samples, s; see `Electronics`."""
+        """Return the true times at which a receiver took its samples; see `Electronics`.
+
+        Parameters
+        ----------
+        receiver : int
+            Index.
+
+        Returns
+        -------
+        ndarray (samples,)
+            Times, s.
+        """
         times = self.times
         return times if self.paths is None else times + self.paths.scene.receivers[receiver].clock_error(times)
 
@@ -92,6 +103,11 @@ class Recording:
         """Write a WAV file of 32-bit floats in Pa or V, one channel per receiver, whole or not at all.
 
         In baseband there are two channels per receiver, real part (I) before imaginary part (Q).
+
+        Parameters
+        ----------
+        path : path-like
+            Of the file.
 
         Raises
         ------

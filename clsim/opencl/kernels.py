@@ -162,8 +162,8 @@ PROGRAMS = {
     "tracks": Program(
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
-            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", "nodes/activity.h",
-            "nodes/tracks.cl",
+            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h",
+            "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **_IMAGES,
