@@ -290,7 +290,7 @@ def test_what_comes_into_the_way_while_rendering_stays(tmp_path: Path, capsys, m
 
 def test_results_that_come_while_waiting_for_the_lock_are_seen(done: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     """A run that looked at an empty folder and then got the lock of one that had finished."""
-    from clsim.output import result_folder
+    from clsim.workflow import result_folder
 
     first, out, locked = tmp_path / "out", tmp_path / "late", result_folder.locked
 
