@@ -8,6 +8,7 @@ import spectral_sums
 
 import clsim
 from clsim.render.plan import plan_render
+from clsim.render.reference import ReferenceEngine
 
 RATE, C = 192e3, 343.0
 AIR = clsim.Air(speed_of_sound=C, relative_humidity=0.4)
@@ -141,7 +142,9 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
 def test_engines_agree_over_a_band() -> None:
     scene = room_scene(25e3, 60e3)
     paths = clsim.find_paths(scene, 6)
-    fast, slow = (clsim.render(paths, RATE, engine=e, duration=0.04).pressure[0] for e in ("opencl", "reference"))
+    plan = plan_render(paths, RATE, duration=0.034)
+    fast = clsim.render(paths, RATE, duration=0.034).pressure[:, 4000:]
+    slow = ReferenceEngine(plan).render(4000, plan.samples)  # all paths are in
     assert np.linalg.norm(fast - slow) < 10 ** (-80 / 20) * np.linalg.norm(slow)
 
 

@@ -78,26 +78,26 @@ def by_hand(world: clsim.Scene, paths, times: np.ndarray) -> np.ndarray:
     # The departure in the source's frame as it was at emission, the arrival in the receiver's.
     leaving = np.einsum("ptji,ptj->pti", frame_of(SPIN_S, late.ravel()).reshape(*late.shape, 3, 3), table.departure)
     coming = np.einsum("tji,ptj->pti", frame_of(SPIN_R, times), table.arrival)
-    cosines = np.abs(table.departure)
+    cosines, materials = np.abs(table.departure), world.room.wall_materials
 
     def response(f: float) -> np.ndarray:
         made = 10 ** (-AIR.absorption_at(f) * (distance - 1.0) / 20) / (distance * (1.0 - mach)) + 0j
         for beam, towards in ((world.sources[0].directivity, leaving), (world.receivers[0].directivity, coming)):
             sided = isinstance(beam, Lopsided)
             made *= beam.gain_towards(towards, f, C) if sided else beam.gain(towards[..., 0], f, C)
+        level = [m.reflection_at(f) if m not in (POROUS, ROUGH) else None for m in materials]
         for bounce in paths.walls.T:
             for p in np.flatnonzero(bounce >= 0):  # unfolded, a ray meets all walls across an axis at one angle
-                made[p] *= sent_back(world.room.wall_materials[bounce[p]], f, cosines[p, :, bounce[p] // 2])
+                wall, cosine = bounce[p], cosines[p, :, bounce[p] // 2]
+                made[p] *= by_angle(materials[wall], f, cosine) if level[wall] is None else level[wall]
         return made
 
     return spectral_sums.heard(world.sources[0].signal, late, response, 2**13)
 
 
-def sent_back(material: clsim.Material, f: float, cosine: np.ndarray):
-    """Return the factor of a wall by formula."""
-    if material is POROUS:
-        return porous_factor(f, cosine)
-    return rough_factor(f, cosine, C) if material is ROUGH else float(material.reflection_at(f))
+def by_angle(material: clsim.Material, f: float, cosine: np.ndarray):
+    """Return the factor of a wall that depends on the angle, by formula."""
+    return porous_factor(f, cosine) if material is POROUS else rough_factor(f, cosine, C)
 
 
 class _Seen:
