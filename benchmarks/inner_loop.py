@@ -15,7 +15,7 @@ room = clsim.Shoebox((8, 6, 3), clsim.Material.from_reflection(0.9))
 for signal in (tone, pulses):
     source = clsim.Source("s", signal, clsim.Trajectory.line((4, 3, 1), (4.1, 3, 1), 0.1))
     scene = clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("r", clsim.Trajectory.fixed((1, 1, 2)))])
-    clsim.render(scene, clsim.find_paths(scene, 1), 192e3, duration=0.1, response_error_db="centre")
+    clsim.render(clsim.find_paths(scene, 1), 192e3, duration=0.1, response_error_db="centre")
 """
 
 

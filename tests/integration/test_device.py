@@ -65,7 +65,7 @@ def test_poisoned_cache_is_built_around(device: None, tmp_path: Path) -> None:
         "room = clsim.Shoebox((8, 6, 3), clsim.Material.from_reflection(0.9));"
         "s = clsim.Source('s', t, clsim.Trajectory.fixed((4, 3, 1)));"
         "scene = clsim.Scene(room, clsim.Air(), [s], [clsim.Receiver('r', clsim.Trajectory.fixed((1, 1, 2)))]);"
-        "p = clsim.render(scene, clsim.find_paths(scene, 1), 192e3, convolve_static=False).pressure; print(float((p**2).sum()))"
+        "p = clsim.render(clsim.find_paths(scene, 1), 192e3, convolve_static=False).pressure; print(float((p**2).sum()))"
     )
 
     def run(died: bool = False, warning: str = "") -> str:
