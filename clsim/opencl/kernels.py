@@ -69,6 +69,7 @@ _PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
 _GAINS = ("common/gains.h",)
+_MASK = ("common/mask.h",)
 
 _IMAGES = {
     "image_matrix": _in("double", "9, slots"),
@@ -162,8 +163,8 @@ PROGRAMS = {
     "tracks": Program(
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
-            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", "nodes/activity.h",
-            "nodes/tracks.cl",
+            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", *_MASK,
+            "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **_IMAGES,
@@ -209,8 +210,8 @@ PROGRAMS = {
             _DELAY_CONSTANTS
             | {
                 "BLOCK", "WALK", "NODES_AT_ONCE", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
-                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "MACH_EXPONENT", "ANGULAR", "SOURCE_DIRECTIVITY",
-                "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
+                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
+                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
             }
         ),
     ),
@@ -251,7 +252,10 @@ PROGRAMS = {
             "found": _out("interval", "found"),
             "found_count": _both("int", "1"),
         },
-        frozenset(_DELAY_CONSTANTS | {"ORDER", "DEPTH", "GRAZE_TIME"}),
+        frozenset(_DELAY_CONSTANTS | {
+                "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL",
+                "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
+            }),
     ),
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
@@ -279,7 +283,7 @@ PROGRAMS = {
     ),
     "render": Program(
         (
-            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_GAINS, "render/phases.h", "render/subblock.h",
+            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_GAINS, *_MASK, "render/phases.h", "render/subblock.h",
             "render/farrow.h", "render/render.cl",
         ),
         {
@@ -302,7 +306,7 @@ PROGRAMS = {
         ),
     ),
     "baseband": Program(
-        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "render/carrier.h", "render/baseband.cl"),
+        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/baseband.cl"),
         {
             **_BRANCHES,
             "first_row": _in("int", "FUNCTIONS + 1"),

@@ -28,7 +28,8 @@ typedef struct {
 // Status at an instant, while both ends move as they can for `within` before and after (s); `reach` is how far that is.
 static int evaluate(const search* s, double time, double within, double* clear, double* reach)
 {
-    const triple source_perturbation = {6.1e-8, -3.7e-8, 7.0e-8}, receiver_perturbation = {-2.9e-8, 8.3e-8, 4.7e-8}, still = {0.0, 0.0, 0.0};
+    const triple source_perturbation = SOURCE_PERTURBATION, receiver_perturbation = RECEIVER_PERTURBATION;
+    const triple still = {0.0, 0.0, 0.0};
     arrival a;
     locate(&s->receiver.path, time, &a);
     const triple receiver = cubic(a.knot, a.u);
@@ -116,8 +117,8 @@ __kernel void intervals(int wall_count, double tolerance, double thickness, __gl
             if (valid) put(p, now.begin, now.end, path, found, found_count);
             continue;
         }
-        double share = 0.999 * clear / reach;
-        if (share < 0.05 || share * within < 0.5 * resolution) share = 0.0;
+        double share = CERTAIN * clear / reach;
+        if (share < LEAST_SHARE || share * within < 0.5 * resolution) share = 0.0;
         const double from = middle - share * within, until = middle + share * within;
         push(p, until, now.end, 0, 0);
         push(p, from, until, 1, valid);

@@ -5,7 +5,7 @@ typedef struct {
     double tolerance;                // m, how far outside its outline a point still is on a wall
     double thickness;                // m, how far edges lie from the planes of their walls
     __global const double4* plane;   // unit normal and offset
-    __global const double4* sphere;   // centre and radius
+    __global const double4* sphere;  // centre and radius
     __global const int* same;        // equal for walls in one plane
     __global const int* first_edge;  // where the edges, pieces and twins of a wall begin, and the lines of a piece
     __global const int* first_piece;
@@ -43,7 +43,7 @@ static double segments_apart(triple a, triple u, triple b, triple v)
     const triple w = difference(a, b);
     const double uu = inner(u, u), uv = inner(u, v), vv = inner(v, v), uw = inner(u, w), vw = inner(v, w);
     const double determinant = uu * vv - uv * uv;
-    double s = determinant > 1e-14 * uu * vv ? unit_range((uv * vw - vv * uw) / determinant) : 0.0;
+    double s = determinant > PARALLEL * uu * vv ? unit_range((uv * vw - vv * uw) / determinant) : 0.0;
     const double t = unit_range((uv * s + vw) / vv);
     s = uu > 0.0 ? unit_range((uv * t - uw) / uu) : 0.0;
     const triple apart = sum(w, difference(times(s, u), times(t, v)));
