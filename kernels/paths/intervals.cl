@@ -74,10 +74,10 @@ static void put(__global progress* p, double begin, double end, int path, __glob
 __kernel void intervals(int wall_count, double tolerance, double thickness, __global const double4* plane,
                         __global const double4* sphere, __global const int* same, __global const int* first_edge,
                         __global const int* first_piece,
-                        __global const int* first_line, __global const int* first_twin, __global const double* edge,
+                        __global const int* first_line, __global const int* first_twin, __global const edge_ends* edge,
                         __global const double4* line, __global const int* twin,
-                        __global const long* places,    // [ends][3]: first knot, first speed, knots; the source first
-                        __global const double* scales,  // [ends][3]: time of the first knot, knots per second, speed
+                        __global const table_place* places,    // [ends], the source first
+                        __global const table_scale* scales,    // [ends]
                         __global const double* knots, __global const double* speeds,
                         __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
                         double speed_of_sound,

@@ -1,6 +1,10 @@
 // The walls of a room in float64, and distances between segments.
 
 typedef struct {
+    double from[3], to[3];
+} edge_ends;
+
+typedef struct {
     int count;
     double tolerance;                // m, how far outside its outline a point still is on a wall
     double thickness;                // m, how far edges lie from the planes of their walls
@@ -11,7 +15,7 @@ typedef struct {
     __global const int* first_piece;
     __global const int* first_line;
     __global const int* first_twin;
-    __global const double* edge;     // [edges][6]: ends of a segment
+    __global const edge_ends* edge;  // [edges]
     __global const double4* line;    // x is inside if inner(line, x) >= line.w
     __global const int* twin;        // walls of lower index in the same plane
 } room;
@@ -56,7 +60,7 @@ static double edges_apart(const room* walls, int wall, triple a, triple b, doubl
     const triple u = difference(b, a);
     double least = most;
     for (int i = walls->first_edge[wall]; i < walls->first_edge[wall + 1] && least > enough; i++) {
-        const triple from = at_row(walls->edge + 6 * i), to = at_row(walls->edge + 6 * i + 3);
+        const triple from = at_row(walls->edge[i].from), to = at_row(walls->edge[i].to);
         const double squared = segments_apart(a, u, from, difference(to, from));
         least = squared < least ? squared : least;
     }
