@@ -1,6 +1,6 @@
 """Whether paths are valid at an instant, and how far their ends may move before that can change; in NumPy, float64.
 
-The twin of ``validity.h``, which has the same names.
+The twin of ``visibility.h`` and ``unfolded.h``, which have the same names.
 
 Notes
 -----

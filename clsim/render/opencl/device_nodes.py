@@ -292,7 +292,7 @@ def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
 
 
 class _Surroundings:
-    """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``gain.h``."""
+    """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``response.h``."""
 
     def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
         c = scene.air.speed_of_sound
