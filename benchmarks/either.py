@@ -21,7 +21,12 @@ NAMES = {  # of clsim: what else it is called
     "SphericalTable": ("SphericalDirectivity",),
     "direct_truth": ("ground_truth", "direct_path"),
 }
-ARRAYS = {"objects": "walls", "doppler": "doppler_factor"}  # new name of an array that is written: old one
+ARRAYS = {  # new name of an array that is written: old one
+    "objects": "walls",
+    "object_names": "wall_names",
+    "path_objects": "path_walls",
+    "doppler": "doppler_factor",
+}
 # Of scene files, new: old. Files are written with the new word where the schema has it.
 KEYS = {"convolve_static": "convolve_at_rest", "prune_below_db": "quietest_db"}
 VALUES = {("kind", "first-order"): ("kind", "cardioid")}

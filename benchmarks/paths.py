@@ -62,7 +62,7 @@ def make_scene(name: str, motion: str, share: float) -> clsim.Scene:
         file, kind = MOTIONS[motion]
         file = DATA / "trajectories" / file
         whole = clsim.Trajectory.from_file(file, kind, max_gap=0.2)
-        shift = middle - trajectory_tables(whole, []).ball(0)[0]
+        shift = middle - trajectory_tables(whole, []).sphere(0)[0]
         times = np.linspace(0.0, share * whole.end, round(share * whole.end * 100.0))
         part = clsim.Trajectory.waypoints(times, whole.position(times) + shift)
         sources = [clsim.Source("s", tone, part)]

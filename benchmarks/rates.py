@@ -163,7 +163,8 @@ def numba_rate(order: int) -> float:
 
     scene = make_scene(1.0)
     paths = clsim.find_paths(scene, order)
-    matrix, offset = paths.image_matrix.astype(np.float32), paths.image_offset.astype(np.float32)
+    images = paths.families[0]
+    matrix, offset = images.image_matrix.astype(np.float32), images.image_offset.astype(np.float32)
     gain = REFLECTION ** paths.order.astype(np.float32)
     margin = 200_000
     signal = scene.sources[0].signal.read(-margin, int(RATE) + margin).astype(np.float32)

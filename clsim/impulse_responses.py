@@ -11,9 +11,8 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import ClsimWarning, InputError
-from clsim.paths.arrivals import arrivals
 from clsim.paths.coverage import check_band_coverage
-from clsim.paths.impulse_response import ResponseBand, frozen_response
+from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
 from clsim.paths.path_set import PathSet
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.paths.arrivals import PairPaths
+    from clsim.paths.family import PairPaths
     from clsim.paths.impulse_response import ImpulseResponse
     from clsim.scene.scene import Scene
 
@@ -169,21 +168,20 @@ def impulse_responses(
         scene, range(len(scene.sources)), max(kept.low, kept.high * 1e-3), kept.high, "the band of the responses"
     )
     as_choice("lead", lead, LEADS)
-    groups = _heard_groups(paths, time)
-    if not groups:
+    heard = _heard_pairs(paths, time)
+    if not heard:
         raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
-    found, pairs = [], (len(scene.sources), len(scene.receivers))
-    first_arrivals, cut_db = np.full(pairs, math.nan), np.full(pairs, -math.inf)
-    for i, group in enumerate(groups):
-        response = frozen_response(scene, group, time, rate, kept)
-        pair = group.source, group.receiver
-        first_arrivals[pair] = arrivals(scene, group, np.array([time]), "quasi-static").delay.min()
+    found, shape = {}, (len(scene.sources), len(scene.receivers))
+    first_arrivals, cut_db = np.full(shape, math.nan), np.full(shape, -math.inf)
+    for i, (pair, kinds) in enumerate(heard.items()):
+        found[pair] = summed([frozen_response(kind, time, rate, kept) for kind in kinds])
+        now = np.array([time])
+        first_arrivals[pair] = min(kind.arrivals(now, "quasi-static").delay.min() for kind in kinds)
         if lead == "cut":
-            response, cut_db[pair] = response.causal()
-        found.append(response)
+            found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
-            progress((i + 1) / len(groups))
-    samples, before = _on_one_axis(pairs, groups, found)
+            progress((i + 1) / len(heard))
+    samples, before = _on_one_axis(shape, found)
     made = ImpulseResponses(
         read_only(samples), rate, before, time, (kept.low, kept.high), scene, read_only(first_arrivals),
         read_only(cut_db),
@@ -193,19 +191,19 @@ def impulse_responses(
     return made
 
 
-def _on_one_axis(pairs: tuple[int, int], groups: list[PairPaths], found: list[ImpulseResponse]) -> tuple[Floats, int]:
+def _on_one_axis(pairs: tuple[int, int], found: dict[tuple[int, int], ImpulseResponse]) -> tuple[Floats, int]:
     """Return the taps of pairs (sources, receivers, n), and how many of the n come before time 0."""
-    lead = max(0, -min(response.first for response in found))
-    shape = (*pairs, lead + max(response.last for response in found) + 1)
+    lead = max(0, -min(response.first for response in found.values()))
+    shape = (*pairs, lead + max(response.last for response in found.values()) + 1)
     if 8 * math.prod(shape) > _MOST_BYTES:
         raise InputError(
             "scene", f"must have responses of at most {_MOST_BYTES >> 30} GiB, but {shape[0]} x {shape[1]} pairs "
             f"of {shape[2]} samples are more; take fewer sources or receivers at a time"
         )  # fmt: skip
     samples = np.zeros(shape)
-    for group, response in zip(groups, found, strict=True):
+    for pair, response in found.items():
         first = lead + response.first
-        samples[group.source, group.receiver, first : first + len(response.taps)] = response.taps
+        samples[(*pair, slice(first, first + len(response.taps)))] = response.taps
     return samples, lead
 
 
@@ -239,7 +237,11 @@ def _as_instant(scene: Scene, at: Any) -> float:
     return time
 
 
-def _heard_groups(paths: PathSet, time: float) -> list[PairPaths]:
-    """Return the paths of every pair that are heard at a time; pairs without any are left out."""
+def _heard_pairs(paths: PathSet, time: float) -> dict[tuple[int, int], list[PairPaths]]:
+    """Return the paths of every kind that are heard at a time, by source and receiver."""
     heard: NDArray[np.bool_] = (paths.start <= time) & (time < paths.end)
-    return [group.part(np.flatnonzero(heard[rows])) for rows, group in paths.groups() if heard[rows].any()]
+    found: dict[tuple[int, int], list[PairPaths]] = {}
+    for rows, pair in paths.pairs():
+        if heard[rows].any():
+            found.setdefault((pair.source, pair.receiver), []).append(pair.part(np.flatnonzero(heard[rows])))
+    return found

@@ -84,7 +84,18 @@ class Recording:
         return np.arange(self.samples.shape[1]) / self.sampling_rate
 
     def reception_times(self, receiver: int) -> NDArray[np.float64]:
-        """Return the true times (samples,) at which a receiver took its samples, s; see `Electronics`."""
+        """Return the true times at which a receiver took its samples; see `Electronics`.
+
+        Parameters
+        ----------
+        receiver : int
+            Index.
+
+        Returns
+        -------
+        ndarray (samples,)
+            Times, s.
+        """
         times = self.times
         return times if self.paths is None else times + self.paths.scene.receivers[receiver].clock_error(times)
 
@@ -93,12 +104,17 @@ class Recording:
 
         In baseband there are two channels per receiver, real part (I) before imaginary part (Q).
 
+        Parameters
+        ----------
+        path : path-like
+            Of the file.
+
         Raises
         ------
         OSError
             If the file cannot be written.
         """
-        from clsim.files.wav import WavWriter, as_frames
+        from clsim.files.sound import WavWriter, as_frames
 
         frames = as_frames(self.samples)
         with WavWriter(path, self.sampling_rate, frames.shape[1], len(frames)) as writer:

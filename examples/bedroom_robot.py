@@ -21,7 +21,7 @@ LONGEST = 0.03  # s shown
 
 
 def main() -> None:
-    """Render the chirps; draw the matched filters' outputs with the truth."""
+    """Render the chirps; draw the matched filters' outputs with the ground truth."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("out"))
     parser.add_argument("--mesh", type=Path, help="mesh file, metres, y up")
@@ -66,7 +66,7 @@ def tour(file: Path | None, middle: np.ndarray) -> clsim.Trajectory:
 
 
 def draw(paths: clsim.PathSet, pressure: np.ndarray, chirp: np.ndarray, file: Path) -> None:
-    """Draw the matched filter's output after every chirp, one panel per receiver, and the truth."""
+    """Draw the matched filter's output after every chirp, one panel per receiver, and the ground truth."""
     figure = Figure(figsize=(12.0, 7.0), layout="constrained")
     FigureCanvasAgg(figure)
     count, step = pressure.shape[1] // round(PERIOD * RATE), round(PERIOD * RATE)

@@ -12,7 +12,6 @@ import numpy as np
 
 import clsim
 from clsim.output.plots import spectrogram_picture
-from clsim.scene_file import load_scene
 
 
 def main() -> None:
@@ -21,14 +20,14 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("out"))
     folder = parser.parse_args().output
     folder.mkdir(parents=True, exist_ok=True)
-    file = load_scene(Path(__file__).with_name("circle.toml"))
+    file = clsim.load_scene(Path(__file__).with_name("circle.toml"))
     paths = clsim.find_paths(file.scene, **file.paths)
     recording = clsim.render(paths, **file.render)
     recording.save(folder / "paper_circle.wav")
     times = np.linspace(0.0, 2.0, 401)
     table = paths.table(times, motion=file.render["motion"])
     heard = [p for p in range(len(paths)) if table.gain[p, 0] != 0.0]
-    names = ["direct" if table.direct[p] else table.wall_names[table.walls[p, 0]] for p in heard]
+    names = [table.name_way(p) for p in heard]
     overlay = [(times, 40e3 * table.doppler_factor[p], name) for p, name in zip(heard, names, strict=True)]
     spectrogram_picture(
         recording.pressure[0], recording.sampling_rate, folder / "paper_circle.png",

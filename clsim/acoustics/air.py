@@ -78,7 +78,7 @@ def vapour_fraction_giacomo(temperature_celsius: float, relative_humidity: float
     Notes
     -----
     ``h f p_sv / p`` with the enhancement factor ``f = 1.00062 + 3.14e-8 p + 5.6e-7 t²``: [Giacomo]_, as
-    [Cramer]_ uses it in his appendix.
+    [Cramer]_ uses it in his appendix. Valid from 0 to 30 °C and 60 to 110 kPa.
 
     Examples
     --------
@@ -117,7 +117,7 @@ def speed_of_sound_cramer(
 
     Notes
     -----
-    [Cramer]_, equation 15 with its coefficients for the speed of sound; valid from 0 to 30 °C, 75 to 102 kPa,
+    [Cramer]_, equation 15 with the coefficients of table III; valid from 0 to 30 °C, 75 to 102 kPa,
     vapour fractions to 0.06 and CO2 fractions to 0.01, with an uncertainty of 300 ppm.
 
     Examples
@@ -156,7 +156,7 @@ def speed_of_sound_iso9613(temperature_celsius: float) -> float:
 
     Notes
     -----
-    ``343.2 sqrt(T / 293.15 K)``: [ISO]_ annex A.
+    ``343.2 sqrt(T / 293.15 K)``: [ISO]_ equation A.5; from -20 to 50 °C.
 
     Examples
     --------
@@ -186,7 +186,7 @@ def vapour_percent_iso9613(temperature_celsius: float, relative_humidity: float,
     Notes
     -----
     ``h = h_r (p_sat / p_r) / (p_a / p_r)`` with
-    ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ annex B.
+    ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ equations B.1 to B.3; from -20 to 50 °C.
 
     Examples
     --------

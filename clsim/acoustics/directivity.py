@@ -34,12 +34,12 @@ def piston_gain(cosine: ArrayLike, frequency: ArrayLike, radius: float, speed_of
     Notes
     -----
     ``2 J1(k a sin θ) / (k a sin θ)``: P. M. Morse and K. U. Ingard, "Theoretical Acoustics", 1968, section
-    7.4. The formula holds in front of the baffle. Behind it (negative cosine) the value at 90° is kept, so
-    that the gain has no step where a path crosses the plane of the baffle.
+    7.4. The formula holds in front of the baffle, well beyond ``a² / λ``. Behind it (negative cosine) the value at 90°
+    is kept, so that the gain has no step where a path crosses the plane of the baffle.
 
     Examples
     --------
-    >>> angle = np.radians([0.0, 40.0])  # half the beam of an air transducer of 4.7 mm at 40 kHz
+    >>> angle = np.radians([0.0, 40.0])  # on the axis, and at -6 dB of a piston of 4.7 mm at 40 kHz
     >>> (20 * np.log10(piston_gain(np.cos(angle), 40e3, 0.0047, 344.0))).round(1).tolist()
     [0.0, -6.0]
     """
@@ -72,7 +72,8 @@ def first_order_gain(cosine: ArrayLike, weight: float) -> Floats:
 
     Notes
     -----
-    ``w + (1 - w) cos θ``: H. F. Olson, "Gradient microphones", J. Acoust. Soc. Am. 17 (3), 192-198, 1946.
+    ``w + (1 - w) cos θ``: H. F. Olson, "Gradient microphones", J. Acoust. Soc. Am. 17 (3), 192-198, 1946. For plane
+    waves on capsules much smaller than the wavelength.
 
     Examples
     --------

@@ -32,7 +32,8 @@ def reflection_from_absorption(alpha: ArrayLike) -> Floats:
 
     Notes
     -----
-    ``R = sqrt(1 - α)``: H. Kuttruff, "Room Acoustics", 5th ed. 2009, section 2.1.
+    ``R = sqrt(1 - α)``: H. Kuttruff, "Room Acoustics", 5th ed. 2009, section 2.1. It holds for a plane wave at the
+    angle for which α is given; tabulated values are mostly means over all angles.
 
     Examples
     --------
@@ -60,7 +61,8 @@ def reflection_from_impedance(impedance: ArrayLike, cosine: ArrayLike = 1.0) -> 
 
     Notes
     -----
-    ``R = (ζ cos θ - 1) / (ζ cos θ + 1)``: H. Kuttruff, "Room Acoustics", 5th ed. 2009, section 2.3.
+    ``R = (ζ cos θ - 1) / (ζ cos θ + 1)``: H. Kuttruff, "Room Acoustics", 5th ed. 2009, section 2.3. For plane
+    waves, and walls in which sound does not travel along the surface.
 
     Examples
     --------
@@ -83,10 +85,16 @@ def mismatch_reflection(density: float, sound_speed: float, speed_of_sound: floa
     speed_of_sound : float
         In air, m/s.
 
+    Returns
+    -------
+    float
+        Factor, -1 to 1.
+
     Notes
     -----
-    ``R = (Z - ρ c) / (Z + ρ c)`` with ``Z`` the product of the solid's density and sound speed: A. D. Pierce,
-    "Acoustics", chapter 3. No layers, no plate resonances, no coincidence.
+    ``R = (Z - ρ c) / (Z + ρ c)`` with ``Z`` the product of the solid's density and sound speed: L. E.
+    Kinsler, A. R. Frey, A. B. Coppens and J. V. Sanders, "Fundamentals of Acoustics", 4th ed. 2000, section 6.2. Normal
+    incidence on a half-space: no layers, no plate resonances, no coincidence.
 
     Examples
     --------
@@ -224,7 +232,7 @@ def backed_layer_reflection(
     Plane waves are refracted into the layer (it reacts laterally too): ``q = sqrt(n² - sin² θ)``, seen impedance
     ``Z n / q``, ``R = (Γ + e) / (1 + Γ e)`` with ``Γ = (Z n cos θ / q - 1) / (Z n cos θ / q + 1)`` and
     ``e = exp(-2j k d q)``: the closed form of J. F. Allard and N. Atalla, "Propagation of Sound in Porous Media", 2nd
-    ed. 2009, chapter 3 (there by cotangents).
+    ed. 2009, chapter 3 (there by cotangents). For plane waves, and a frame that does not move.
 
     Examples
     --------

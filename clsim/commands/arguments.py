@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Literal, get_args, get_origin, get_type_hints
+
+from clsim.render.options import RenderOptions
+
+_UNITS = {"duration": "SECONDS"}  # shown where a value goes
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -14,6 +19,17 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Add leave to write over a file."""
     parser.add_argument("--force", action="store_true", help="write over a file that is already there")
+
+
+def add_render_option(parser: argparse.ArgumentParser, name: str, text: str) -> None:
+    """Add an option of `render`, of the type that `RenderOptions` gives it; left out it is None."""
+    wanted = get_type_hints(RenderOptions)[name]
+    kind = wanted if get_origin(wanted) is Literal else next(iter(get_args(wanted)), wanted)  # of `float | None`: float
+    flag = f"--{name.replace('_', '-')}"
+    if get_origin(kind) is Literal:
+        parser.add_argument(flag, choices=get_args(kind), help=text)
+    else:
+        parser.add_argument(flag, type=kind, metavar=_UNITS.get(name), help=text)
 
 
 def as_path(text: str) -> Path:

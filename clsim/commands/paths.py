@@ -51,14 +51,14 @@ def execute(options: argparse.Namespace) -> int:
     rows = np.argsort(table.delay[:, 0], kind="stable")
     rows = rows[np.isfinite(table.delay[rows, 0])]  # those that are there
     head = f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10}"
-    print(f"{head} {'doppler factor':>14}  walls")
+    print(f"{head} {'doppler factor':>14}  objects")
     for p in rows[: options.limit]:
         gain = f"{20 * np.log10(abs(table.gain[p, 0])):.1f}" if table.heard[p, 0] else "silent"
-        walls = ", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct"
+        way = table.name_way(p)
         print(
             f"{table.receiver_names[table.receiver[p]]:<16} {table.source_names[table.source[p]]:<16} "
             f"{table.order[p]:>5} {table.delay[p, 0] * 1e3:>11.4f} {gain:>10} "
-            f"{table.doppler_factor[p, 0]:>14.6f}  {walls}"
+            f"{table.doppler_factor[p, 0]:>14.6f}  {way}"
         )
     if len(rows) > options.limit:
         print(f"and {len(rows) - options.limit} more (--limit)")

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.commands.arguments import add_scene, as_path
+from clsim.commands.arguments import add_render_option, add_scene, as_path
 from clsim.errors import ClsimWarning, InputError
 from clsim.files.atomic import safe_path
-from clsim.output.stores import KINDS, check_store, sound_store
+from clsim.output.stores import STORES, check_store
 from clsim.output.table import check_table, write_ground_truth, write_table
 from clsim.render.memory import within_memory
 from clsim.scene_file import load_scene
@@ -31,7 +31,11 @@ if TYPE_CHECKING:
     from clsim.scene_file.scene import SceneFile
 
 _LARGEST_TABLE = 2_000_000  # paths times instants
-_OVERRIDES = ("device", "engine", "duration")  # of the scene file's [render]
+_OVERRIDES = {  # of the scene file's [render]
+    "device": "OpenCL device, by id or part of its name (see `clsim devices`)",
+    "engine": "instead of the scene file's",
+    "duration": "instead of the scene file's",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,16 +47,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="go on with a run that was killed, if there is one")
     parser.add_argument(
-        "--store", choices=KINDS, default="wav", help="format of the sound: WAV files, Zarr or HDF5 (default: wav)"
+        "--store",
+        choices=tuple(STORES),
+        default="wav",
+        help="format of the sound: WAV files, Zarr or HDF5 (default: wav)",
     )
     parser.add_argument(
         "--table", choices=("npz", "parquet", "none"), default="npz", help="format of the path table (default: npz)"
     )
     parser.add_argument("--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)")
     parser.add_argument("--no-plots", action="store_true", help="draw no pictures")
-    parser.add_argument("--device", help="OpenCL device, by id or part of its name (see `clsim devices`)")
-    parser.add_argument("--engine", choices=("opencl", "reference"), help="instead of the scene file's")
-    parser.add_argument("--duration", type=float, metavar="SECONDS", help="instead of the scene file's")
+    for name, text in _OVERRIDES.items():
+        add_render_option(parser, name, text)
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -81,7 +87,7 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
     times = _table_times(plan, options)
     identity = run_identity(planned) | {"options": {"store": options.store, "table_rate": options.table_rate}}
     sound = planned.stored_sound(results.folder)
-    store = sound_store(options.store, results.work, sound, outputs.receivers)
+    store = STORES[options.store](results.work, sound, outputs.receivers)
     results.begin(identity)
     with within_memory(plan.largest_field, "rendering", plan.memory_bytes):
         made = render_sound(results, plan, store, identity)

@@ -84,19 +84,19 @@ def lagrange_bank(order: int, length: int | None = None) -> Floats:
     return bank[:, dropped : dropped + length]
 
 
-def chebyshev_degree(edge: float, mu_max: float, error: float, importance: tuple[float, ...] = (1.0,)) -> int:
+def chebyshev_degree(cutoff: float, mu_max: float, error: float, importance: tuple[float, ...] = (1.0,)) -> int:
     """Return the smallest degree whose Chebyshev series of a pure delay is within `error`.
 
     Parameters
     ----------
-    edge : float
+    cutoff : float
         Highest angular frequency, rad per sample.
     mu_max : float
         Largest ``|mu|``, samples.
     error : float
         Largest allowed tail of the series (absolute, a pure delay being 1), times the importance.
     importance : tuple of float
-        Of equal cells from 0 to the edge, at most 1.
+        Of equal cells from 0 to the cutoff, at most 1.
 
     Notes
     -----
@@ -105,7 +105,7 @@ def chebyshev_degree(edge: float, mu_max: float, error: float, importance: tuple
     """
     from scipy.special import jv
 
-    orders, ends = np.arange(_LARGEST_DEGREE + 30), edge * np.arange(1, len(importance) + 1) / len(importance)
+    orders, ends = np.arange(_LARGEST_DEGREE + 30), cutoff * np.arange(1, len(importance) + 1) / len(importance)
     terms = np.abs(jv(orders[:, None], ends * mu_max)) * np.array(importance)
     tail = (2 * np.cumsum(terms[::-1], axis=0)[::-1]).max(axis=1)  # tail[k]: terms k and above
     within = np.flatnonzero(tail[1:] <= error)
@@ -113,7 +113,7 @@ def chebyshev_degree(edge: float, mu_max: float, error: float, importance: tuple
 
 
 def chebyshev_bank(
-    degree: int, half: int, edge: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
+    degree: int, half: int, cutoff: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
 ) -> Floats:
     """Return a band-limited bank: least-squares filters whose responses are the Bessel functions.
 
@@ -123,12 +123,12 @@ def chebyshev_bank(
         Degree in ``mu``.
     half : int
         Taps on either side of the middle one.
-    edge : float
+    cutoff : float
         Highest angular frequency that must be right, rad per sample.
     mu_max : float
         Largest ``|mu|``, samples.
     importance : tuple of float
-        Of errors in equal cells from 0 to the edge, at most 1.
+        Of errors in equal cells from 0 to the cutoff, at most 1.
 
     Returns
     -------
@@ -137,16 +137,16 @@ def chebyshev_bank(
 
     Notes
     -----
-    Branch k of the Chebyshev series has the response ``(2 - [k=0]) (-j)^k J_k(w mu_max)`` up to the edge and is
+    Branch k of the Chebyshev series has the response ``(2 - [k=0]) (-j)^k J_k(w mu_max)`` up to the cutoff and is
     rolled off above it with a small weight, since odd branches would otherwise jump at Nyquist.
     """
     from scipy.special import jv
 
     w = np.linspace(0.0, math.pi, 8 * (half + 1) + 128)
-    inside = w <= edge * (1 + 1e-12)
-    w = np.union1d(w, np.linspace(0.0, edge, int(inside.sum()) + 32))
-    inside = w <= edge * (1 + 1e-12)
-    weight = np.where(inside, _importance_at(w, edge, importance), _OUT_OF_BAND_WEIGHT)[:, None]
+    inside = w <= cutoff * (1 + 1e-12)
+    w = np.union1d(w, np.linspace(0.0, cutoff, int(inside.sum()) + 32))
+    inside = w <= cutoff * (1 + 1e-12)
+    weight = np.where(inside, _importance_at(w, cutoff, importance), _OUT_OF_BAND_WEIGHT)[:, None]
     m = np.arange(1, half + 1)
     even = np.concatenate([np.ones((len(w), 1)), 2 * np.cos(np.outer(w, m))], axis=1)  # h[0], h[m] = h[-m]
     odd = 2 * np.sin(np.outer(w, m))  # h[m] = -h[-m]
@@ -170,7 +170,7 @@ def chebyshev_bank(
 
 @lru_cache(maxsize=64)
 def design_bandlimited(
-    error_db: float, edge: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
+    error_db: float, cutoff: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
 ) -> tuple[Floats, float]:
     """Return the smallest band-limited bank within an error, and the error that it reaches.
 
@@ -178,12 +178,12 @@ def design_bandlimited(
     ----------
     error_db : float
         Asked bound on ``bank_error`` in dB.
-    edge : float
+    cutoff : float
         Highest angular frequency, rad per sample, below pi.
     mu_max : float
         Largest ``|mu|``, samples.
     importance : tuple of float
-        Of errors in equal cells from 0 to the edge, at most 1.
+        Of errors in equal cells from 0 to the cutoff, at most 1.
 
     Returns
     -------
@@ -197,21 +197,21 @@ def design_bandlimited(
     ValueError
         If no bank of a sensible length reaches the error.
     """
-    degree = chebyshev_degree(edge, mu_max, 10 ** ((error_db - 6.0) / 20), importance)
+    degree = chebyshev_degree(cutoff, mu_max, 10 ** ((error_db - 6.0) / 20), importance)
     half, step = max(2, (degree + 1) // 2), 1
     while 2 * half + 1 <= _LARGEST_LENGTH:
-        taps = chebyshev_bank(degree, half, edge, mu_max, importance)
-        reached = bank_error(taps, half, 0.0, edge, mu_max, importance)
+        taps = chebyshev_bank(degree, half, cutoff, mu_max, importance)
+        reached = bank_error(taps, half, 0.0, cutoff, mu_max, importance)
         if 20 * math.log10(reached) <= error_db:
             taps.flags.writeable = False
             return taps, 20 * math.log10(reached)
         step = max(1, half // 6)
         half += step
-    raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {edge:.4g} rad")
+    raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {cutoff:.4g} rad")
 
 
 def bank_error(
-    taps: Floats, centre: int, shift: float, edge: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
+    taps: Floats, centre: int, shift: float, cutoff: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
 ) -> float:
     """Return the largest deviation of a bank from a pure delay (which is 1), over all delays and the band.
 
@@ -223,22 +223,22 @@ def bank_error(
         Index of the tap without delay.
     shift : float
         Delay at ``mu = 0``, samples.
-    edge : float
+    cutoff : float
         Highest angular frequency, rad per sample.
     mu_max : float
         Largest ``|mu|``, samples.
     importance : tuple of float
-        Of deviations in equal cells from 0 to the edge, at most 1.
+        Of deviations in equal cells from 0 to the cutoff, at most 1.
     """
-    w = np.linspace(0.0, edge, 256)
+    w = np.linspace(0.0, cutoff, 256)
     mu = mu_max * np.cos(np.linspace(0.0, math.pi, 65))
     response = np.exp(-1j * np.outer(w, np.arange(taps.shape[1]) - centre)) @ taps.T
     delayed = polynomial.polyval(mu, response.T)
     wanted = np.exp(-1j * np.outer(w, mu + shift))
-    return float(np.max(np.abs(delayed - wanted) * _importance_at(w, edge, importance)[:, None]))
+    return float(np.max(np.abs(delayed - wanted) * _importance_at(w, cutoff, importance)[:, None]))
 
 
-def _importance_at(w: Floats, edge: float, importance: tuple[float, ...]) -> Floats:
-    """Return the importance at angular frequencies (n,), that of the last cell beyond the edge."""
-    cell = np.clip((w / edge * len(importance)).astype(np.int64), 0, len(importance) - 1)
+def _importance_at(w: Floats, cutoff: float, importance: tuple[float, ...]) -> Floats:
+    """Return the importance at angular frequencies (n,), that of the last cell beyond the cutoff."""
+    cell = np.clip((w / cutoff * len(importance)).astype(np.int64), 0, len(importance) - 1)
     return np.array(importance)[cell]

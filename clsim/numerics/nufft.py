@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 _WIDTH = 12  # half samples over which an impulse is spread; the error is about 10 ** (1 - _WIDTH)
 _SHAPE = 0.98 * 0.75 * math.pi * _WIDTH  # of the Kaiser-Bessel window, for twice as many points as needed
 _COLUMNS = 8  # transformed at a time
-_EXPONENT = 8  # of the band's edges
-_REACH = 7.0  # over the width of an edge, s: beyond, what is left of an arrival's spectrum is below -120 dB
+_EXPONENT = 8  # of the taper
+_REACH = 7.0  # over the width of a skirt, s: beyond, what is left of an arrival's spectrum is below -120 dB
 
 
 def delayed_sums(delays: Floats, gains: Floats, size: int) -> Complexes:
@@ -63,7 +63,7 @@ def delayed_sums(delays: Floats, gains: Floats, size: int) -> Complexes:
     return out
 
 
-def band_edges(frequencies: Floats, low: float, high: float, below: float, above: float) -> Floats:
+def band_taper(frequencies: Floats, low: float, high: float, below: float, above: float) -> Floats:
     """Return the weight (n,) of frequencies: 1 in a band, falling smoothly to 0 outside.
 
     Parameters
@@ -77,7 +77,7 @@ def band_edges(frequencies: Floats, low: float, high: float, below: float, above
 
     Notes
     -----
-    The edges are regularised incomplete beta functions, so that the skirts of an arrival die away fast; see `ringing`.
+    The skirts are regularised incomplete beta functions, so that an arrival dies away fast; see `ringing`.
     """
     from scipy.special import betainc
 
@@ -88,7 +88,7 @@ def band_edges(frequencies: Floats, low: float, high: float, below: float, above
 
 
 def ringing(below: float, above: float) -> float:
-    """Return how long an arrival rings to either side, s, for edges of a band with widths in Hz; see `band_edges`.
+    """Return how long an arrival rings to either side, s, for skirts of a band with widths in Hz; see `band_taper`.
 
     Within 5 / 7 of that its skirts have fallen below -100 dB of its peak.
     """

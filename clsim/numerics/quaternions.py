@@ -1,4 +1,4 @@
-"""Unit quaternions x y z w, right-handed; at identity a transducer points along +x."""
+"""Unit quaternions x y z w, right-handed; at identity an axis points along +x."""
 
 from __future__ import annotations
 

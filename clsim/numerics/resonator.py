@@ -1,4 +1,4 @@
-"""Responses of transducers and filters: formulae, arrays in and out."""
+"""Resonators and minimum-phase filters."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ def resonance_taps(centre: float, width: float, sampling_rate: float) -> Floats:
     pole = np.exp((-decay + 1j * math.sqrt((2.0 * math.pi * centre) ** 2 - decay**2)) / sampling_rate)
     recursion = np.array([1.0, -2.0 * pole.real, abs(pole) ** 2])
     middle = math.hypot(centre, 0.5 * width)
-    edges = np.array([middle - 0.5 * width, middle + 0.5 * width])
-    z = np.exp(-2j * math.pi * edges / sampling_rate)
-    wanted = (z[:, None] ** np.arange(3) @ recursion) * resonance_response(edges, centre, width)
+    sides = np.array([middle - 0.5 * width, middle + 0.5 * width])
+    z = np.exp(-2j * math.pi * sides / sampling_rate)
+    wanted = (z[:, None] ** np.arange(3) @ recursion) * resonance_response(sides, centre, width)
     powers = (1.0 - z[:, None]) * z[:, None] ** np.arange(4)
     rest = np.linalg.solve(np.concatenate([powers.real, powers.imag]), np.concatenate([wanted.real, wanted.imag]))
     impulse = np.zeros(math.ceil(15.0 * sampling_rate / decay) + 8)

@@ -11,7 +11,7 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
 from clsim.files.names import file_names
-from clsim.files.wav import WavWriter
+from clsim.files.sound import WavWriter
 from clsim.numerics.quaternions import rotate
 from clsim.version import __version__
 

@@ -9,14 +9,15 @@ from __future__ import annotations
 import io
 import shutil
 import warnings
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk
-from clsim.files.wav import EnvelopeFile, SoundFile, wav_header
+from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
 from clsim.output.raw_rows import RawRows
 
 if TYPE_CHECKING:
@@ -28,10 +29,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.output.spectrogram import Readable
 
-KINDS = ("wav", "zarr", "hdf5")
 STORE_FORMAT = 1
-_FILES = {"zarr": "recording.zarr", "hdf5": "recording.h5"}
-_EXTRA = {"zarr": ("zarr", "xarray"), "hdf5": ("h5netcdf", "h5py", "xarray")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,94 +106,78 @@ class StoredSound:
         return named | {"long_name": what}
 
 
-class SoundStore(Protocol):
-    """One kind of store.
+class SoundStore(ABC):
+    """One kind of store; `STORES` lists them.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is made.
+    sound : StoredSound
+        What it says of the sound.
+    receivers : sequence of str
+        Names of the receivers, as files are called.
 
     Attributes
     ----------
+    packages : tuple of str
+        That it needs.
     paths : list of Path
         Files or folders that make it up.
     """
 
-    paths: list[Path]
+    packages: ClassVar[tuple[str, ...]] = ()
 
+    def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
+        self.paths = [folder / name for name in self.names(receivers)]
+        self._sound = sound
+
+    @staticmethod
+    @abstractmethod
+    def names(receivers: Sequence[str]) -> list[str]:
+        """Return what its files or folders are called."""
+
+    @staticmethod
+    def problem_of(receiver: str) -> str:
+        """Return what is wrong with a receiver's name, as users gave it, for this store; nothing is an empty text."""
+        del receiver
+        return ""
+
+    @abstractmethod
     def create(self) -> None:
         """Make all that is not sound; it is on the disk itself afterwards."""
 
+    @abstractmethod
     def open(self) -> None:
         """Make ready to write."""
 
+    @abstractmethod
     def write(self, start: int, samples: NDArray[Any]) -> None:
         """Write samples (receivers, n) from sample `start` on; written again they change nothing."""
 
+    @abstractmethod
     def to_disk(self) -> None:
         """Wait until all that was written is on the disk itself."""
 
+    @abstractmethod
     def close(self) -> None:
         """Write no more."""
 
+    @abstractmethod
     def row(self, folder: Path, receiver: int) -> Readable:
         """Return the samples of a receiver in the store, which is in `folder` by now."""
 
 
-def sound_store(kind: str, folder: Path, sound: StoredSound, names: list[str]) -> SoundStore:
-    """Return a store of a kind in a folder.
-
-    Parameters
-    ----------
-    kind : {"wav", "zarr", "hdf5"}
-        WAV has one file per receiver, called by `names`; the others hold all of them.
-
-    Raises
-    ------
-    InputError
-        If the sampling rate is none of a WAV file.
-    """
-    if kind == "wav":
-        return _WavStore(folder, sound, names)
-    return _ZarrStore(folder, sound) if kind == "zarr" else _Hdf5Store(folder, sound)
-
-
-def store_names(kind: str, names: Sequence[str]) -> list[str]:
-    """Return what the files or folders of a store are called; `names` are the receivers'."""
-    return [f"{name}.wav" for name in names] if kind == "wav" else [_FILES[kind]]
-
-
-def check_store(kind: str, receiver_names: Sequence[str]) -> None:
-    """See that a store can be written, before there is anything to write.
-
-    Raises
-    ------
-    InputError
-        If a package is missing, or a name is one that the format cannot hold.
-    """
-    check_packages(kind, "--store", "store")
-    for i, name in enumerate(receiver_names):
-        if kind == "hdf5" and "\0" in name:
-            raise InputError(f"receivers[{i}]", f"must have no NUL in its name for --store hdf5, but is {name!r:.80}")
-
-
-def check_packages(kind: str, field: str, extra: str) -> None:
-    """Raise an InputError if a package that a kind of store needs is missing."""
-    from importlib.util import find_spec
-
-    missing = [name for name in _EXTRA.get(kind, ()) if find_spec(name) is None]
-    if missing:
-        raise InputError(field, f'{kind} needs {" and ".join(missing)}: pip install "clsim[{extra}]"')
-
-
-class _RowStore:
+class _RowStore(SoundStore):
     """A store whose samples are rows at known places of files."""
 
-    paths: list[Path]
-
-    def __init__(self, sound: StoredSound) -> None:
-        self._sound = sound
+    def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
+        super().__init__(folder, sound, receivers)
         self._rows = RawRows([])
 
+    @abstractmethod
     def places(self) -> list[tuple[Path, int]]:
         """Return file and byte at which each receiver's samples begin."""
-        raise NotImplementedError
 
     def open(self) -> None:
         self._rows = RawRows(self.places(), self._sound.sample_type)
@@ -226,10 +208,13 @@ class _WavStore(_RowStore):
     Envelopes have two channels, real part (I) and imaginary part (Q): the bytes of complex numbers.
     """
 
-    def __init__(self, folder: Path, sound: StoredSound, names: list[str]) -> None:
-        super().__init__(sound)
-        self.paths = [folder / name for name in store_names("wav", names)]
+    def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
+        super().__init__(folder, sound, receivers)
         self._header = wav_header(sound.sampling_rate, 1 if sound.carrier is None else 2, sound.samples)
+
+    @staticmethod
+    def names(receivers: Sequence[str]) -> list[str]:
+        return [f"{name}.wav" for name in receivers]
 
     def create(self) -> None:
         for path in self.paths:
@@ -263,9 +248,16 @@ class _Hdf5Store(_RowStore):
     change any more.
     """
 
-    def __init__(self, folder: Path, sound: StoredSound) -> None:
-        super().__init__(sound)
-        self.paths = [folder / _FILES["hdf5"]]
+    packages = ("h5netcdf", "h5py", "xarray")
+
+    @staticmethod
+    def names(receivers: Sequence[str]) -> list[str]:
+        del receivers  # one file holds all of them
+        return ["recording.h5"]
+
+    @staticmethod
+    def problem_of(receiver: str) -> str:
+        return f"must have no NUL in its name for --store hdf5, but is {receiver!r:.80}" if "\0" in receiver else ""
 
     def create(self) -> None:
         import h5netcdf
@@ -308,14 +300,20 @@ def _place_in(path: Path) -> int:
         return int(file["sound"].id.get_offset())
 
 
-class _ZarrStore:
+class _ZarrStore(SoundStore):
     """A Zarr group with one file per receiver and chunk."""
 
-    def __init__(self, folder: Path, sound: StoredSound) -> None:
-        self.paths = [folder / _FILES["zarr"]]
-        self._sound = sound
+    packages = ("zarr", "xarray")
+
+    def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
+        super().__init__(folder, sound, receivers)
         self._array: Any = None
         self._written: list[Path] = []
+
+    @staticmethod
+    def names(receivers: Sequence[str]) -> list[str]:
+        del receivers  # one folder holds all of them
+        return ["recording.zarr"]
 
     def create(self) -> None:
         import zarr
@@ -372,6 +370,33 @@ class _ZarrRow:
 
     def __getitem__(self, part: slice) -> NDArray[Any]:
         return np.asarray(self._array[self._receiver, part])
+
+
+STORES: dict[str, type[SoundStore]] = {"wav": _WavStore, "zarr": _ZarrStore, "hdf5": _Hdf5Store}
+
+
+def check_store(kind: str, receiver_names: Sequence[str]) -> None:
+    """See that a store of a kind can be written, before there is anything to write.
+
+    Raises
+    ------
+    InputError
+        If a package is missing, or a name is one that the format cannot hold.
+    """
+    check_packages(kind, "--store", "store")
+    for i, name in enumerate(receiver_names):
+        problem = STORES[kind].problem_of(name)
+        if problem:
+            raise InputError(f"receivers[{i}]", problem)
+
+
+def check_packages(kind: str, field: str, extra: str) -> None:
+    """Raise an InputError if a package that a kind of store needs is missing."""
+    from importlib.util import find_spec
+
+    missing = [name for name in STORES[kind].packages if find_spec(name) is None]
+    if missing:
+        raise InputError(field, f'{kind} needs {" and ".join(missing)}: pip install "clsim[{extra}]"')
 
 
 def texts(values: Any) -> NDArray[Any]:

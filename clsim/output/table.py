@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from clsim.paths.ground_truth import DirectPath
     from clsim.scene.scene import Scene
 
-_NAMES = ("source_names", "receiver_names", "wall_names")
+_NAMES = ("source_names", "receiver_names", "object_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more
-_REPEATING = ["times", "path", "source", "receiver", "order", "walls"]  # columns worth a dictionary
+_REPEATING = ["times", "path", "source", "receiver", "order", "objects"]  # columns worth a dictionary
 
 
 def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
@@ -120,13 +120,14 @@ def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
     from pyarrow import parquet
 
     step = max(1, _ROW_GROUP // max(1, len(table.times)))
-    walls = [",".join(table.wall_names[w] for w in row if w >= 0) for row in table.walls]
+    ways = [",".join(table.object_names[i] for i in row if i >= 0) for row in table.objects]
+    kinds = [",".join(str(kind) for kind in row if kind >= 0) for row in table.interactions.tolist()]
     with atomic_path(path) as temporary:
         writer = None
         try:
             for first in range(0, max(1, len(table.source)), step):
                 rows = range(first, min(first + step, len(table.source)))
-                piece = pa.table(_long(table, rows, walls))
+                piece = pa.table(_long(table, rows, ways, kinds))
                 writer = writer or parquet.ParquetWriter(temporary, piece.schema, use_dictionary=_REPEATING)
                 writer.write_table(piece)
         finally:
@@ -134,7 +135,7 @@ def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
                 writer.close()
 
 
-def _long(table: PathTable, rows: range, walls: list[str]) -> dict[str, Any]:
+def _long(table: PathTable, rows: range, ways: list[str], kinds: list[str]) -> dict[str, Any]:
     """Return the columns of some paths, a row per path and time at which it is heard."""
     import pyarrow as pa
 
@@ -155,10 +156,11 @@ def _long(table: PathTable, rows: range, walls: list[str]) -> dict[str, Any]:
         "source": words(table.source_names, table.source[part]),
         "receiver": words(table.receiver_names, table.receiver[part]),
         "order": per_path(table.order[part]),
-        "walls": words(walls[part], np.arange(len(rows))),
+        "interactions": words(kinds[part], np.arange(len(rows))),
+        "objects": words(ways[part], np.arange(len(rows))),
         "direct": per_path(table.direct[part]),
     }
-    for name in ("delay", "doppler_factor", "gain"):
+    for name in ("delay", "doppler_factor", "doppler_shift", "gain"):
         columns[name] = getattr(table, name)[part].ravel()[heard]
     if np.iscomplexobj(table.gain):  # a type that Parquet does not know
         columns |= {"gain": np.abs(columns["gain"]), "gain_phase": np.angle(columns["gain"])}

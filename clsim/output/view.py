@@ -122,7 +122,7 @@ def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: s
     corners = paths.vertices(time, motion)[heard]
     names = [
         f"{table.source_names[table.source[p]]} to {table.receiver_names[table.receiver[p]]}, "
-        + (", ".join(table.wall_names[w] for w in table.walls[p] if w >= 0) or "direct")
+        + table.name_way(p)
         + f": {table.delay[p, 0] * 1e3:.3f} ms, {decibels + 0.0:.1f} dB"
         for p, decibels in zip(heard, level, strict=True)
     ]
@@ -144,7 +144,7 @@ def _walls(scene: Scene) -> list[ViewedWall]:
 def _ends(scene: Scene, times: Floats) -> list[ViewedEnd]:
     found = []
     for field, item in scene.named_ends():
-        first, last = item.span
+        first, last = item.time_range
         trail = item.trajectory.position(np.linspace(first, max(last, first), _TRAIL if last > first else 1))
         at = item.trajectory.position(np.clip(times, first, last) if np.isfinite(item.trajectory.end) else times)
         found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail)))

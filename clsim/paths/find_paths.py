@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from functools import partial
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from clsim.arrays import as_choice, as_count, as_number, read_only
+from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
-from clsim.paths.specular.mesh import FINDERS, MeshSearch, image_isometries, report
-from clsim.paths.specular.shoebox import shoebox_image_count, shoebox_images
+from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
+from clsim.paths.specular.mesh import FINDERS, mesh_paths
+from clsim.paths.specular.shoebox import shoebox_paths
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
-LARGEST_ORDER = 60
-LARGEST_MESH_ORDER = 20
+    from clsim.paths.family import PathFamily
+
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 ENGINES = ("opencl", "reference")
 
@@ -88,57 +87,38 @@ def find_paths(
     if resolution is not None:
         resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
     limit = as_count("path_limit", path_limit, at_least=1)
-    if isinstance(scene.room, Shoebox):
-        return _shoebox_paths(scene, scene.room, as_count("max_order", max_order, at_most=LARGEST_ORDER), limit)
-    order = as_count("max_order", max_order, at_most=LARGEST_MESH_ORDER)
-    if not isinstance(scene.room, MeshRoom):
-        raise InputError("scene.room", f"must be a Shoebox or a MeshRoom to find paths, but is {scene.room!r:.80}")
-    search = MeshSearch(order, finder, resolution, limit, engine, device)
-    return _mesh_paths(scene, scene.room, search, progress or (lambda share: None))
+    search = PathSearch(max_order, limit, finder, resolution, engine, device, progress or (lambda share: None))
+    return PathSet(scene, tuple(find(scene, search) for find in FAMILY_FINDERS.values()))
 
 
-def _shoebox_paths(scene: Scene, room: Shoebox, order: int, path_limit: int) -> PathSet:
-    pairs = len(scene.sources) * len(scene.receivers)
-    images = shoebox_image_count(order)
-    if images * pairs > path_limit:
-        raise InputError(
-            "max_order",
-            f"must give at most {path_limit} paths (path_limit), but {order} gives {images} images "
-            f"for each of {pairs} pairs of source and receiver",
-        )
-    found = shoebox_images(room.size, order)
-    source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
-    return PathSet(
-        scene=scene,
-        source=read_only(source.astype(np.int32, copy=False)),
-        receiver=read_only(receiver.astype(np.int32, copy=False)),
-        order=read_only(np.tile(found.order, pairs)),
-        walls=read_only(np.tile(found.walls, (pairs, 1))),
-        image_matrix=read_only(np.tile(found.matrix, (pairs, 1, 1))),
-        image_offset=read_only(np.tile(found.offset, (pairs, 1))),
-        start=np.broadcast_to(-np.inf, images * pairs),
-        end=np.broadcast_to(np.inf, images * pairs),
-    )
+@contextmanager
+def registered_family(name: str, finder: FamilyFinder) -> Iterator[None]:
+    """Let `find_paths` find another kind of paths as well, within a ``with`` block.
+
+    Parameters
+    ----------
+    name : str
+        Of the kind; a kind of the same name, such as "specular", is not looked for meanwhile.
+    finder : callable
+        Takes a Scene and a `PathSearch`; returns a `PathFamily`, which may be empty.
+    """
+    before = dict(FAMILY_FINDERS)
+    FAMILY_FINDERS[name] = finder
+    try:
+        yield
+    finally:
+        FAMILY_FINDERS.clear()
+        FAMILY_FINDERS.update(before)
 
 
-def _mesh_paths(scene: Scene, room: MeshRoom, search: MeshSearch, progress: Callable[[float], None]) -> PathSet:
-    count = len(scene.sources)
-    found = [
-        search.paths(scene, source, partial(report, progress, i / count, (i + 1) / count))
-        for i, source in enumerate(scene.sources)
-    ]
-    walls = np.concatenate([f.walls for f in found])
-    if len(walls) > search.path_limit:
-        raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
-    matrix, offset = image_isometries(room.walls, walls)
-    return PathSet(
-        scene=scene,
-        source=read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])),
-        receiver=read_only(np.concatenate([f.receiver for f in found]).astype(np.int32)),
-        order=read_only(np.concatenate([f.order for f in found]).astype(np.int32)),
-        walls=read_only(walls),
-        image_matrix=read_only(matrix),
-        image_offset=read_only(offset),
-        start=read_only(np.concatenate([f.begin for f in found])),
-        end=read_only(np.concatenate([f.end for f in found])),
-    )
+def _specular_paths(scene: Scene, search: PathSearch) -> PathFamily:
+    """Return the paths that walls reflect, by the finder of the kind of room."""
+    find = next((ROOM_FINDERS[kind] for kind in type(scene.room).__mro__ if kind in ROOM_FINDERS), None)
+    if find is None:
+        kinds = " or ".join(kind.__name__ for kind in ROOM_FINDERS)
+        raise InputError("scene.room", f"must be a {kinds} to find paths, but is {scene.room!r:.80}")
+    return find(scene, scene.room, search)
+
+
+ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
+FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import as_floats
-from clsim.paths.arrivals import PairPaths, arrivals, slices_of
+from clsim.paths.arrivals import slices_of
+from clsim.paths.specular.family import SpecularPaths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -69,13 +70,11 @@ def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> Dire
     scene = paths.scene
     shape = (len(scene.sources), len(scene.receivers), len(times))
     delay, rate, seen = np.empty(shape), np.empty(shape), np.zeros(shape, dtype=bool)
-    for s in range(shape[0]):
-        for r in range(shape[1]):
-            walls = np.empty((1, 0), dtype=np.int32)
-            direct = PairPaths(s, r, np.eye(3)[None], np.zeros((1, 3)), walls)
-            for part in slices_of(len(times), 1):
-                found = arrivals(scene, direct, times[part], motion)
-                delay[s, r, part], rate[s, r, part] = found.delay[0], found.delay_rate[0]
+    for pair in SpecularPaths.direct(scene).pairs():
+        for part in slices_of(len(times), 1):
+            found = pair.arrivals(times[part], motion)
+            delay[pair.source, pair.receiver, part] = found.delay[0]
+            rate[pair.source, pair.receiver, part] = found.delay_rate[0]
     for row in np.flatnonzero(paths.order == 0):
         heard = (times >= paths.start[row]) & (times < paths.end[row])
         seen[paths.source[row], paths.receiver[row]] |= heard

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.nufft import band_edges, delayed_sums, ringing
-from clsim.paths.arrivals import PairPaths, arrivals
-from clsim.paths.response import Responses
+from clsim.numerics.nufft import band_taper, delayed_sums, ringing
+from clsim.paths.response import SceneResponse
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.scene.scene import Scene
+    from clsim.paths.family import PairPaths
 
 _SKELETON = 3e-9  # relative to the strongest response, to which all are made of a few
 _ALLOWED = 1e-7  # the same, found between the frequencies at which they were chosen
@@ -47,7 +46,7 @@ class ResponseBand:
     above: float
 
     @property
-    def reach(self) -> float:
+    def ringing(self) -> float:
         """How long an arrival rings before and after its own time, s."""
         return ringing(self.below, self.above)
 
@@ -117,7 +116,7 @@ def impulse_response(
     the sum's spectrum is multiplied by the response, taken at every frequency of the transform.
     """
     late = delays * sampling_rate
-    reach = math.ceil(band.reach * sampling_rate)
+    reach = math.ceil(band.ringing * sampling_rate)
     first = math.floor(float(late.min())) - reach
     span = math.ceil(float(late.max())) + reach - first
     few, weights = _skeleton(responses, len(delays), span, sampling_rate, band)
@@ -132,6 +131,14 @@ def impulse_response(
             break
         spare *= 4
     return _trimmed(np.roll(taps, size - middle), first - (size - middle))
+
+
+def summed(responses: list[ImpulseResponse]) -> ImpulseResponse:
+    """Return the sum of responses; that of a single one as it is."""
+    if len(responses) == 1:
+        return responses[0]
+    first, last = min(r.first for r in responses), max(r.last for r in responses)
+    return ImpulseResponse(first, np.sum([r.read(first, last + 1) for r in responses], axis=0))
 
 
 def _fast(size: int) -> int:
@@ -188,7 +195,7 @@ def _synthesis(
     from scipy.fft import irfft
 
     frequencies: Floats = np.arange(size // 2 + 1, dtype=np.float64) * (sampling_rate / size)
-    weight = band_edges(frequencies, band.low, band.high, band.below, band.above)
+    weight = band_taper(frequencies, band.low, band.high, band.below, band.above)
     heard = np.flatnonzero(weight)
     spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
     sums = delayed_sums(late, weights, size)
@@ -209,8 +216,7 @@ def _trimmed(taps: Floats, first: int) -> ImpulseResponse:
 
 
 def frozen_response(
-    scene: Scene,
-    group: PairPaths,
+    pair: PairPaths,
     time: float,
     sampling_rate: float,
     band: ResponseBand,
@@ -218,13 +224,11 @@ def frozen_response(
     later: float = 0.0,
     centre: float | None = None,
 ) -> ImpulseResponse:
-    """Return the impulse response of a group of paths as they are at a time, as if nothing moved.
+    """Return the impulse response of the paths of a pair as they are at a time, as if nothing moved.
 
     Parameters
     ----------
-    scene : Scene
-        Holds trajectories, air, walls and beams.
-    group : PairPaths
+    pair : PairPaths
         The paths.
     time : float
         Of reception, s.
@@ -235,14 +239,14 @@ def frozen_response(
     later : float
         Added to every delay, s.
     centre : float, optional
-        Frequency at which air, walls and beams are taken, Hz; each at its own when left out.
+        Frequency at which air, walls and directivities are taken, Hz; each at its own when left out.
     """
     now = np.array([time])
-    found = arrivals(scene, group, now, "quasi-static")
+    found = pair.arrivals(now, "quasi-static")
 
     def responses(frequencies: Floats, rows: NDArray[np.int64]) -> Floats | Complexes:
-        taken = frequencies if centre is None else np.array([centre])
-        along: Any = Responses(scene, taken).along(group.part(rows), found.part(rows), now)[:, 0]
+        at = SceneResponse(pair.family.scene, frequencies if centre is None else np.array([centre]))
+        along: Any = pair.part(rows).response(found.part(rows), now, at)[:, 0]
         return np.asarray(np.broadcast_to(along, (len(rows), len(frequencies))))
 
     return impulse_response(found.delay[:, 0] + later, responses, sampling_rate, band)

@@ -1,81 +1,141 @@
-"""The paths of a scene: one row per image and receiver."""
+"""The paths of a scene: one row per path and interval, of every kind."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats
+from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PairPaths, arrivals, slices_of
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
+from clsim.paths.family import SPECULAR, PathFamily
 from clsim.paths.path_table import PathTable
-from clsim.paths.response import is_complex
-from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
+    from clsim.paths.family import PairPaths
     from clsim.scene.scene import Scene
 
+    Integers = NDArray[np.signedinteger[Any]]
 
-@dataclass(frozen=True, slots=True, eq=False)
+_Number = TypeVar("_Number", bound=np.number[Any])
+
+
+@dataclass(frozen=True, eq=False)
 class PathSet:
-    """Every path from a source to a receiver, as columns of equal length.
+    """Every path from a source to a receiver, as columns of equal length: those of each kind in turn.
 
     Attributes
     ----------
     scene : Scene
         The scene in which they are.
+    families : tuple of PathFamily
+        The kinds of paths, in the order of their rows.
     source, receiver, order : ndarray (paths,) int
-        Indices in the scene, and number of reflections.
-    walls : ndarray (paths, max_order) int
-        Walls from the source's side, filled up with -1.
-    image_matrix, image_offset : ndarray (paths, 3, 3), (paths, 3)
-        The image of the source is at ``image_matrix @ x + image_offset``.
+        Indices in the scene, and number of interactions.
     start, end : ndarray (paths,)
         Interval of reception in which the path is heard, s.
+    interactions : ndarray (paths, N) int
+        What happens on the way from the source: 0 specular reflection, 1 diffraction, 2 scattering; filled up with -1.
+    objects : ndarray (paths, N) int
+        Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
+    walls : ndarray (paths, N) int
+        The objects of reflections, -1 elsewhere.
+    object_names : tuple of str
+        Of walls, and of what else paths meet.
     """
 
     scene: Scene
-    source: NDArray[np.int32]
-    receiver: NDArray[np.int32]
-    order: NDArray[np.int32]
-    walls: NDArray[np.signedinteger[Any]]
-    image_matrix: Floats
-    image_offset: Floats
-    start: Floats
-    end: Floats
+    families: tuple[PathFamily, ...]
+
+    def __post_init__(self) -> None:
+        if not self.families or not all(isinstance(family, PathFamily) for family in self.families):
+            raise InputError("families", f"must be one PathFamily at least, but is {self.families!r:.80}")
+        for i, family in enumerate(self.families):
+            if family.scene is not self.scene:
+                raise InputError(f"families[{i}]", "must hold paths of the same scene, but is of another one")
 
     def __len__(self) -> int:
-        return len(self.source)
+        return sum(map(len, self.families))
 
-    def groups(self) -> Iterator[tuple[NDArray[np.int64], PairPaths]]:
-        """Yield the rows of every (source, receiver) that has paths, and what they are."""
-        pair = self.source.astype(np.int64) * len(self.scene.receivers) + self.receiver
-        in_order = bool(np.all(pair[1:] >= pair[:-1]))
-        order = np.arange(len(pair)) if in_order else np.argsort(pair, kind="stable")
-        bounds = np.searchsorted(
-            pair if in_order else pair[order], np.arange(len(self.scene.sources) * len(self.scene.receivers) + 1)
-        )
-        for s in range(len(self.scene.sources)):
-            for r in range(len(self.scene.receivers)):
-                first = s * len(self.scene.receivers) + r
-                part = slice(bounds[first], bounds[first + 1])
-                rows = order[part]
-                if len(rows):
-                    which = part if in_order else rows  # a slice is no copy
-                    group = PairPaths(s, r, self.image_matrix[which], self.image_offset[which], self.walls[which])
-                    yield rows, group
+    @cached_property
+    def source(self) -> NDArray[np.int32]:
+        """Index of each path's source."""
+        return _joined([family.source for family in self.families])
+
+    @cached_property
+    def receiver(self) -> NDArray[np.int32]:
+        """Index of each path's receiver."""
+        return _joined([family.receiver for family in self.families])
+
+    @cached_property
+    def order(self) -> NDArray[np.int32]:
+        """Number of interactions of each path."""
+        return _joined([family.order for family in self.families])
+
+    @cached_property
+    def start(self) -> Floats:
+        """From when on each path is heard, s."""
+        return _joined([family.start for family in self.families])
+
+    @cached_property
+    def end(self) -> Floats:
+        """Until when each path is heard, s."""
+        return _joined([family.end for family in self.families])
+
+    @cached_property
+    def interactions(self) -> Integers:
+        """What happens on each path's way."""
+        return _stacked([family.interactions for family in self.families])
+
+    @cached_property
+    def objects(self) -> Integers:
+        """Where that happens: rows of `object_names`."""
+        found, first = [], len(self.scene.room.faces.names)
+        for family in self.families:
+            other = (family.interactions != SPECULAR) & (family.objects >= 0)
+            found.append(family.objects + first * other if other.any() else family.objects)
+            first += len(family.object_names)
+        return _stacked(found)
+
+    @cached_property
+    def walls(self) -> Integers:
+        """Walls that each path meets."""
+        return _stacked([family.walls for family in self.families])
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names of walls, and of what else paths meet."""
+        own = (name for family in self.families for name in family.object_names)
+        return (*self.scene.room.faces.names, *own)
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether responses of any path have phases."""
+        return any(family.is_complex for family in self.families)
+
+    def pairs(self) -> Iterator[tuple[NDArray[np.int64], PairPaths]]:
+        """Yield the paths of every kind, source and receiver that has any: their rows here, and what they are."""
+        first = 0
+        for family in self.families:
+            for pair in family.pairs():
+                yield first + pair.index, pair
+            first += len(family)
 
     def heard_by(self, receiver: int) -> PathSet:
         """Return the paths to one receiver."""
-        mine = self.receiver == receiver
-        columns = {f.name: getattr(self, f.name)[mine] for f in fields(self) if f.name != "scene"}
-        return PathSet(self.scene, **columns)
+        return PathSet(self.scene, tuple(f.part(np.flatnonzero(f.receiver == receiver)) for f in self.families))
+
+    def digest(self) -> str:
+        """Return a hash of all columns of all kinds."""
+        return hashlib.sha256(" ".join(family.digest() for family in self.families).encode()).hexdigest()
 
     def table(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> PathTable:
         """Return what every path does at the given times.
@@ -89,6 +149,11 @@ class PathSet:
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
 
+        Returns
+        -------
+        PathTable
+            A row per path.
+
         Raises
         ------
         InputError
@@ -99,26 +164,27 @@ class PathSet:
         as_choice("amplitude", amplitude, AMPLITUDES)
         shape = (len(self), len(times))
         delay, doppler_factor = (np.full(shape, np.nan) for _ in range(2))
-        gain: Any = np.full(shape, np.nan, dtype=np.complex128 if is_complex(self.scene) else np.float64)
+        gain: Any = np.full(shape, np.nan, dtype=np.complex128 if self.is_complex else np.float64)
         departure, arrival = (np.full((*shape, 3), np.nan) for _ in range(2))
-        for rows, group in self.groups():
+        for rows, pair in self.pairs():
             for part in slices_of(len(times), len(rows)):
-                found = arrivals(self.scene, group, times[part], motion, amplitude)
-                delay[rows, part], gain[rows, part] = found.delay, found.gain
+                found = pair.arrivals(times[part], motion, amplitude)
+                delay[rows, part], gain[rows, part] = found.delay, pair.gain(found, times[part])
                 doppler_factor[rows, part] = 1.0 - found.delay_rate
                 departure[rows, part], arrival[rows, part] = found.departure, found.arrival
         silent = (times[None, :] < self.start[:, None]) | (times[None, :] >= self.end[:, None])
         for column in (delay, doppler_factor, gain, departure, arrival):
             column[silent] = np.nan
+        centres = np.array([source.emitted.centre_frequency for source in self.scene.sources])
+        shift = (doppler_factor - 1.0) * centres[self.source][:, None]
         return PathTable(
-            times, self.source, self.receiver, self.order, self.walls, self.order == 0,
-            delay, doppler_factor, gain, departure, arrival,
-            tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers),
-            self.scene.room.faces.names,
+            times, self.source, self.receiver, self.order, self.interactions, self.objects, self.order == 0,
+            delay, doppler_factor, shift, gain, departure, arrival,
+            tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers), self.object_names,
         )  # fmt: skip
 
     def vertices(self, time: float, motion: str = "retarded") -> Floats:
-        """Return where every path leaves, is reflected and arrives, as it is heard at a time.
+        """Return where every path leaves, meets something and arrives, as it is heard at a time.
 
         Parameters
         ----------
@@ -129,23 +195,27 @@ class PathSet:
 
         Returns
         -------
-        ndarray (paths, max_order + 2, 3)
-            Source, points of reflection and receiver, m; NaN behind the receiver of paths of fewer reflections, and for
-            paths that are not heard at that time.
+        ndarray (paths, N + 2, 3)
+            Source, points of interaction and receiver, m; NaN behind the receiver of paths of fewer interactions, and
+            for paths that are not heard at that time.
         """
-        now = np.array([time])
-        source, receiver = np.empty((len(self), 3)), np.empty((len(self), 3))
-        for rows, group in self.groups():
-            delay = 0.0 if motion == "quasi-static" else arrivals(self.scene, group, now, motion).delay[:, 0]
-            source[rows] = self.scene.sources[group.source].trajectory.position(np.full(len(rows), time) - delay)
-            receiver[rows] = self.scene.receivers[group.receiver].trajectory.position(now)
-        faces = self.scene.room.faces
-        vertices = path_vertices((faces.normals, faces.offsets), self.walls, source, receiver)
-        vertices[~((self.start <= time) & (time < self.end))] = np.nan
-        return vertices
+        found = np.full((len(self), self.interactions.shape[1] + 2, 3), np.nan)
+        for rows, pair in self.pairs():
+            way = pair.family.vertices(pair.rows, time, motion)
+            found[rows, : way.shape[1]] = way
+        found[~((self.start <= time) & (time < self.end))] = np.nan
+        return found
 
-    def __post_init__(self) -> None:
-        count = len(self.source)
-        for name in ("receiver", "order", "walls", "image_matrix", "image_offset", "start", "end"):
-            if len(getattr(self, name)) != count:
-                raise InputError(name, f"must have one row per path, {count}, but has {len(getattr(self, name))}")
+
+def _joined(columns: list[NDArray[_Number]]) -> NDArray[_Number]:
+    """Return columns (paths,) one after the other; a single one is no copy."""
+    return columns[0] if len(columns) == 1 else read_only(np.concatenate(columns))
+
+
+def _stacked(columns: list[Integers]) -> Integers:
+    """Return columns (paths, N) below each other, filled up with -1; a single one is no copy."""
+    if len(columns) == 1:
+        return columns[0]
+    width = max(column.shape[1] for column in columns)
+    filled = [np.pad(c, ((0, 0), (0, width - c.shape[1])), constant_values=-1) for c in columns]
+    return read_only(np.concatenate(filled))

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.paths.family import SPECULAR
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -22,20 +24,25 @@ class PathTable:
     times : ndarray (T,)
         Times of reception, s.
     source, receiver, order : ndarray (P,) int
-        Indices in the scene, and number of reflections.
-    walls : ndarray (P, max_order) int
-        Walls from the source's side, filled up with -1.
+        Indices in the scene, and number of interactions.
+    interactions : ndarray (P, N) int
+        What happens on the way from the source: 0 specular reflection, 1 diffraction, 2 scattering; filled up with -1.
+    objects : ndarray (P, N) int
+        Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
     direct : ndarray (P,) bool
         Whether it is the direct path.
     delay : ndarray (P, T)
         From emission to reception, s; NaN while the path is not heard.
     doppler_factor : ndarray (P, T)
         Received over emitted frequency.
+    doppler_shift : ndarray (P, T)
+        Received less emitted frequency at the centre frequency of the source's signal, Hz.
     gain : ndarray (P, T)
-        Received over emitted pressure at the signal's centre frequency, signed; complex where a wall or beam is.
+        Received over emitted pressure at the signal's centre frequency, signed; complex where walls or directivities
+        are.
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the source along the path, and from the receiver back along it.
-    source_names, receiver_names, wall_names : tuple of str
+    source_names, receiver_names, object_names : tuple of str
         What the indices mean.
     """
 
@@ -43,16 +50,27 @@ class PathTable:
     source: NDArray[np.int32]
     receiver: NDArray[np.int32]
     order: NDArray[np.int32]
-    walls: NDArray[np.signedinteger[Any]]
+    interactions: NDArray[np.signedinteger[Any]]
+    objects: NDArray[np.signedinteger[Any]]
     direct: NDArray[np.bool_]
     delay: Floats
     doppler_factor: Floats
+    doppler_shift: Floats
     gain: Floats | Complexes
     departure: Floats
     arrival: Floats
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
-    wall_names: tuple[str, ...]
+    object_names: tuple[str, ...]
+
+    @property
+    def walls(self) -> NDArray[np.signedinteger[Any]]:
+        """Walls of reflections (P, N) from the source's side, -1 elsewhere."""
+        return np.where(self.interactions == SPECULAR, self.objects, -1)
+
+    def name_way(self, path: int | np.integer[Any]) -> str:
+        """Return the names of the walls and other things that a path meets, or "direct"."""
+        return ", ".join(self.object_names[i] for i in self.objects[path] if i >= 0) or "direct"
 
     @property
     def heard(self) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""What spreading, air, walls and beams make of every frequency along paths, in float64: the definition of right.
+"""What air, walls and directivities make of every frequency along paths, in float64: the definition of right.
 
 The OpenCL gains (``response.h``) are the small twin of this file.
 """
@@ -18,17 +18,23 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals, PairPaths
+    from clsim.paths.arrivals import Arrivals
     from clsim.scene.directivity.directivity import Directivity
+    from clsim.scene.ends import Receiver, Source
     from clsim.scene.material.material import Material
     from clsim.scene.scene import Scene
+
+    Walls = NDArray[np.signedinteger[Any]]
 
 NEPERS = np.log(10.0) / 20.0  # in one dB
 _GRAZING = 1e-9  # least cosine of an angle of incidence
 
 
-class Responses:
-    """Received over emitted pressure by frequency, without the delay, along paths of a scene.
+class SceneResponse:
+    """What air, walls and transducers of a scene do at some frequencies: what responses of all paths are made of.
+
+    A response is received over emitted pressure by frequency, without the delay; a delay tau would be
+    ``exp(-2j pi f tau)``.
 
     Parameters
     ----------
@@ -39,16 +45,18 @@ class Responses:
 
     Attributes
     ----------
+    frequencies : ndarray (F,)
+        The same.
     nepers : ndarray (F,)
         Absorption of the air, of the amplitude, 1/m.
     angular : ndarray (walls + 1,) bool
         Walls whose factor depends on the angle of incidence; False at the end, for -1, which is no wall.
     dtype : numpy type
-        float64; complex128 where a wall or a beam of the scene is complex.
+        float64; complex128 where a wall or a transducer of the scene is complex.
     """
 
     def __init__(self, scene: Scene, frequencies: Floats) -> None:
-        self._scene, self._frequencies = scene, frequencies
+        self._scene, self.frequencies = scene, frequencies
         materials = scene.room.faces.materials
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
@@ -58,66 +66,59 @@ class Responses:
             if not material.depends_on_angle:
                 rows = [m is material for m in (*materials, None)]
                 self._factors[rows] = material.reflection_at(
-                    known(frequencies, material), 1.0, scene.air.speed_of_sound
+                    covered(frequencies, material), 1.0, scene.air.speed_of_sound
                 )
 
-    def walls(self, group: PairPaths) -> Floats | Complexes:
-        """Return the product of the factors (P, F) of each path's walls, of those that are the same at every angle."""
-        product: Floats | Complexes = np.ones((len(group.walls), len(self._frequencies)), dtype=self.dtype)
-        for wall in group.walls.T:
+    def air(self, length: Floats) -> Floats:
+        """Return what the air leaves (..., F) of 1 over lengths (...), relative to 1 m."""
+        return np.asarray(np.exp(-(length - 1.0)[..., None] * self.nepers))
+
+    def reflection(self, walls: Walls) -> Floats | Complexes:
+        """Return the product of the factors (P, F) of walls (P, N), of those that are the same at every angle."""
+        product: Floats | Complexes = np.ones((len(walls), len(self.frequencies)), dtype=self.dtype)
+        for wall in walls.T:
             product *= self._factors[wall]
         return product
 
-    def along(self, group: PairPaths, found: Arrivals, times: Floats) -> Floats | Complexes:
-        """Return the responses of paths.
+    def largest_reflection(self, walls: Walls) -> Floats:
+        """Return the product of the factors' magnitudes (P, F) of walls (P, N), 1 where they depend on the angle."""
+        product, magnitudes = np.ones((len(walls), len(self.frequencies))), np.abs(self._factors)
+        for wall in walls.T:
+            product *= magnitudes[wall]
+        return product
 
-        Parameters
-        ----------
-        group : PairPaths
-            P paths.
-        found : Arrivals
-            Of them at `times`.
-        times : ndarray (T,)
-            Times of reception, s.
+    def reflection_at(self, wall: int, cosine: Floats) -> Floats | Complexes:
+        """Return the factor (..., F) of a wall at cosines (...) of the angle of incidence."""
+        material = self._scene.room.faces.materials[wall]
+        angle = np.maximum(cosine, _GRAZING)[..., None]
+        return material.reflection_at(covered(self.frequencies, material), angle, self._scene.air.speed_of_sound)
 
-        Returns
-        -------
-        ndarray (P, T, F)
-            Of the type `dtype`; a delay tau would be ``exp(-2j pi f tau)``.
-        """
-        scene, frequencies, c = self._scene, self._frequencies, self._scene.air.speed_of_sound
-        source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
-        response = np.exp(-(found.distance - 1.0)[..., None] * self.nepers) * self.walls(group)[:, None, :]
-        response *= (found.mach_factor / found.distance)[..., None]
-        for bounce, normals in self.angular_bounces(group):
-            for wall in np.unique(group.walls[:, bounce][self.angular[group.walls[:, bounce]]]):
-                rows = np.flatnonzero(group.walls[:, bounce] == wall)
-                cosine = np.abs(np.einsum("pti,pi->pt", found.departure[rows], normals[rows]))
-                material = scene.room.faces.materials[wall]
-                angle = np.maximum(cosine, _GRAZING)[..., None]
-                response[rows] *= material.reflection_at(known(frequencies, material), angle, c)
-        if not isinstance(source.directivity, Omni):
-            towards = to_transducer_frame(source.orientation, found.emitted, found.departure)
-            response *= directivity_gain(source.directivity, towards, frequencies, c)
-        if not isinstance(receiver.directivity, Omni):
-            towards = to_transducer_frame(receiver.orientation, times, found.arrival)
-            response *= directivity_gain(receiver.directivity, towards, frequencies, c)
-        return response
-
-    def angular_bounces(self, group: PairPaths) -> list[tuple[int, Floats]]:
+    def angular_bounces(self, walls: Walls) -> list[tuple[int, Floats]]:
         """Return the bounces at which some path meets a wall whose factor depends on the angle, with normals (P, 3).
 
         The normals are those of the unfolded path: the angle is that between them and the departure.
         """
-        met = self.angular[group.walls]
+        met = self.angular[walls]
         if not met.any():
             return []
-        normals = unfolded_normals(self._scene.room.faces.normals, group.walls)
+        normals = unfolded_normals(self._scene.room.faces.normals, walls)
         return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
+
+    def apply_directivities(
+        self, response: Floats | Complexes, ends: tuple[Source, Receiver], found: Arrivals, times: Floats
+    ) -> None:
+        """Multiply responses (P, T, F) by the directivities of both ends, in place."""
+        (source, receiver), frequencies, c = ends, self.frequencies, self._scene.air.speed_of_sound
+        if not isinstance(source.directivity, Omni):
+            towards = to_transducer_frame(source.orientation, found.emission_time, found.departure)
+            response *= directivity_gain(source.directivity, towards, frequencies, c)
+        if not isinstance(receiver.directivity, Omni):
+            towards = to_transducer_frame(receiver.orientation, times, found.arrival)
+            response *= directivity_gain(receiver.directivity, towards, frequencies, c)
 
 
 def is_complex(scene: Scene) -> bool:
-    """Return whether any wall or beam of a scene has a phase."""
+    """Return whether any wall or directivity of a scene has a phase."""
     beams = [*(source.directivity for source in scene.sources), *(receiver.directivity for receiver in scene.receivers)]
     return any(m.is_complex for m in scene.room.faces.materials) or any(beam.is_complex for beam in beams)
 
@@ -156,11 +157,11 @@ def directivity_gain(
     directivity: Directivity, towards: Floats, frequencies: Floats, speed_of_sound: float
 ) -> Floats | Complexes:
     """Return the gain (..., F) of a directivity in directions (..., 3) of its own frame."""
-    return directivity.gain_towards(towards[..., None, :], known(frequencies, directivity), speed_of_sound)
+    return directivity.gain_towards(towards[..., None, :], covered(frequencies, directivity), speed_of_sound)
 
 
-def known(frequencies: Floats, thing: Material | Directivity) -> Floats:
-    """Return the frequencies nearest to given ones at which a material or a beam is known.
+def covered(frequencies: Floats, thing: Material | Directivity) -> Floats:
+    """Return the frequencies nearest to given ones that a material or a directivity covers.
 
     Where a signal is more than next to nothing they are the same: plans see to that.
     """

@@ -22,7 +22,7 @@ _SLICE = 20_000  # knots looked at at a time
 
 
 def knot_rate(source: Source, end: float, tolerance: float) -> float:
-    """Return knots per second such that positions, and the axis of a beam, are right between them.
+    """Return knots per second such that positions, and the axis of a directivity, are right between them.
 
     Parameters
     ----------

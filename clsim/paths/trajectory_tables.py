@@ -10,6 +10,7 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
+from clsim.paths.propagation import contract_delay
 from clsim.paths.trajectory_cubics import KNOT_RATES, cubics_between
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.propagation import Medium
     from clsim.scene.motion.motion import Motion
     from clsim.scene.room.faces import Mount
 
@@ -26,19 +28,18 @@ _TOLERANCE = 1e-8  # m, of a position between knots
 _WORST = 1e-3  # m, the same where a motion has corners, or knots are as many as they may be
 _MOST_KNOTS = 2_000_000
 _SLICE = 65536  # knots made at a time
-_MOST_STEPS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundingSpheres:
-    """BoundingSpheres that hold the ends of paths over the time that matters: centres (n, 3) and radii (n,), m."""
+    """Spheres that hold the ends of paths over the time that matters: centres (n, 3) and radii (n,), m."""
 
     centre: Floats
     radius: Floats
 
     @staticmethod
     def none() -> BoundingSpheres:
-        """Return no balls."""
+        """Return none."""
         return BoundingSpheres(np.empty((0, 3)), np.empty(0))
 
 
@@ -91,8 +92,8 @@ class TrajectoryTables:
             a, b = np.where(wide, a // 2, a), np.where(wide, b // 2, b)
         return np.asarray(np.maximum(self.speeds[level + a], self.speeds[level + b]))
 
-    def ball(self, row: int, begin: float = 0.0, end: float = math.inf) -> tuple[Floats, float]:
-        """Return centre and radius of a ball that holds a trajectory between two times, 0 to its end at most, m."""
+    def sphere(self, row: int, begin: float = 0.0, end: float = math.inf) -> tuple[Floats, float]:
+        """Return centre and radius of a sphere that holds a trajectory between two times, 0 to its end at most, m."""
         start, count = self.places[row, 0], self.places[row, 2]
         first, last = (int(min(max(t * self.scales[row, 1], 0.0), count - 1.0)) for t in (begin, end))
         c = self.knots[start + first : start + last + 1].reshape(-1, 4, 3)
@@ -115,21 +116,14 @@ class TrajectoryTables:
         return float(np.abs(offset - hull @ normal).max())
 
     def receiver_spheres(self, begin: float = 0.0, end: float = math.inf) -> BoundingSpheres:
-        """Return the balls of all receivers."""
-        balls = [self.ball(row, begin, end) for row in range(1, len(self.places))]
-        return BoundingSpheres(np.array([b[0] for b in balls]).reshape(-1, 3), np.array([b[1] for b in balls]))
+        """Return spheres that hold the receivers, one for each."""
+        spheres = [self.sphere(row, begin, end) for row in range(1, len(self.places))]
+        return BoundingSpheres(np.array([s[0] for s in spheres]).reshape(-1, 3), np.array([s[1] for s in spheres]))
 
-    def delay(self, mirrored: Floats, time: Floats, speed_of_sound: float) -> Floats:
+    def delay(self, mirrored: Floats, time: Floats, medium: Medium) -> Floats:
         """Return the delays (n,) from the source to places (n, 3) in its own room, s."""
         source = np.zeros(len(time), dtype=np.int64)
-        delay: Floats = np.zeros(len(time))
-        for _ in range(_MOST_STEPS):  # each a contraction by the Mach number
-            distance = np.linalg.norm(mirrored - self.position(source, time - delay), axis=1)
-            step = distance / speed_of_sound - delay
-            delay = delay + step
-            if not np.any(np.abs(step) > 1e-13):
-                break
-        return delay
+        return contract_delay(medium, lambda emission_time: self.position(source, emission_time), mirrored, time)
 
 
 def trajectory_tables(

@@ -139,7 +139,7 @@ def half_band(
     total = float(energy.sum())
     share = float(energy[np.abs(frequencies - carrier) > half].sum()) / total if total > 0.0 else 0.0
     outside_db = 10.0 * math.log10(share) if share > 0.0 else -math.inf
-    told = (
+    outside = (
         f"{outside_db:.0f} dB of the energy of signals[{index}] lies outside {carrier - half:.0f} to "
         f"{carrier + half:.0f} Hz, the bandwidth of {bandwidth:g} Hz less Doppler shifts of up to {shift:.0f} Hz"
     )
@@ -147,11 +147,11 @@ def half_band(
         low, high = signal.band()
         raise InputError(
             "baseband",
-            f"must hold the signals but for {_REFUSED_DB:g} dB of their energy, but {told}; 99 % of it lies between "
+            f"must hold the signals but for {_REFUSED_DB:g} dB of their energy, but {outside}; 99 % of it lies between "
             f"{low:.0f} and {high:.0f} Hz",
         )
     if outside_db > _LOUD_DB:
-        warnings.warn(f"baseband: {told}, and is removed; widen it, or fade the signal", ClsimWarning, stacklevel=6)
+        warnings.warn(f"baseband: {outside}, and is removed; widen it, or fade the signal", ClsimWarning, stacklevel=6)
     return half, outside_db
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -54,31 +54,78 @@ class Bank:
         return int(max(self.centre, self.taps.shape[1] - 1 - self.centre)) + math.ceil(self.mu_max) + 1
 
 
-class Interpolator(Protocol):
-    """A fractional-delay filter."""
+class Interpolator(ABC):
+    """A fractional-delay filter: subclasses give `_bank`, polynomials of ``mu``, and `_taps`, their own formula.
+
+    Attributes
+    ----------
+    error_db : float
+        Bound on the error that is asked of all that is rendered with it, dB.
+    """
+
+    __slots__ = ()
+    error_db: float = -90.0
 
     def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
-        """Return the bank for a signal up to `edge` rad per sample and delays changing by up to `max_rate`.
+        """Return the bank for a signal's band and how fast its delays change.
 
-        The signal has `oversampling` samples in one of the recording.
+        Parameters
+        ----------
+        edge : float
+            End of the band, rad per sample.
+        max_rate : float
+            Bound on the change of any delay, s/s.
+        importance : tuple of float
+            Of errors in equal cells from 0 to the edge, as factors: they may be larger where it is less.
+        oversampling : int
+            Samples of the signal in one of the recording.
 
-        Errors in equal cells from 0 to the edge may be larger the less their `importance`.
+        Returns
+        -------
+        Bank
+            Branch filters.
         """
-        ...
+        return self._bank(edge, oversampling * max_rate, importance)
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
-        """Return the filter's own taps (n, length) for each ``mu`` (n,), as the reference engine uses them."""
-        ...
+        """Return the filter's own taps, as the reference engine uses them.
+
+        Parameters
+        ----------
+        bank : Bank
+            Made by `bank`.
+        mu : ndarray (n,)
+            Delays beyond the bank's shift, samples.
+
+        Returns
+        -------
+        ndarray (n, length)
+            Taps for each delay.
+        """
+        return self._taps(bank, mu)
+
+    @abstractmethod
+    def _bank(self, edge: float, max_rate: float, importance: tuple[float, ...]) -> Bank:
+        """Return the bank for delays that change by at most `max_rate` samples a sample."""
+
+    @abstractmethod
+    def _taps(self, bank: Bank, mu: Floats) -> Floats:
+        """Return taps (n, length) for each ``mu`` (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lagrange:
+class Lagrange(Interpolator):
     """Lagrange interpolation: exact at 0 Hz, and worse the higher the frequency.
 
     Parameters
     ----------
     order : int
         From 1 to 40; it has one tap more.
+
+    Raises
+    ------
+    InputError
+        If the order is out of bounds.
 
     Notes
     -----
@@ -90,17 +137,17 @@ class Lagrange:
     def __post_init__(self) -> None:
         as_count("order", self.order, at_least=1, at_most=_LARGEST_ORDER)
 
-    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
+    def _bank(self, edge: float, max_rate: float, importance: tuple[float, ...]) -> Bank:
         """Return the bank: the closed form as polynomials of ``mu``."""
-        return _lagrange(lagrange_bank(self.order), self.order // 2, self.order, edge, oversampling * max_rate)
+        return _lagrange(lagrange_bank(self.order), self.order // 2, self.order, edge, max_rate)
 
-    def taps(self, bank: Bank, mu: Floats) -> Floats:
+    def _taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the closed-form taps."""
         return lagrange_taps(self.order, mu + self.order / 2)
 
 
 @dataclass(frozen=True, slots=True)
-class TruncatedLagrange:
+class TruncatedLagrange(Interpolator):
     """A Lagrange interpolator without its outer taps, which has a wider band (Välimäki and Haghparast 2007).
 
     Parameters
@@ -109,6 +156,11 @@ class TruncatedLagrange:
         Order of the prototype, up to 40.
     length : int
         Taps that are kept; ``order + 1 - length`` must be even.
+
+    Raises
+    ------
+    InputError
+        If order or length are out of bounds, or do not fit each other.
     """
 
     order: int
@@ -123,12 +175,12 @@ class TruncatedLagrange:
                 f"must differ from order + 1 = {self.order + 1} by an even number, but is {self.length}",
             )
 
-    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
+    def _bank(self, edge: float, max_rate: float, importance: tuple[float, ...]) -> Bank:
         """Return the bank: the middle taps as polynomials of ``mu``."""
         centre = self.order // 2 - self._dropped
-        return _lagrange(lagrange_bank(self.order, self.length), centre, self.order, edge, oversampling * max_rate)
+        return _lagrange(lagrange_bank(self.order, self.length), centre, self.order, edge, max_rate)
 
-    def taps(self, bank: Bank, mu: Floats) -> Floats:
+    def _taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the closed-form taps."""
         whole = lagrange_taps(self.order, mu + self.order / 2)
         return whole[:, self._dropped : self._dropped + self.length]
@@ -139,13 +191,18 @@ class TruncatedLagrange:
 
 
 @dataclass(frozen=True, slots=True)
-class Bandlimited:
+class Bandlimited(Interpolator):
     """The shortest filters that keep a stated error over the signal's band.
 
     Parameters
     ----------
     error_db : float
         Bound on the deviation from a pure delay, from -120 to -40 dB, relative to what sounds within some 40 ms.
+
+    Raises
+    ------
+    InputError
+        If the error is out of bounds.
     """
 
     error_db: float = -90.0
@@ -153,23 +210,34 @@ class Bandlimited:
     def __post_init__(self) -> None:
         as_number("error_db", self.error_db, at_least=-120.0, at_most=-40.0, unit="dB")
 
-    def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
+    def _bank(self, edge: float, max_rate: float, importance: tuple[float, ...]) -> Bank:
         """Return the bank: least-squares filters for a Chebyshev series in ``mu``."""
-        subblock, mu_max = _subblock(SUBBLOCK, oversampling * max_rate)
+        subblock, mu_max = _subblock(SUBBLOCK, max_rate)
         if mu_max > _LARGEST_MU:
-            subblock, mu_max = _subblock(SMALL_SUBBLOCK, oversampling * max_rate)
+            subblock, mu_max = _subblock(SMALL_SUBBLOCK, max_rate)
         # Rounded up, so that designs are found again.
         mu_max = math.ceil(mu_max * 32) / 32
         taps, reached = design_bandlimited(self.error_db, edge, mu_max, self.rounded(importance))
         return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, subblock, reached)
 
     def rounded(self, importance: tuple[float, ...]) -> tuple[float, ...]:
-        """Return importances rounded up by steps of 6 dB, and so that no error is above -12 dB."""
+        """Return importances rounded up, so that designs are found again, and that no error is above -12 dB.
+
+        Parameters
+        ----------
+        importance : tuple of float
+            By which errors count, as factors.
+
+        Returns
+        -------
+        tuple of float
+            As many, in steps of 6 dB.
+        """
         least = 10.0 ** ((self.error_db + 12.0) / 20.0)
         steps = np.ceil(20.0 * np.log10(np.maximum(importance, least)) / 6.0)
         return tuple((10.0 ** (0.3 * steps)).tolist())
 
-    def taps(self, bank: Bank, mu: Floats) -> Floats:
+    def _taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the bank evaluated in float64."""
         return np.asarray(np.vander(mu, len(bank.taps), increasing=True) @ bank.taps)
 

@@ -11,7 +11,7 @@ from clsim.arrays import as_choice, as_count, as_flag, as_number
 from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
 from clsim.render.baseband import Baseband, as_baseband
-from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.interpolator import Bandlimited, Interpolator
 from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
 
 if TYPE_CHECKING:
@@ -39,14 +39,14 @@ class RenderOptions:
     ----------
     sampling_rate : float
         Of the recording, Hz; signals are brought to it. In baseband that of the signals.
-    interpolator : Bandlimited, Lagrange or TruncatedLagrange
-        The fractional-delay filter.
+    interpolator : Interpolator
+        The fractional-delay filter: `Bandlimited`, `Lagrange` or `TruncatedLagrange`.
     motion : {"retarded", "quasi-static"}
         Whether an image is where it was when the sound was emitted, or where it is when it is received.
     amplitude : {"wave-equation", "static", "convective"}
         Exponent 1, 0 or 2 of ``1 / (1 - M)``, M the Mach number of the image towards the receiver.
     transition : float
-        Seconds, up to 1, in which a path begins and ends, by a raised cosine centred on the boundary. With 0 it does so
+        Time in which a path begins and ends, by a raised cosine centred on the boundary, up to 1 s. With 0 it does so
         at once, which splatters.
     responses : {"band", "centre"}
         Whether air, walls and directivities are what they are at each frequency of a signal's band, or everywhere what
@@ -109,7 +109,7 @@ class RenderOptions:
         rate = as_number("sampling_rate", self.sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
         for name, words in _WORDS.items():
             as_choice(name, getattr(self, name), get_args(words))
-        if not isinstance(self.interpolator, Bandlimited | Lagrange | TruncatedLagrange):
+        if not isinstance(self.interpolator, Interpolator):
             raise InputError("interpolator", f"must be an interpolator, but is {self.interpolator!r:.80}")
         if self.device is not None and not isinstance(self.device, str):
             raise InputError("device", f"must be an id or part of a name, but is {self.device!r:.80}")
@@ -138,6 +138,18 @@ class RenderOptions:
     @classmethod
     def for_tracks(cls, sampling_rate: float, **options: Any) -> RenderOptions:
         """Return the options of rendering tracks that are made already.
+
+        Parameters
+        ----------
+        sampling_rate : float
+            Of the recording, Hz.
+        **options
+            See the class.
+
+        Returns
+        -------
+        RenderOptions
+            With these.
 
         Raises
         ------

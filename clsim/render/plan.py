@@ -54,8 +54,9 @@ class Plan:
     left_out : str
         What of the scene is not in the tracks, in words; "" for nothing.
     contributions : tuple of Contribution
-        What adds to the pressure at the receivers, in this order: made of all the above by each of the `builders`,
-        functions that return a contribution or None.
+        What adds to the pressure at the receivers, in this order.
+    builders : sequence of callable
+        Of all the above each makes a contribution, or None.
     """
 
     options: RenderOptions
@@ -96,11 +97,35 @@ class Plan:
         return max(self.blocks[-1], FINE) if self.baseband is None else self.blocks[-1]
 
     def is_fine(self, block: int) -> bool:
-        """Return whether blocks of a length are rendered in small subblocks by all terms of their cubics."""
+        """Return whether blocks of a length are rendered in small subblocks by all terms of their cubics.
+
+        Parameters
+        ----------
+        block : int
+            Samples in a block.
+
+        Returns
+        -------
+        bool
+            Whether they are that short.
+        """
         return self.baseband is None and block < FINE
 
     def subblock(self, source: int, block: int) -> int:
-        """Return how many neighbouring samples of a block share the whole part of a delay."""
+        """Return how many neighbouring samples of a block share the whole part of a delay.
+
+        Parameters
+        ----------
+        source : int
+            Index of the source.
+        block : int
+            Samples in a block.
+
+        Returns
+        -------
+        int
+            Samples in a subblock.
+        """
         subblock = self.source_filters[source].bank.subblock
         return min(subblock, SMALL_SUBBLOCK) if self.is_fine(block) else subblock
 
@@ -163,7 +188,7 @@ class Plan:
     @property
     def motion_error_db(self) -> float:
         """Bound on the error of delays and gains between nodes, dB."""
-        return float(getattr(self.options.interpolator, "error_db", -90.0)) - 6.0
+        return self.options.interpolator.error_db - 6.0
 
     @property
     def receiver_count(self) -> int:

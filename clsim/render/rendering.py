@@ -45,7 +45,20 @@ class Rendering:
         return self._receivers.clipped
 
     def pieces(self, first: int = 0) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Yield first sample and samples (receivers, n) of each chunk from sample `first` on, a whole chunk's first."""
+        """Yield the recording chunk by chunk; see `render_chunks`.
+
+        Parameters
+        ----------
+        first : int
+            Sample to begin with, the first one of a chunk.
+
+        Yields
+        ------
+        start : int
+            First sample of the piece.
+        samples : ndarray (receivers, n)
+            Pa or V.
+        """
         plan = self._plan
         for start in range(first, plan.samples, plan.chunk):
             stop = min(start + plan.chunk, plan.samples)
@@ -69,7 +82,7 @@ class Rendering:
 
         Parameters
         ----------
-        state : dict of ndarray
+        state : dict of ndarray, of any shape
             What that one's `state` returned.
         """
         self._receivers.restore(_below("receivers.", state))

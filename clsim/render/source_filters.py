@@ -13,10 +13,10 @@ import numpy as np
 
 from clsim.errors import ClsimWarning, InputError
 from clsim.paths.coverage import check_band_coverage
-from clsim.paths.response import is_complex
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_above, shares
-from clsim.tracks.basis import Basis, flat_basis, scene_basis, turning_basis
+from clsim.tracks.basis import Basis, flat_basis
+from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import band_of
 
 if TYPE_CHECKING:
@@ -252,14 +252,13 @@ def _band(
     """Return the end of the band that matters, Hz, the share above it in dB, and the band limit."""
     rate = signal.sampling_rate
     widest = (_WIDEST if times == 1 else _WIDEST_OVERSAMPLED) * 0.5 * rate / (1.0 + tracks.max_rate(index))
-    floor_db = interpolator.error_db if isinstance(interpolator, Bandlimited) else -90.0
-    band = max(sound.bounds(10 ** ((floor_db - 6.0) / 10))[1], 0.05 * widest)
+    band = max(sound.bounds(10 ** ((interpolator.error_db - 6.0) / 10))[1], 0.05 * widest)
     if band <= widest:
         return band, -math.inf, np.ones(1)
     spectrum = signal.energy_spectrum()
     removed_db = share_above(spectrum, widest)
-    still = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
-    _check_received(index, spectrum, widest, still, tracks, rate)
+    unmoved = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
+    _check_received(index, spectrum, widest, unmoved, tracks, rate)
     if removed_db > _LOUD_SHARE_DB:
         _warn(
             f"signals[{index}]: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
@@ -270,23 +269,23 @@ def _band(
 
 
 def _check_received(
-    index: int, spectrum: tuple[Floats, Floats], widest: float, still: float, tracks: Tracks, rate: float
+    index: int, spectrum: tuple[Floats, Floats], widest: float, unmoved: float, tracks: Tracks, rate: float
 ) -> None:
-    """Refuse a signal that has more than half of its energy above the band, by itself (`still`) or by Doppler."""
+    """Refuse a signal that has more than half of its energy above the band, by itself (`unmoved`) or by Doppler."""
     middle = shares(spectrum, 0.5)[1]
     if middle <= widest:
         return
-    if tracks.max_rate(index) == 0.0 or middle >= still:
+    if tracks.max_rate(index) == 0.0 or middle >= unmoved:
         raise InputError(
             f"signals[{index}]",
             f"must lie below {widest:.0f} Hz at a sampling rate of {rate:g} Hz, but half of its energy lies at "
             f"{middle:.0f} Hz and above: sample faster",
         )
-    speed, most = tracks.fastest(index, still / middle - 1.0)
+    speed, most = tracks.fastest(index, unmoved / middle - 1.0)
     raise InputError(
         f"signals[{index}]",
-        f"must be received below {still:.0f} Hz at a sampling rate of {rate:g} Hz, but at speeds of up to {speed:.4g} "
-        f"m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or stay below {most:.4g} m/s",
+        f"must be received below {unmoved:.0f} Hz at a sampling rate of {rate:g} Hz, but at speeds of up to "
+        f"{speed:.4g} m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or stay below {most:.4g} m/s",
     )
 
 
@@ -361,7 +360,7 @@ def basis_of(
     band_at = partial(band_of, low, high, sound)
     if not at_centre:
         return scene_basis(of_scene, index, band_at, until, rate, min(floor_db, options.response_error_db))
-    if is_complex(of_scene.scene):
+    if of_scene.paths.is_complex:
         return turning_basis(index, signal.centre_frequency, band_at(), rate, floor_db)
     return flat_basis(signal.centre_frequency)
 

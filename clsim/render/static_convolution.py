@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_response
-from clsim.paths.response import is_complex
 from clsim.render.contributions import Stateless
 from clsim.scene.signal.occupied_bandwidth import shares
 
@@ -82,14 +81,14 @@ class StaticConvolution:
         filters, scene = self.source_filters[source], self.tracks.scene
         centre = filters.signal.centre_frequency if self.at_centre else None
         rate = filters.signal.sampling_rate
-        band, found = _band(filters, complex_responses=is_complex(scene)), []
+        band, found = _band(filters, complex_responses=self.tracks.paths.is_complex), []
         for i in self.groups:
-            group = self.tracks.path_groups[i]
-            if group.source == source:
-                clock_error = float(scene.receivers[group.receiver].clock_error(np.zeros(1))[0])
+            pair = self.tracks.pair_paths[i]
+            if pair.source == source:
+                clock_error = float(scene.receivers[pair.receiver].clock_error(np.zeros(1))[0])
                 later = filters.start - clock_error
-                response = frozen_response(scene, group, 0.0, rate, band, later=later, centre=centre)
-                found.append((group.receiver, filters.acting(response)))
+                response = frozen_response(pair, 0.0, rate, band, later=later, centre=centre)
+                found.append((pair.receiver, filters.acting(response)))
         return found
 
 

@@ -75,12 +75,23 @@ class Source:
         return self.start + self.signal.duration
 
     @property
-    def span(self) -> tuple[float, float]:
+    def time_range(self) -> tuple[float, float]:
         """The finite part of the trajectory that matters, s: from 0 to its end, or that of the signal."""
         return 0.0, self.end if math.isinf(self.trajectory.end) else self.trajectory.end
 
     def orientation(self, times: Floats) -> Floats:
-        """Return unit quaternions x y z w at `times` (n,), shape (n, 4)."""
+        """Return unit quaternions x y z w at `times` (n,), shape (n, 4).
+
+        Parameters
+        ----------
+        times : ndarray (n,)
+            s.
+
+        Returns
+        -------
+        ndarray (n, 4)
+            1.
+        """
         return _orientation(self, times)
 
 
@@ -131,16 +142,38 @@ class Receiver:
         return 1.0 if self.electronics is None else 1.0 + 1e-6 * self.electronics.clock_ppm
 
     def clock_error(self, times: Floats) -> Floats:
-        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken."""
+        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken.
+
+        Parameters
+        ----------
+        times : ndarray (n,)
+            By the receiver's clock, s.
+
+        Returns
+        -------
+        ndarray (n,)
+            s.
+        """
         return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
     @property
-    def span(self) -> tuple[float, float]:
+    def time_range(self) -> tuple[float, float]:
         """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
         return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
 
     def orientation(self, times: Floats) -> Floats:
-        """Return unit quaternions x y z w at `times` (n,), shape (n, 4)."""
+        """Return unit quaternions x y z w at `times` (n,), shape (n, 4).
+
+        Parameters
+        ----------
+        times : ndarray (n,)
+            s.
+
+        Returns
+        -------
+        ndarray (n, 4)
+            1.
+        """
         return _orientation(self, times)
 
 

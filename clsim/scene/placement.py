@@ -39,7 +39,7 @@ def _check_motion(room: Room, field_name: str, item: End, speed_of_sound: float)
         mount = find_mount(room, item)
     except InputError as error:
         raise error.within(field_name) from error
-    start, end = item.span
+    start, end = item.time_range
     instants = Instants(start, start if item.trajectory.is_static else end, _SCAN_RATE)
     refused = first_refused(room, item.trajectory, instants, mount)
     if refused is not None:
@@ -68,7 +68,7 @@ def _places(ends: Sequence[End]) -> Floats:
 
 def check_distances(field_name: str, source: Source, receivers: Sequence[Receiver], nearest: float) -> None:
     """Refuse a source that comes closer to a receiver than allowed, in m, with the time."""
-    last = source.span[1]
+    last = source.time_range[1]
     static = [r for r in receivers if r.trajectory.is_static]
     if static:
         instants = Instants(0.0, last, _SCAN_RATE)

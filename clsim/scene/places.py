@@ -40,7 +40,7 @@ def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount |
         after = np.minimum(last + 1, instants.count - 1)  # the way to the next instant belongs to each
         free = room.clearance(motion.position(instants.times(middle)), mount)
         speed = motion.speed_over(instants.times(first), instants.times(after))
-        unsure = ~(free > _SPARE * speed * instants.reach(first, middle, after))
+        unsure = ~(free > _SPARE * speed * instants.margin(first, middle, after))
         if room.is_convex:
             return np.where(free > 0.0, -1, middle), unsure
         hit = np.full(len(first), -1)
@@ -80,12 +80,12 @@ def first_approach(
             places, velocity = others.position(times)[:, None], others.velocity(times) - velocity
         else:
             places, velocity = others[None], -velocity
-        reach = _SPARE * speed * (instants.reach(first, middle, last) + half)
+        margin = _SPARE * speed * (instants.margin(first, middle, last) + half)
         hit, unsure = np.full(len(first), -1), np.empty(len(first), dtype=bool)
         for some in _slices(len(first), places.shape[1]):
             apart = (places[some] if len(places) > 1 else places) - at[some]
             distance = np.linalg.norm(apart, axis=2)
-            unsure[some] = ~(distance.min(axis=1) - nearest > reach[some])
+            unsure[some] = ~(distance.min(axis=1) - nearest > margin[some])
             fast = np.linalg.norm(velocity[some], axis=1)
             row, other = np.nonzero(distance < nearest + _SPARE * fast[:, None] * half)
             approach = nearest_within(apart[row, other], velocity[some][row], half)[0]

@@ -33,6 +33,11 @@ def receiver_array(name: str, positions: ArrayLike, **arguments: Any) -> list[Re
     **arguments
         Of `Receiver`, the same for all: directivity, aim, transducer, electronics.
 
+    Returns
+    -------
+    list of Receiver
+        In the order of the positions.
+
     Raises
     ------
     InputError
@@ -60,6 +65,11 @@ def grid_positions(x: Any, y: Any, z: Any) -> Floats:
     x, y, z : float or (first, last, count)
         One coordinate, or evenly spaced ones from the first to the last.
 
+    Returns
+    -------
+    ndarray (n, 3)
+        m.
+
     Raises
     ------
     InputError
@@ -85,6 +95,11 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
     path : path-like
         Three numbers a line, parted by commas, semicolons or spaces; lines that begin with ``#`` and a first line of
         words are passed over.
+
+    Returns
+    -------
+    ndarray (n, 3)
+        m.
 
     Raises
     ------

@@ -75,13 +75,25 @@ class Scene:
         _check_bands(self)
 
     def named_ends(self) -> list[tuple[str, End]]:
-        """Return every source and receiver with the name of its field, e.g. ``"sources[0]"``."""
+        """Return every source and receiver with the name of its field, e.g. ``"sources[0]"``.
+
+        Returns
+        -------
+        list of (str, Source or Receiver)
+            Sources first.
+        """
         sources = [(f"sources[{i}]", s) for i, s in enumerate(self.sources)]
         receivers = [(f"receivers[{i}]", r) for i, r in enumerate(self.receivers)]
         return [*sources, *receivers]
 
     def describe(self) -> list[str]:
-        """Return what the room is like, a line each, and of ends in one that walls close which are inside at 0 s."""
+        """Return what the room is like, a line each, and of ends in one that walls close which are inside at 0 s.
+
+        Returns
+        -------
+        list of str
+            The lines.
+        """
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
         return [*self.room.describe(), *(_side(self.room, field_name, item) for field_name, item in sides)]
 
@@ -113,6 +125,6 @@ def _check_bands(scene: Scene) -> None:
             continue
         for source in scene.sources:
             try:
-                receiver.transducer.check_covers(source.emitted.band(), f"what {source.name!r} emits")
+                receiver.transducer.check_coverage(source.emitted.band(), f"what {source.name!r} emits")
             except InputError as error:
                 raise error.within(f"receivers[{i}]") from error

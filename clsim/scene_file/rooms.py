@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
@@ -17,6 +17,7 @@ from clsim.scene.room.walls import FLATNESS
 from clsim.scene_file.materials import MaterialModel, is_material
 from clsim.scene_file.model import Model, Vector, within
 
+R = TypeVar("R", Shoebox, MeshRoom)
 Corners = list[Annotated[list[float], Field(min_length=2, max_length=2)]]
 
 
@@ -103,13 +104,12 @@ ObstacleModel = Annotated[
 class _WithObstacles(Model):
     obstacles: list[ObstacleModel] = []
 
-    def joined(self, room: Shoebox | MeshRoom, base: Path) -> Shoebox | MeshRoom:
+    def with_obstacles(self, room: R, base: Path) -> R | MeshRoom:
         """Return the room with what stands in it."""
         if not self.obstacles:
             return room
-        parts = [
-            within(f"obstacles[{i}]", lambda model=model: model.build(base))  # type: ignore[misc]
-            for i, model in enumerate(self.obstacles)
+        parts: list[MeshRoom] = [
+            within(f"obstacles[{i}]", partial(model.build, base)) for i, model in enumerate(self.obstacles)
         ]
         return MeshRoom.joined([room, *parts])
 
@@ -126,7 +126,7 @@ class ShoeboxRoomModel(_WithObstacles):
     def build(self, base: Path) -> Shoebox | MeshRoom:
         """Return the room."""
         walls: Any = self.walls
-        return self.joined(Shoebox(np.array(self.size), within("walls", partial(walls.build, base))), base)
+        return self.with_obstacles(Shoebox(np.array(self.size), within("walls", partial(walls.build, base))), base)
 
 
 class MeshRoomModel(_WithObstacles, MeshModel):
@@ -136,7 +136,7 @@ class MeshRoomModel(_WithObstacles, MeshModel):
 
     def build(self, base: Path) -> MeshRoom:
         """Return the room."""
-        return self.joined(super().build(base), base)  # type: ignore[return-value]
+        return self.with_obstacles(super().build(base), base)
 
 
 class PlanRoomModel(_WithObstacles, PlanModel):
@@ -146,7 +146,7 @@ class PlanRoomModel(_WithObstacles, PlanModel):
 
     def build(self, base: Path) -> MeshRoom:
         """Return the room."""
-        return self.joined(super().build(base), base)  # type: ignore[return-value]
+        return self.with_obstacles(super().build(base), base)
 
 
 RoomModel = Annotated[ShoeboxRoomModel | MeshRoomModel | PlanRoomModel, Field(discriminator="kind")]

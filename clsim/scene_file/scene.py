@@ -13,8 +13,6 @@ from pydantic import Discriminator, Field, Tag, ValidationError
 from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
-from clsim.render.baseband import Baseband
-from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
@@ -22,9 +20,9 @@ from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
+from clsim.scene_file.render_options import InterpolatorModel, RenderModel
 from clsim.scene_file.rooms import RoomModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
-from clsim.tracks.transition import DEFAULT_TRANSITION
 
 _PATHS = ("path", "phases_path")  # keys that name files
 
@@ -115,62 +113,11 @@ class _Source(_End):
         return Source(**self.parts(base), signal=signal, start=self.start)
 
 
-class _Lagrange(Model):
-    kind: Literal["lagrange"]
-    order: int = 12
-
-    def build(self) -> Interpolator:
-        return Lagrange(self.order)
-
-
-class _TruncatedLagrange(Model):
-    kind: Literal["truncated-lagrange"]
-    order: int
-    length: int
-
-    def build(self) -> Interpolator:
-        return TruncatedLagrange(self.order, self.length)
-
-
-class _Bandlimited(Model):
-    kind: Literal["bandlimited"] = "bandlimited"
-    error_db: float = -90.0
-
-    def build(self) -> Interpolator:
-        return Bandlimited(self.error_db)
-
-
-_Interpolator = Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")]
-
-
 class _Paths(Model):
     max_order: int
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
     path_limit: int = DEFAULT_PATH_LIMIT
-
-
-class _Baseband(Model):
-    carrier: float
-    bandwidth: float
-    sampling_rate: float | None = None
-
-
-class _Render(Model):
-    sampling_rate: float
-    interpolator: Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")] = _Bandlimited()
-    motion: Literal["retarded", "quasi-static"] = "retarded"
-    amplitude: Literal["wave-equation", "static", "convective"] = "wave-equation"
-    transition: float = DEFAULT_TRANSITION
-    responses: Literal["band", "centre"] = "band"
-    response_error_db: float = -90.0
-    baseband: _Baseband | None = None
-    prune_below_db: float | None = None
-    engine: Literal["opencl", "reference"] = "opencl"
-    device: str | None = None
-    duration: float | None = None
-    chunk: int | None = None
-    convolve_static: bool = True
 
 
 class SceneModel(Model):
@@ -187,7 +134,7 @@ class SceneModel(Model):
         ]
     ]
     paths: _Paths
-    render: _Render
+    render: RenderModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -246,10 +193,7 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     room = within("room", lambda: model.room.build(base))
     air = within("air", lambda: Air(**model.air.arguments()))
     scene = Scene(room, air, sources, receivers, model.min_distance)
-    arguments = model.render.arguments()
-    arguments["interpolator"] = within("render.interpolator", model.render.interpolator.build)
-    band = model.render.baseband
-    arguments["baseband"] = None if band is None else Baseband(band.carrier, band.bandwidth, band.sampling_rate)
+    arguments = within("render", model.render.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)
 
@@ -332,6 +276,6 @@ def _choices(field: str) -> str:
         "transducer": TransducerModel,
         "room": RoomModel,
     }
-    union = unions.get(field.rpartition(".")[2], _Interpolator)
+    union = unions.get(field.rpartition(".")[2], InterpolatorModel)
     members = get_args(get_args(union)[0])
     return ", ".join(repr(get_args(member.model_fields["kind"].annotation)[0]) for member in members)

@@ -261,8 +261,9 @@ def _add_paths(content: Any, table: PathTable) -> None:
     content.coords["times"] = ("times", table.times, _OF_RECEPTION)
     for name in ("source", "receiver", "order", "direct"):
         content[f"path_{name}"] = ("path", getattr(table, name))
-    content["path_walls"] = (("path", "reflection"), table.walls, {"names": list(table.wall_names)})
-    for name in ("delay", "doppler_factor", "gain"):
+    content["path_interactions"] = (("path", "interaction"), table.interactions)
+    content["path_objects"] = (("path", "interaction"), table.objects, {"names": list(table.object_names)})
+    for name in ("delay", "doppler_factor", "doppler_shift", "gain"):
         content[f"path_{name}"] = (("path", "times"), getattr(table, name))
     for name in ("departure", "arrival"):
         content[f"path_{name}"] = (("path", "times", "axis"), getattr(table, name))

@@ -2,34 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.numerics.band_filters import band_filters
-from clsim.tracks.sampled import GRIDS, SEED, Sample, common_delay, sampled_responses
-from clsim.tracks.shortfall import WORST_DB, Held
-
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
     from clsim.arrays import Complexes, Floats
-    from clsim.tracks.sampled import Band
-    from clsim.tracks.tracks import SceneTracks
-
-MOST_FUNCTIONS = 40
-_ROWS = 1024  # responses of which the functions are made
-_HELD_OUT = 4096  # responses at which they are checked
-_TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
-_EMPHASES = 5  # times that instants which are held badly are given more weight
-_HOPELESS = 4.0  # times the bound, from which on another weight does not help
-_MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
-_FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +70,7 @@ class Basis:
 
     def gains(self, responses: Floats | Complexes) -> Floats:
         """Return the gains (..., K) of responses (..., M) at the nodes."""
-        return np.asarray(_in_parts(responses, self.parts) @ self.projection.T)
+        return np.asarray(in_parts(responses, self.parts) @ self.projection.T)
 
 
 def flat_basis(frequency: float) -> Basis:
@@ -101,232 +81,6 @@ def flat_basis(frequency: float) -> Basis:
     )
 
 
-def turning_basis(source: int, frequency: float, band: Band, sampling_rate: float, error_db: float) -> Basis:
-    """Return the basis that takes every complex response at one frequency, over a band."""
-    sample = Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64))
-    filters = band_filters(
-        np.array([[1.0], [1.0j]]), band.low, band.high, sampling_rate, sample.importance, sample.left,
-        10 ** (error_db / 20),
-    )  # fmt: skip
-    Held(source, band.low, band.high, sampling_rate, at_centre=True).within(max(error_db, _TURNED_DB), filters)
-    return Basis(
-        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters.taps, np.ones(2), np.ones(2), np.ones(1),
-        -math.inf, -math.inf,
-    )  # fmt: skip
-
-
-def scene_basis(
-    tracks: SceneTracks,
-    source: int,
-    band_at: Callable[[int], Band],
-    until: float,
-    sampling_rate: float,
-    error_db: float,
-) -> Basis:
-    """Return the fewest functions that hold the responses of a source's paths within an error.
-
-    Parameters
-    ----------
-    tracks : SceneTracks
-        The paths and how they move.
-    source : int
-        Index of the source.
-    band_at : callable
-        Returns the band of its signal at a number of frequencies.
-    until : float
-        End of the run, s.
-    sampling_rate : float
-        Hz.
-    error_db : float
-        Asked bound of the sum of all paths, dB relative to what is heard.
-
-    Raises
-    ------
-    InputError
-        If responses change too fast over frequency for 1161 points, 40 functions, or filters of 2049 taps, and are not
-        even held within -40 dB.
-
-    Warns
-    -----
-    ClsimWarning
-        If they are, but not within the asked error.
-
-    Notes
-    -----
-    Phases of paths are as good as random, so that what a receiver hears, and the error of it, are the roots of sums of
-    squares over its paths. Responses are sampled over paths and instants of the run, likelier the stronger they are and
-    weighted by how likely that was, so that sums over samples stand for those over paths. The functions are their
-    singular vectors, real and imaginary parts side by side, weighted by what sounds at any moment: the best for the
-    sum. Instants held worst are given more weight. They are then checked at other responses, and those of the instants
-    held worst are added until all are within the error. A delay that all responses have about in common is taken out,
-    and given to the filters.
-    """
-    allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
-    late = common_delay(tracks, source, band_at(GRIDS[0]), until, sampling_rate)
-    for count in GRIDS:
-        rng, band, fine = np.random.default_rng(SEED), *(replace(band_at(n), late=late) for n in (count, 3 * count))
-        sampled = sampled_responses(tracks, source, fine, until, _ROWS, rng)
-        unresolved = _unresolved(sampled)
-        if unresolved <= allowed:
-            break
-    held = Held(source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
-    if held.resolved_db > WORST_DB:
-        held.within(error_db)
-    held_out = sampled_responses(tracks, source, band, until, _HELD_OUT, rng)
-    sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
-    count, rows = 1, _Rows.of(sampled)
-    for attempt in itertools.count(1):
-        found = _Functions.of(rows, count, allowed)
-        while found.wrong(rows.sample).max() > allowed and count < MOST_FUNCTIONS:
-            count += 1
-            found = _Functions.of(rows, count, allowed)
-        wrong = found.wrong(held_out)
-        if wrong.max() <= allowed or count == MOST_FUNCTIONS:
-            break
-        # What is held worst joins the rows; if that does not do, one more function is needed.
-        rows = _Rows.of(rows.sample.with_frames(held_out, np.argsort(-wrong)[:3]))
-        count += int(attempt % 2 == 0)
-    held = replace(held, functions=count, functions_db=_in_db(float(wrong.max())))
-    return _designed(found, rows.sample, error_db, held)
-
-
-def _in_db(ratio: float) -> float:
-    return 20.0 * math.log10(max(ratio, 1e-15))
-
-
-def _unresolved(sample: Sample) -> float:
-    """Return the largest error of responses at 3 F frequencies as made of every third, Chebyshev points as well."""
-    from scipy.fft import idct
-
-    responses = sample.responses
-    coefficients = _chebyshev_coefficients(responses[:, 1::3])
-    coefficients[:, 0] *= 2.0
-    made = idct(coefficients * responses.shape[1], type=2, n=responses.shape[1], axis=1)
-    return float(sample.relative(made - responses).max())
-
-
-def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) -> Basis:
-    """Return functions as filters, scaled so that at no instant the gains of all paths add up to more than 1."""
-    band, loudness = sample.band, sample.loudness()
-    flat = np.ptp(found.shapes.real) <= 10 ** (error_db / 20) * np.abs(found.shapes).max()
-    if found.parts == len(found.shapes) == 1 and flat:
-        loudest = band.frequencies[int(np.argmax(band.energy.max(axis=0)))]
-        one, reached = np.ones((1, 1)), held.functions_db
-        return Basis(
-            np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), loudness, error_db, reached
-        )
-    together = sample.by_frame(found.gains(sample.responses))
-    scale = np.sqrt(together.max(axis=0))[:, None]
-    sizes = sample.sizes(found.shapes * scale, together / scale[:, 0] ** 2)
-    order = np.argsort(-sizes, kind="stable")  # weak ones need fewer branches
-    shapes, sizes, nodes, importance = (found.shapes * scale)[order], sizes[order], found.nodes, sample.importance
-    filters = band_filters(
-        _chebyshev_coefficients(shapes), band.low, band.high, held.sampling_rate, importance, sample.left,
-        10 ** ((error_db - _FILTER_MARGIN_DB) / 20), round(band.late * held.sampling_rate),
-    )  # fmt: skip
-    reached = held.within(error_db, filters)
-    if band.late != 0.0:  # the delay that was taken out of responses is put back
-        shapes = shapes * band.turn
-    projection = _projection(shapes, nodes, importance)
-    weight = importance[nodes] / math.sqrt(float(np.mean(importance[nodes] ** 2)))
-    functions = _in_parts(shapes[:, nodes] * weight, found.parts)
-    strengths = np.sqrt(np.sum(functions**2, axis=1) / len(nodes))
-    asked_db = max(error_db, reached)  # what is told already needs no other warning
-    return Basis(
-        band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, strengths, loudness, asked_db,
-        reached,
-    )  # fmt: skip
-
-
-def _projection(shapes: Floats | Complexes, nodes: NDArray[np.int64], weight: Floats) -> Floats:
-    """Return what leads from responses at nodes to gains (K, parts M), by weighted least squares."""
-    parts = 1 + int(np.iscomplexobj(shapes))
-    weighted = _in_parts(shapes[:, nodes] * weight[nodes], parts).T
-    return np.asarray(np.linalg.pinv(weighted) * np.tile(weight[nodes], parts))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """A sample, and its weighted responses as places (n, r) along axes (r, parts F) that hold them all."""
-
-    sample: Sample
-    weight: Floats
-    places: Floats
-    axes: Floats
-
-    @staticmethod
-    def of(sample: Sample) -> _Rows:
-        """Return rows of responses; axes along which there is nothing but rounding are left out."""
-        weight = sample.importance
-        weighted = _in_parts(sample.responses * weight, 1 + int(np.iscomplexobj(sample.responses)))
-        _, sizes, axes = np.linalg.svd(weighted, full_matrices=False)
-        axes = axes[: max(int(np.count_nonzero(sizes > 1e-9 * sizes[0])), 1)]
-        return _Rows(sample, weight, weighted @ axes.T, axes)
-
-    @property
-    def parts(self) -> int:
-        return 1 + int(np.iscomplexobj(self.sample.responses))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Functions:
-    """Functions (K, F) over a band, indices (M,) of nodes, and the projection (K, parts M) from there."""
-
-    shapes: Floats | Complexes
-    nodes: NDArray[np.int64]
-    projection: Floats
-
-    @staticmethod
-    def of(rows: _Rows, count: int, allowed: float) -> _Functions:
-        """Return the functions that hold responses best."""
-        frequencies, weight, first = len(rows.weight), rows.weight, rows.sample.first
-        nodes = _spread(min(-(-2 * count // 8) * 8, frequencies), frequencies)
-        # A tone is next to all there is: a node must lie on it.
-        loudest = int(np.median(np.flatnonzero(weight >= weight.max())))
-        nodes[np.argmin(np.abs(nodes - loudest))] = loudest
-        emphasis = np.ones(len(first))
-        lengths = np.diff([*first.tolist(), len(rows.places)])
-        for _ in range(_EMPHASES):
-            each = np.repeat(emphasis, lengths)[:, None]
-            _, _, vectors = np.linalg.svd(each * rows.places, full_matrices=False)
-            found = vectors[:count] @ rows.axes
-            shapes: Floats | Complexes = found[:, :frequencies] / weight
-            if rows.parts == 2:
-                shapes = shapes + 1j * (found[:, frequencies:] / weight)
-            functions = _Functions(shapes, nodes, _projection(shapes, nodes, weight))
-            wrong = functions.wrong(rows.sample)
-            if not allowed < wrong.max() < _HOPELESS * allowed:
-                break
-            emphasis *= 1.0 + 3.0 * wrong / wrong.max()
-        return functions
-
-    @property
-    def parts(self) -> int:
-        return 1 + int(np.iscomplexobj(self.shapes))
-
-    def gains(self, rows: Floats | Complexes) -> Floats:
-        """Return the gains (n, K) of responses (n, F)."""
-        return np.asarray(_in_parts(rows[:, self.nodes], self.parts) @ self.projection.T)
-
-    def wrong(self, sample: Sample) -> Floats:
-        """Return the largest error over all windows of each frame of a sample, (frames,)."""
-        return sample.relative(self.gains(sample.responses) @ self.shapes - sample.responses)
-
-
-def _spread(count: int, among: int) -> NDArray[np.int64]:
-    """Return indices of Chebyshev points that are nearly the Chebyshev points of a smaller number."""
-    return np.round((np.arange(count) + 0.5) * among / count - 0.5).astype(np.int64)
-
-
-def _in_parts(values: Floats | Complexes, parts: int) -> Floats:
+def in_parts(values: Floats | Complexes, parts: int) -> Floats:
     """Return real parts (..., M), followed by the imaginary ones for two parts."""
     return np.asarray(values.real if parts == 1 else np.concatenate([values.real, values.imag], axis=-1))
-
-
-def _chebyshev_coefficients(values: Floats | Complexes) -> Floats | Complexes:
-    """Return the coefficients (K, F) of polynomials from their values at Chebyshev points, high to low."""
-    from scipy.fft import dct
-
-    coefficients: Any = dct(values, type=2, axis=1) / values.shape[1]
-    coefficients[:, 0] *= 0.5
-    return np.asarray(coefficients)

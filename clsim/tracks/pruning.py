@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.paths.arrivals import MACH_EXPONENT, arrivals
-from clsim.paths.response import NEPERS, directivity_gain, known
+from clsim.paths.arrivals import MACH_EXPONENT
+from clsim.paths.response import SceneResponse, directivity_gain
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.signal.occupied_bandwidth import shares
 from clsim.tracks.tracks import PairTracks, SceneTracks
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _STEP = 0.25  # s, over which distances are bounded
 _LEAST_MOVE = 0.05  # m, or for as long as motions take for it
-_DIRECTIONS = 2000  # in which a beam's largest gain is looked for
+_DIRECTIONS = 2000  # in which the largest gain of a directivity is looked for
 _BETWEEN = 1.05  # by which it may be larger between them
 _FREQUENCIES = 9
 _SHARE = 1e-4  # of the signal's energy at either end, which is not looked at
@@ -44,30 +44,29 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
     -----
     The bound of a gain is the product of spreading and air over the shortest distance that peak speeds allow within
     each quarter of a second (or 5 cm of motion, where that takes longer and no path comes or goes), of the reflection
-    factors (1 where they depend on the angle), and of the beams' largest gains, at nine frequencies of the signal's
-    band. What all paths that are left out add is at most the sum of their bounds.
+    factors (1 where they depend on the angle), and of the directivities' largest gains, at nine frequencies of the
+    signal's band. What all paths that are left out add is at most the sum of their bounds.
     """
-    kept, lost, count = [], 0.0, 0
-    for i in range(len(tracks.groups)):
-        bound, strongest = _bounds(tracks, i, until)
-        quiet = bound < 10 ** (below_db / 20) * strongest
-        if strongest > 0.0 and np.any(quiet):
-            lost = max(lost, float(bound[quiet].sum()) / strongest)
-            count += int(np.count_nonzero(quiet))
-        kept.append(np.flatnonzero(~quiet))
+    bounds = [_bounds(tracks, i, until) for i in range(len(tracks.groups))]
+    pairs = [(group.source, group.receiver) for group in tracks.groups]
+    strongest: dict[tuple[int, int], float] = {}  # of paths of all kinds
+    for pair, (_, loudest) in zip(pairs, bounds, strict=True):
+        strongest[pair] = max(strongest.get(pair, 0.0), loudest)
+    groups, pair_paths, lost, count = [], [], dict.fromkeys(pairs, 0.0), 0
+    for pair, (bound, _), group, paths in zip(pairs, bounds, tracks.groups, tracks.pair_paths, strict=True):
+        quiet = bound < 10 ** (below_db / 20) * strongest[pair]
+        rows = np.flatnonzero(~quiet)
+        if np.any(quiet):
+            lost[pair] += float(bound[quiet].sum()) / strongest[pair]
+            count += len(quiet) - len(rows)
+        if len(rows):
+            groups.append(PairTracks(group.source, group.receiver, group.start[rows], group.end[rows]))
+            pair_paths.append(paths.part(rows))
     if not count:
         return tracks, f"no path stays below {below_db:g} dB"
-    groups = [
-        PairTracks(group.source, group.receiver, group.start[rows], group.end[rows])
-        for group, rows in zip(tracks.groups, kept, strict=True)
-    ]
-    reduced = replace(
-        tracks,
-        groups=tuple(groups),
-        path_groups=tuple(group.part(rows) for group, rows in zip(tracks.path_groups, kept, strict=True)),
-        path_rows=tuple(all_rows[rows] for all_rows, rows in zip(tracks.path_rows, kept, strict=True)),
-    )
-    together = f"reach at most {20.0 * math.log10(lost):.1f} dB" if lost > 0.0 else "are silent"
+    reduced = replace(tracks, groups=tuple(groups), pair_paths=tuple(pair_paths))
+    most = max(lost.values())
+    together = f"reach at most {20.0 * math.log10(most):.1f} dB" if most > 0.0 else "are silent"
     return reduced, (
         f"{count} paths that stay below {below_db:g} dB of the strongest are left out; all of them together {together}"
     )
@@ -75,36 +74,33 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
 
 def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, float]:
     """Return bounds (P,) of the gains of a group's paths, and the strongest gain that was met."""
-    scene, paths = tracks.scene, tracks.path_groups[group]
-    source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.speed_of_sound
+    scene, pair = tracks.scene, tracks.pair_paths[group]
+    source, receiver, c = scene.sources[pair.source], scene.receivers[pair.receiver], scene.air.speed_of_sound
     frequencies = np.linspace(*shares(source.emitted.energy_spectrum(), _SHARE), _FREQUENCIES)
-    factors = np.ones((len(scene.room.faces.materials) + 1, len(frequencies)))
-    for w, material in enumerate(scene.room.faces.materials):
-        if not material.depends_on_angle:
-            factors[w] = np.abs(material.reflection_at(known(frequencies, material), 1.0, c))
-    beams = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
-    reflected = np.prod(factors[paths.walls], axis=1) * beams
-    nepers = scene.air.absorption_at(frequencies) * NEPERS
-    mach_factor = (1.0 - tracks.source_speed[paths.source] / c) ** -MACH_EXPONENT[tracks.amplitude]
-    bound, strongest = np.zeros(len(paths.walls)), 0.0
-    speed = tracks.source_speed[paths.source] + tracks.receiver_speed[paths.receiver]
+    at = SceneResponse(scene, frequencies)
+    directivities = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
+    reflected = pair.family.gain_bound(pair.rows, at) * directivities
+    source_speed = float(tracks.speeds.source[pair.source])
+    mach_factor = (1.0 - source_speed / c) ** -MACH_EXPONENT[tracks.amplitude]
+    bound, strongest, slowest = np.zeros(len(reflected)), 0.0, pair.family.medium.slowest
+    speed = source_speed + float(tracks.speeds.receiver[pair.receiver])
     member, step = tracks.groups[group], _STEP
     if member.always_heard:
         step = max(_STEP, _LEAST_MOVE / speed) if speed > 0.0 else math.inf
     edges = np.linspace(0.0, until, max(1, math.ceil(until / step)) + 1)
     for begin, end in pairwise(edges):
         heard = (member.start < end) & (member.end > begin)
-        nearest = np.maximum(tracks.delay_range(group, begin, end)[0] * c, scene.min_distance)[:, None]
-        gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
+        nearest = np.maximum(tracks.delay_range(group, begin, end)[0] * slowest, scene.min_distance)[:, None]
+        gain = reflected * np.exp(-at.nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
         bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
         middle = np.array([0.5 * (begin + end)])
-        now = np.abs(arrivals(scene, paths, middle, tracks.motion, tracks.amplitude).gain[:, 0])
+        now = np.abs(pair.gain(pair.arrivals(middle, tracks.motion, tracks.amplitude), middle)[:, 0])
         strongest = max(strongest, float(np.where((member.start <= middle) & (member.end > middle), now, 0.0).max()))
     return bound, strongest
 
 
 def _peak(directivity: Directivity, frequencies: Floats, speed_of_sound: float) -> Floats:
-    """Return a bound of a beam's gain in any direction, (F,)."""
+    """Return a bound of a directivity's gain in any direction, (F,)."""
     if isinstance(directivity, Omni):
         return np.ones(len(frequencies))
     i = np.arange(_DIRECTIONS)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.paths.arrivals import arrivals
-from clsim.paths.response import Responses, is_complex
+from clsim.paths.response import SceneResponse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -142,32 +141,37 @@ def sampled_responses(
     tracks: SceneTracks, source: int, band: Band, until: float, count: int, rng: np.random.Generator
 ) -> Sample:
     """Return about `count` responses of a source's paths, at instants of the run."""
-    responses = Responses(tracks.scene, band.frequencies)
     groups = [i for i, g in enumerate(tracks.groups) if g.source == source]
+    at = SceneResponse(tracks.scene, band.frequencies)
     if len(groups) > _MOST_GROUPS:
         groups = sorted(rng.choice(groups, _MOST_GROUPS, replace=False).tolist())
     instants = max(3, min(_TIMES, _FRAMES // max(len(groups), 1)))
     picked: list[Any] = []
     for i in groups:
-        group, start, end = tracks.path_groups[i], tracks.groups[i].start, tracks.groups[i].end
+        pair, start, end = tracks.pair_paths[i], tracks.groups[i].start, tracks.groups[i].end
         if len(start) > _MOST_PATHS:
             some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
-            group, start, end = group.part(some), start[some], end[some]
+            pair, start, end = pair.part(some), start[some], end[some]
         times = np.sort(rng.uniform(0.0, until, instants))
         times[[0, -1]] = 0.0, until
-        found = arrivals(tracks.scene, group, times, tracks.motion, tracks.amplitude)
+        found = pair.arrivals(times, tracks.motion, tracks.amplitude)
         heard = (times >= start[:, None]) & (times < end[:, None])
-        level = np.where(heard, np.abs(found.gain), 0.0)
+        level = np.where(heard, np.abs(pair.gain(found, times)), 0.0)
         for t in np.flatnonzero(level.any(axis=0)).tolist():
             rows, standing_for = _picked(level[:, t], -(-count // (len(groups) * instants)), rng)
             one = slice(t, t + 1)
-            along = responses.along(group.part(rows), found.part(rows, one), times[one])[:, 0]
+            along = pair.part(rows).response(found.part(rows, one), times[one], at)[:, 0]
             if band.late != 0.0:
                 along = along * np.conj(band.turn)
             picked.append(along * (np.sqrt(standing_for) / np.linalg.norm(level[:, t]))[:, None])
     if not picked:
-        picked = [np.ones((1, len(band.frequencies)))]
+        return _nothing(band)
     return Sample(band, np.concatenate(picked), np.cumsum([0, *(len(rows) for rows in picked[:-1])]))
+
+
+def _nothing(band: Band) -> Sample:
+    """Return the sample of paths that are silent all the time."""
+    return Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64))
 
 
 def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Floats]:
@@ -191,7 +195,7 @@ def common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sam
 
     It is 0 where that is little, and for real responses, which have no delay.
     """
-    if not is_complex(tracks.scene):
+    if not tracks.paths.is_complex:
         return 0.0
     width = band.high - band.low
     count = int(np.clip(math.ceil(_LATEST * width), 64, _MOST_DELAYS))

@@ -10,9 +10,10 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, PairPaths, arrivals
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS
+from clsim.paths.family import PeakSpeeds
 from clsim.paths.path_set import PathSet
-from clsim.paths.response import Responses
+from clsim.paths.response import SceneResponse
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.scene.ends import Receiver, Source
+    from clsim.paths.family import PairPaths
+    from clsim.scene.ends import Receiver
     from clsim.scene.motion.trajectory import Trajectory
     from clsim.scene.scene import Scene
 
@@ -155,11 +157,11 @@ class SceneTracks(Tracks):
     motion: str
     amplitude: str
     groups: tuple[PairTracks, ...]
-    path_groups: tuple[PairPaths, ...]
-    path_rows: tuple[NDArray[np.int64], ...]  # of each group's paths in `paths`
-    source_speed: tuple[float, ...]
-    receiver_speed: tuple[float, ...]
+    pair_paths: tuple[PairPaths, ...]
+    speeds: PeakSpeeds
     transition: float
+    source_count: int
+    receiver_names: tuple[str, ...]
 
     @property
     def of_scene(self) -> SceneTracks:
@@ -171,81 +173,56 @@ class SceneTracks(Tracks):
         """The scene."""
         return self.paths.scene
 
-    @property
-    def source_count(self) -> int:  # type: ignore[override]
-        """Number of sources."""
-        return len(self.scene.sources)
-
-    @property
-    def receiver_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the receivers."""
-        return tuple(r.name for r in self.scene.receivers)
-
     def evaluate(
         self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """Return delay, its derivative and gains, in float64 without approximation."""
-        paths = self.path_groups[group] if rows is None else self.path_groups[group].part(rows)
-        receiver = self.scene.receivers[paths.receiver]
+        pair = self.pair_paths[group] if rows is None else self.pair_paths[group].part(rows)
+        receiver = self.scene.receivers[pair.receiver]
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
-        found = arrivals(self.scene, paths, times + clock_error, self.motion, self.amplitude)
-        response = Responses(self.scene, basis.nodes).along(paths, found, times + clock_error)
+        found = pair.arrivals(times + clock_error, self.motion, self.amplitude)
+        response = pair.response(found, times + clock_error, SceneResponse(self.scene, basis.nodes))
         gain = np.moveaxis(basis.gains(response), -1, 0)
         return found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0), gain
 
     def max_rate(self, source: int) -> float:
-        """Return ``(v_s + v_r) / (c - v_s)`` with peak speeds, by the clock of the receiver where it is most."""
-        paces = [r.clock_rate for r in self.scene.receivers]
-        speeds = zip(self.receiver_speed, paces, strict=True)
-        return max(self._rate(source, speed) * clock_rate + abs(clock_rate - 1.0) for speed, clock_rate in speeds)
+        """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
+        fastest, source_speed = 0.0, float(self.speeds.source[source])
+        for receiver, speed in zip(self.scene.receivers, self.speeds.receiver.tolist(), strict=True):
+            rate = max(family.max_rate(source_speed, speed) for family in self.paths.families)
+            fastest = max(fastest, rate * receiver.clock_rate + abs(receiver.clock_rate - 1.0))
+        return fastest
 
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
         """Return the largest peak speed, and by how much all speeds must be scaled for another rate of delays."""
-        v_s, v_r, c = self.source_speed[source], max(self.receiver_speed), self.scene.air.speed_of_sound
-        scale = max_rate * c / (v_s + v_r + max_rate * v_s)
+        v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
+        scale = max_rate * self.scene.air.speed_of_sound / (v_s + v_r + max_rate * v_s)
         return max(v_s, v_r), scale * max(v_s, v_r)
 
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
-        """Return bounds from the distance at mid-time and the peak speeds."""
-        paths = self.path_groups[group]
-        clock_times = np.array([start, end])
-        clock_error = self.scene.receivers[paths.receiver].clock_error(clock_times)
-        start, end = (clock_times + clock_error).tolist()
-        c, middle = self.scene.air.speed_of_sound, np.array([0.5 * (start + end)])
-        x_s = self.scene.sources[paths.source].trajectory.position(middle)[0]
-        x_r = self.scene.receivers[paths.receiver].trajectory.position(middle)[0]
-        distance = np.linalg.norm(paths.matrix @ x_s + paths.offset - x_r, axis=1)
-        v_s, v_r = self.source_speed[paths.source], self.receiver_speed[paths.receiver]
-        slack = 0.5 * (end - start) * (v_s + v_r)
-        low, high = np.maximum(distance - slack, 0.0) / (c + v_s), (distance + slack) / (c - v_s)
+        """Return the bounds of the kind of paths, by the receiver's clock."""
+        pair, clock_times = self.pair_paths[group], np.array([start, end])
+        clock_error = self.scene.receivers[pair.receiver].clock_error(clock_times)
+        first, last = (clock_times + clock_error).tolist()
+        low, high = pair.family.delay_bounds(pair.rows, first, last, self.speeds)
         return low - clock_error.max(), high - clock_error.min()
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return the largest of the bounds of `delay_range`, of very many groups at once."""
-        scene, c, longest = self.scene, self.scene.air.speed_of_sound, 0.0
-        clock_times = np.array([start, end])
-        clock_error = np.stack([r.clock_error(clock_times) for r in scene.receivers])
-        middle, reach = np.mean(clock_times + clock_error, axis=1), 0.5 * np.diff(clock_times + clock_error)[:, 0]
-        x_r = np.stack([r.trajectory.position(t) for r, t in zip(scene.receivers, middle, strict=True)])
-        for s in range(len(scene.sources)) if source is None else [source]:
-            v_s = self.source_speed[s]
-            slack, x_s = reach * (v_s + np.array(self.receiver_speed)), scene.sources[s].trajectory.position(middle)
-            mine = [rows for group, rows in zip(self.groups, self.path_rows, strict=True) if group.source == s]
-            for rows in _batches(mine):
-                r = self.paths.receiver[rows]
-                image = np.einsum("pij,pj->pi", self.paths.image_matrix[rows], x_s[r]) + self.paths.image_offset[rows]
-                distance = np.linalg.norm(image - x_r[r], axis=1)
-                bound = (distance + slack[r]) / (c - v_s) - clock_error.min(axis=1)[r]
-                longest = max(longest, float(bound.max()))
+        clock_times, longest = np.array([start, end]), 0.0
+        clock_error = np.stack([r.clock_error(clock_times) for r in self.scene.receivers])
+        first, last = (clock_times + clock_error).T
+        mine = [pair for pair in self.pair_paths if source in (None, pair.source)]
+        for family in self.paths.families:
+            for rows in _batches([pair.index for pair in mine if pair.family is family]):
+                r = family.receiver[rows]
+                high = family.delay_bounds(rows, first[r], last[r], self.speeds)[1]
+                longest = max(longest, float((high - clock_error.min(axis=1)[r]).max()))
         return longest
 
     def last_time(self) -> float:
         """Return the end of the first moving receiver's trajectory, or infinity."""
         return float(min(_clock_time(r, np.array([r.trajectory.end]))[0] for r in self.scene.receivers))
-
-    def _rate(self, source: int, receiver_speed: float) -> float:
-        speed = self.source_speed[source]
-        return (speed + receiver_speed) / (self.scene.air.speed_of_sound - speed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -340,28 +317,27 @@ def track(
     as_choice("motion", motion, MOTIONS)
     as_choice("amplitude", amplitude, AMPLITUDES)
     scene = paths.scene
-    groups, path_groups, path_rows = [], [], []
-    for rows, group in paths.groups():
-        receiver = scene.receivers[group.receiver]
-        own = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] + 1 == len(rows) else rows  # a slice is no copy
-        interval = (_clock_time(receiver, times[own]) for times in (paths.start, paths.end))
-        groups.append(PairTracks(group.source, group.receiver, *interval))
-        path_groups.append(group)
-        path_rows.append(rows)
+    groups, pair_paths = [], []
+    for _, pair in paths.pairs():
+        receiver, family = scene.receivers[pair.receiver], pair.family
+        start, end = (_clock_time(receiver, times[pair.rows]) for times in (family.start, family.end))
+        groups.append(PairTracks(pair.source, pair.receiver, start, end))
+        pair_paths.append(pair)
     # Speeds are sampled; 2 % covers what lies between the samples.
-    ends: list[Source | Receiver] = [*scene.sources, *scene.receivers]
-    speeds = [1.02 * _peak_speed(end.trajectory, *end.span) for end in ends]
-    count = len(scene.sources)
+    source_speed, receiver_speed = (
+        np.array([1.02 * _peak_speed(end.trajectory, *end.time_range) for end in ends])
+        for ends in (scene.sources, scene.receivers)
+    )
     return SceneTracks(
-        paths,
-        motion,
-        amplitude,
-        tuple(groups),
-        tuple(path_groups),
-        tuple(path_rows),
-        tuple(speeds[:count]),
-        tuple(speeds[count:]),
-        as_transition(transition),
+        paths=paths,
+        motion=motion,
+        amplitude=amplitude,
+        groups=tuple(groups),
+        pair_paths=tuple(pair_paths),
+        speeds=PeakSpeeds(source_speed, receiver_speed),
+        transition=as_transition(transition),
+        source_count=len(scene.sources),
+        receiver_names=tuple(r.name for r in scene.receivers),
     )
 
 

@@ -99,15 +99,12 @@ def run_identity(planned: PlannedScene) -> dict[str, Any]:
         "engine": plan.options.engine, "duration": plan.duration, "samples": plan.samples, "chunk": plan.chunk,
     }  # fmt: skip
     content["render"].pop("device", None)
-    found = hashlib.sha256()
-    for name in ("source", "receiver", "walls", "image_matrix", "image_offset", "start", "end"):
-        found.update(np.ascontiguousarray(getattr(paths, name)).tobytes())
     return {
         "scene": content,
         "contents": {os.path.relpath(path, file.base): _digest(path) for path in referenced_files(file)},
         "device": device,
         "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
-        "paths": found.hexdigest(),
+        "paths": paths.digest(),
         "contributions": {contribution.name: contribution.digest() for contribution in plan.contributions},
     }
 

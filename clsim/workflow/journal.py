@@ -1,4 +1,4 @@
-"""What an unfinished run needs to go on: what it is, how far it came, what its receivers remember."""
+"""A checkpoint: what a run needs to go on: what it is, how far it came, what its receivers remember."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from clsim.files.names import file_names
-from clsim.output.stores import store_names
+from clsim.output.stores import STORES
 
 if TYPE_CHECKING:
     from clsim.scene_file.scene import SceneFile
@@ -43,7 +43,7 @@ class RunOutputs:
         """Return what a scene file gives with a kind of store, and of table, "none" for none of it."""
         names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
         file_of_table = "" if table == "none" else f"paths.{table}"
-        return cls(names, store_names(store, names), file_of_table, names[:MOST_DRAWN] if pictures else [])
+        return cls(names, STORES[store].names(names), file_of_table, names[:MOST_DRAWN] if pictures else [])
 
     def beside_sound(self, changing: bool = True) -> list[str]:
         """Return what is made once there is sound, the completed scene last; `changing`: whether paths come and go."""

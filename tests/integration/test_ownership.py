@@ -317,15 +317,15 @@ def test_the_lock_comes_before_the_search(tmp_path: Path, capsys, monkeypatch) -
     pytest.importorskip("fcntl")
     from clsim.commands import run as command
 
-    scene, out, plan = write_scene(tmp_path / "s.toml"), tmp_path / "out", command.planned
+    scene, out, plan = write_scene(tmp_path / "s.toml"), tmp_path / "out", command.plan_scene
     told = []
 
     def second(*arguments):
-        monkeypatch.setattr(command, "planned", plan)
+        monkeypatch.setattr(command, "plan_scene", plan)
         told.append(run(scene, out, "--force"))
         return plan(*arguments)
 
-    monkeypatch.setattr(command, "planned", second)
+    monkeypatch.setattr(command, "plan_scene", second)
     assert run(scene, out) == 0
     assert told == [2]
     assert "one process at a time" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from killing import Killer, content
 import clsim
 from clsim.cli import main
 from clsim.files.atomic import locked
-from clsim.output.stores import StoredSound, sound_store
+from clsim.output.stores import STORES, StoredSound
 from clsim.workflow.journal import Journal
 
 SCENE = """
@@ -85,15 +85,6 @@ def scene(tmp_path: Path) -> Path:
     path = tmp_path / "scene.toml"
     path.write_text(SHORT, "utf-8")
     return path
-
-
-@pytest.fixture(scope="module")
-def killer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Killer]:
-    if not hasattr(os, "fork"):
-        pytest.skip("this system does not fork")
-    killer = Killer(tmp_path_factory.mktemp("killer"))
-    yield killer
-    killer.close()
 
 
 def test_a_killed_run_ends_like_one_that_was_not(killer: Killer, tmp_path: Path, device) -> None:
@@ -318,7 +309,7 @@ def test_open_store_refuses_others(tmp_path: Path) -> None:
     with pytest.raises(clsim.InputError, match="does not say so"):
         clsim.open_store(tmp_path / "other.zarr")
     about = StoredSound(("a",), ("Pa",), np.zeros((1, 3)), 48e3, 10, 10, "", "9.9")
-    store = sound_store("zarr", tmp_path, about, ["a"])
+    store = STORES["zarr"](tmp_path, about, ["a"])
     store.create()
     group = zarr.open_group(tmp_path / "recording.zarr", mode="r+")
     group.attrs["clsim_store_format"] = 2
@@ -328,7 +319,7 @@ def test_open_store_refuses_others(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("rate", "channels", "samples"), [(44_100, 1, 0), (192_000, 1, 7), (500_000, 3, 1000)])
 def test_wav_headers_are_read_by_others(rate: int, channels: int, samples: int, tmp_path: Path, rng) -> None:
-    from clsim.files.wav import wav_header
+    from clsim.files.sound import wav_header
 
     data = rng.normal(size=(samples, channels)).astype("<f4")
     (tmp_path / "a.wav").write_bytes(wav_header(rate, channels, samples) + data.tobytes())
@@ -339,7 +330,7 @@ def test_wav_headers_are_read_by_others(rate: int, channels: int, samples: int, 
 
 
 def test_wav_header_beyond_4_gib(tmp_path: Path, rng) -> None:
-    from clsim.files.wav import wav_header
+    from clsim.files.sound import wav_header
 
     count = 2**30 + 5
     header = wav_header(192e3, 1, count)

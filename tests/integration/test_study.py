@@ -15,7 +15,7 @@ pytest.importorskip("zarr")
 xarray = pytest.importorskip("xarray")
 
 COLUMNS = (
-    "source", "receiver", "order", "walls", "direct", "delay", "doppler_factor", "gain", "departure", "arrival",
+    "source", "receiver", "order", "interactions", "objects", "direct", "delay", "doppler_factor", "doppler_shift", "gain", "departure", "arrival",
 )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 
 import clsim
 from clsim.opencl import device as device_module
+from clsim.paths.specular.family import SpecularPaths
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import SEGMENT, Plan
@@ -108,7 +109,7 @@ def test_host_tracks_carry_phases(monkeypatch: pytest.MonkeyPatch) -> None:
     world = clsim.Scene(clsim.Shoebox((6, 5, 3), [POROUS, ROUGH] * 3), clsim.Air(), [source], ears)
     made = plan_render(clsim.find_paths(world, 2), RATE, duration=0.06)
     on_device = pressure(made)
-    monkeypatch.setattr(opencl_module, "SceneTracks", type(None))  # as for tracks that are sampled
+    monkeypatch.setattr(SpecularPaths, "device", None)  # as for kinds that no device knows
     assert difference_db(pressure(made), on_device) < TOLERANCE_DB
 
 

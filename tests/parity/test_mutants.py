@@ -1,6 +1,7 @@
 """Kernels with one thing wrong: the parity check at its own tolerance must see each of them."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,9 +78,8 @@ def _paths(kind: str) -> PathSet:
     one = clsim.find_paths(scene, 0)
     matrix = Rotation.from_rotvec([0.2, 0.1, -0.3]).as_matrix()
     offset = (0.3, 0.2, -0.1) + (shift - matrix @ shift)
-    return PathSet(
-        scene, one.source, one.receiver, one.order, one.walls, matrix[None], offset[None], one.start, one.end
-    )
+    turned = replace(one.families[0], image_matrix=matrix[None], image_offset=offset[None])
+    return PathSet(scene, (turned,))
 
 
 def _near() -> PathSet:

@@ -60,7 +60,7 @@ def query(room, source, receivers, _order) -> VisibilityQuery:
 
 def candidates(room, source, receivers, order) -> list[Candidates]:
     ends = trajectory_tables(source, receivers)
-    tree = BeamTree(room.walls, *ends.ball(0), ends.receiver_spheres(), 10**6)
+    tree = BeamTree(room.walls, *ends.sphere(0), ends.receiver_spheres(), 10**6)
     found = [c for c in tree.candidates(order) if len(c.row)]
     orders = sorted({c.sequence.shape[1] for c in found})
     return [Candidates.joined([c for c in found if c.sequence.shape[1] == n]) for n in orders]

@@ -9,7 +9,7 @@ from made_meshes import pillar_room
 import clsim
 from clsim.opencl import compiler as compiler_module
 from clsim.render.opencl import branch_signals as branches_module
-from clsim.render.opencl.activity import CELL, Activity, sounding
+from clsim.render.opencl.activity import CELL, Activity, find_activity
 from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import BUILDERS, plan_render
@@ -78,7 +78,9 @@ def rendered(plan: Plan, skips_silence: bool, **options) -> np.ndarray:
 def test_not_a_bit_changes(name: str, layout, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = PLANS[name]()
     looked: list[bool] = []
-    monkeypatch.setattr(branches_module, "sounding", lambda *a: looked.append(sounding(*a).pays) or sounding(*a))
+    monkeypatch.setattr(
+        branches_module, "find_activity", lambda *a: looked.append(find_activity(*a).pays) or find_activity(*a)
+    )
     with_silence = rendered(plan, False, layout=layout)
     assert np.abs(with_silence).max() > 0.0
     np.testing.assert_array_equal(rendered(plan, True, layout=layout), with_silence)
@@ -120,13 +122,13 @@ def test_functions_of_frequency_are_applied_where_it_sounds(responses) -> None:
 
 
 def test_dense_signals_are_not_looked_through() -> None:
-    assert not sounding(np.arange(5000), 4979, 10, 11).pays
+    assert not find_activity(np.arange(5000), 4979, 10, 11).pays
 
 
 def test_cells_are_those_that_filters_hear(rng: np.random.Generator) -> None:
     before, after, length = 7, 13, 2000
     stream = np.where(rng.random(length + before + after) < 0.004, 1.0, 0.0)
-    found = sounding(np.flatnonzero(stream), length, before, after)
+    found = find_activity(np.flatnonzero(stream), length, before, after)
     heard = [np.any(stream[j : j + before + after + 1]) for j in range(length)]
     cells = -(-length // CELL)
     first = np.pad(heard, (0, cells * CELL - length)).reshape(cells, CELL).any(axis=1)

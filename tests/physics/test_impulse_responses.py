@@ -6,7 +6,7 @@ import pytest
 from made_responses import OffCentre
 
 import clsim
-from clsim.numerics.nufft import band_edges, delayed_sums, ringing
+from clsim.numerics.nufft import band_taper, delayed_sums, ringing
 
 RATE = 192e3
 SIZE = (5.0, 4.0, 3.0)
@@ -44,7 +44,7 @@ def test_ringing_is_what_it_is_said_to_be(edges: tuple[float, float, float, floa
     """An impulse between samples, cut where it is said to have rung out, keeps its spectrum."""
     size = 2**14
     f = np.arange(size // 2 + 1) / size
-    weight = band_edges(f, *edges)
+    weight = band_taper(f, *edges)
     low, high, below, above = edges
     assert np.all(weight[(f >= low) & (f <= high)] == 1.0)
     assert np.all(weight[(f >= high + above) | (f <= low - below if below else f < 0)] == 0.0)

@@ -36,7 +36,7 @@ def by_planes(paths: PathSet, oracle: Oracle) -> dict[tuple[int, int, tuple[int,
     plane = np.empty(len(paths.scene.room.walls), dtype=int)
     plane[paths.scene.room.walls.of_triangle] = oracle.plane_of
     found = {}
-    for s, r, walls, corners in zip(paths.source, paths.receiver, paths.walls, paths.corners(0.0), strict=True):
+    for s, r, walls, corners in zip(paths.source, paths.receiver, paths.walls, paths.vertices(0.0), strict=True):
         key = (int(s), int(r), tuple(plane[walls[walls >= 0]].tolist()))
         assert key not in found, "counted twice"
         found[key] = corners[np.isfinite(corners[:, 0])]
@@ -90,7 +90,7 @@ def test_a_shoebox_as_a_mesh_has_the_closed_forms_paths(mesh, validated_by) -> N
     mine = clsim.find_paths(scene_of(room, source, receiver), order, engine=validated_by)
     closed = clsim.find_paths(scene_of(clsim.Shoebox((8, 6, 3), WALL), source, receiver), order)
     assert len(mine) == len(closed) == {6: 377, 3: 63}[order]
-    images = [np.round(p.image_matrix @ source + p.image_offset, 12) for p in (mine, closed)]
+    images = [np.round(f.image_matrix @ source + f.image_offset, 12) for p in (mine, closed) for f in p.families]
     ordered = [i[np.lexsort(np.round(i, 6).T)] for i in images]
     np.testing.assert_allclose(ordered[0], ordered[1], atol=1e-9)
     assert np.all(np.isneginf(mine.start))
@@ -113,7 +113,7 @@ def test_symmetric_positions_lose_and_double_no_path(source, receiver) -> None:
     closed = scene_of(clsim.Shoebox((8, 6, 3), WALL), source, receiver)
     mine, wanted = clsim.find_paths(scene, 5), clsim.find_paths(closed, 5)
     assert len(mine) == len(wanted)
-    images = [p.image_matrix @ np.asarray(source, float) + p.image_offset for p in (mine, wanted)]
+    images = [f.image_matrix @ np.asarray(source, float) + f.image_offset for p in (mine, wanted) for f in p.families]
     ordered = [i[np.lexsort(np.round(i, 6).T)] for i in images]
     np.testing.assert_allclose(ordered[0], ordered[1], atol=1e-9)
 

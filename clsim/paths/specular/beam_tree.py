@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from clsim.scene.room.walls import Walls
 
 _PAIRS = 200_000  # of beam and next wall looked at at a time
-_SLACK = 1e-7  # of the room's size, added to balls against rounding
+_SLACK = 1e-7  # of the room's size, added to spheres against rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +51,7 @@ class Candidates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Beams:
-    """Beams after the same number of reflections: image of the ball, aperture on the last wall, sequence."""
+    """Beams after the same number of reflections: image of the sphere, aperture on the last wall, sequence."""
 
     centre: Floats
     ring: Floats
@@ -63,14 +63,14 @@ class _Beams:
 
 
 class BeamTree:
-    """All sequences up to an order from a ball to receivers.
+    """All sequences up to an order from a sphere to receivers.
 
     Parameters
     ----------
     walls : Walls
         The room.
     centre, radius : ndarray (3,), float
-        Ball that holds the source, m.
+        Sphere that holds the source, m.
     receivers : BoundingSpheres
         Where the receivers are.
     limit : int
@@ -157,10 +157,10 @@ class BeamTree:
         return beam_planes(beams.centre, self._radius, beams.ring, beams.corners, normal, self._walls.size)
 
     def _reached(self, beams: _Beams, planes: Floats) -> Candidates:
-        """Return the beams as candidates for those receivers whose balls they touch."""
-        balls = self._receivers
-        height = np.einsum("npi,ri->nrp", planes[..., :3], balls.centre) - planes[:, None, :, 3]
-        radius = balls.radius + _SLACK * self._walls.size
+        """Return the beams as candidates for those receivers whose spheres they touch."""
+        spheres = self._receivers
+        height = np.einsum("npi,ri->nrp", planes[..., :3], spheres.centre) - planes[:, None, :, 3]
+        radius = spheres.radius + _SLACK * self._walls.size
         row, receiver = np.nonzero(np.all(height >= -radius[None, :, None], axis=2))
         return Candidates(beams.sequence, row, receiver)
 

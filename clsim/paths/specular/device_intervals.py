@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _PATHS = 16_384  # searched at a time
 _EVALUATIONS = 2**19  # evaluations in one launch
-_DEPTH = 96  # spans that can wait: two for each of 45 times that the run is halved, and a few
+_DEPTH = 96  # intervals that can wait: two for each of 45 times that the run is halved, and a few
 # Structures of intervals.cl.
 SPAN = np.dtype([("begin", "f8"), ("end", "f8"), ("known", "i4"), ("valid", "i4")])
 INTERVAL = np.dtype([("begin", "f8"), ("end", "f8"), ("path", "i4"), ("unused", "i4")])
@@ -46,11 +46,11 @@ def progress(depth: int) -> np.dtype[np.void]:
 
 
 class DeviceSearch:
-    """Answers one question on a device with float64.
+    """Answers one query on a device with float64.
 
     Parameters
     ----------
-    question : Question
+    query : VisibilityQuery
         Room, ends and resolution.
     device : pyopencl.Device, optional
         Where; the best one when left out.
@@ -150,7 +150,7 @@ class DeviceSearch:
             )
 
     def _beginning(self, first: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[Any]:
-        """Return what each path starts from: one span, the whole time."""
+        """Return what each path starts from: one interval, the whole time."""
         states = np.zeros(len(last), dtype=progress(_DEPTH))
         states["begin"], states["end"] = 1.0, -1.0
         states["depth"] = first < last

@@ -1,6 +1,6 @@
 """Intervals in which paths are valid, by certified subdivision of time; in NumPy.
 
-The twin of ``intervals.cl``: a span of time is done if the clearance at its middle exceeds what the ends can move
+The twin of ``intervals.cl``: an interval of time is done if the clearance at its middle exceeds what the ends can move
 within it. Otherwise the part that the clearance covers is done, and the rests on both sides are looked at.
 """
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.paths.propagation import StillAir
 from clsim.paths.specular.visibility import Reach, mirrored, path_status
 from clsim.paths.trajectory_tables import PERTURBATIONS, TrajectoryTables
 
@@ -22,11 +23,11 @@ if TYPE_CHECKING:
 
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
 GRAZE = 1e-6  # of the room's size; paths that pass an edge nearer than this run along it
-GRAZE_TIME = 1e-3  # s; spans shorter than this of such a path are one, if both ends agree with the middle
+GRAZE_TIME = 1e-3  # s; intervals shorter than this of such a path are one, if both ends agree with the middle
 CERTAIN = 0.999  # of a clearance, what is relied on
-LEAST_SHARE = 0.05  # of a span; less of it is not taken out of its middle
+LEAST_SHARE = 0.05  # of an interval; less of it is not taken out of its middle
 MOST_EVALUATIONS = 3_000_000  # evaluations of one path
-_CHUNK = 20_000  # spans looked at at a time
+_CHUNK = 20_000  # intervals looked at at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +38,7 @@ class VisibilityQuery:
     ----------
     walls : Walls
         The room.
-    movers : TrajectoryTables
+    trajectory_tables : TrajectoryTables
         The source and the receivers.
     speed_of_sound : float
         m/s.
@@ -55,7 +56,7 @@ class VisibilityQuery:
     resolution: float
 
     def during(self, begin: float, end: float) -> VisibilityQuery:
-        """Return the same question for a part of the time."""
+        """Return the same query for a part of the time."""
         first, last = np.maximum(self.first, begin), np.minimum(self.last, end)
         return replace(self, first=first, last=last)
 
@@ -76,7 +77,7 @@ class Intervals:
         Row of the paths that were asked for.
     begin, end : ndarray (n,)
         s.
-    looks : int
+    evaluations : int
         Evaluations that were needed.
     """
 
@@ -91,7 +92,7 @@ def find_intervals(query: VisibilityQuery, sequence: NDArray[np.int32], receiver
 
     Parameters
     ----------
-    question : Question
+    query : VisibilityQuery
         Room, ends and resolution.
     sequence : ndarray (n, N) int
         Walls of each path from the source's side.
@@ -147,15 +148,15 @@ def evaluate(
     image = at
     for k in range(sequence.shape[1] - 1, -1, -1):
         image = mirrored(walls, sequence[:, k], image)
-    emitted = time - ends.delay(image, time, c)
+    emission_time = time - ends.delay(image, time, StillAir(c))
     late = query.time_dilation[receiver]
     reach = Reach(
-        half * late * ends.speed_over(source, emitted - late * half, emitted + late * half),
+        half * late * ends.speed_over(source, emission_time - late * half, emission_time + late * half),
         half * ends.speed_over(row, time - half, time + half),
         ends.mounts[source, :3],
         ends.mounts[row, :3],
     )
-    origin = ends.lifted(source, ends.position(source, emitted) + PERTURBATIONS[0])
+    origin = ends.lifted(source, ends.position(source, emission_time) + PERTURBATIONS[0])
     valid, clear = path_status(walls, sequence, origin, ends.lifted(row, at + PERTURBATIONS[1]), reach)
     return valid, clear, reach.most
 

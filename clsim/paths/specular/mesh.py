@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import as_count, read_only
 from clsim.errors import ClsimWarning, DeviceError, InputError
 from clsim.opencl.device import find_device
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.specular.intervals import VisibilityQuery, find_intervals
 from clsim.paths.specular.ray_shooting import ShotRays
 from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
 from clsim.scene.flush import find_mount
-from clsim.scene.room.mesh import MeshRoom
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,16 +27,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import Intervals
     from clsim.paths.trajectory_tables import TrajectoryTables
     from clsim.scene.ends import Source
     from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.mesh import MeshRoom
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
     Progress = Callable[[float], None]
     Search = Callable[[NDArray[np.int32], NDArray[np.int64]], Intervals]
 
+LARGEST_MESH_ORDER = 20
 FINDERS = ("auto", "beam-tree", "shooting")
 BEAM_LIMIT = 5_000_000  # of one tree
 _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not help a tree
@@ -89,7 +93,7 @@ class MeshSearch:
     engine: str
     device: str | None
 
-    def paths(self, scene: Scene, source: Source, progress: Progress) -> FoundPaths:
+    def paths(self, scene: Scene, room: MeshRoom, source: Source, progress: Progress) -> FoundPaths:
         """Return every path from one source to all receivers.
 
         Raises
@@ -100,8 +104,7 @@ class MeshSearch:
         DeviceError
             If the device fails.
         """
-        room, c = scene.room, scene.air.speed_of_sound
-        assert isinstance(room, MeshRoom)
+        c = scene.air.speed_of_sound
         trajectories = [r.trajectory for r in scene.receivers]
         mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
         ends = trajectory_tables(source.trajectory, trajectories, mounts)
@@ -122,7 +125,7 @@ class MeshSearch:
         while cells:
             begin, end = cells.pop()
             receivers = ends.receiver_spheres(begin, end)
-            centre, radius = ends.ball(0, begin - longest, end)
+            centre, radius = ends.sphere(0, begin - longest, end)
             finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
             if shoot:
                 finder = ShotRays(room, source.trajectory, receivers, mounts[0])
@@ -138,7 +141,7 @@ class MeshSearch:
     def _shoots(self, walls: Walls, ends: TrajectoryTables) -> bool:
         """Return whether to shoot rays: asked for, or where a tree would be far too large."""
         if self.finder == "auto":
-            centre, radius = ends.ball(0)
+            centre, radius = ends.sphere(0)
             tree = BeamTree(walls, centre, min(radius, _SMALLEST_CELL * walls.size), BoundingSpheres.none(), BEAM_LIMIT)
             beams = tree.estimate(self.max_order)
             if beams <= BEAM_LIMIT:
@@ -176,6 +179,38 @@ class MeshSearch:
             done += len(receiver)
             progress(finder.share * done / (done + waiting))
         return FoundPaths.joined(parts)
+
+
+def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> SpecularPaths:
+    """Return every path of a mesh up to an order, a row for every interval in which it is heard.
+
+    Raises
+    ------
+    InputError
+        If the order is out of range, or the search is too large; see `MeshSearch.paths`.
+    """
+    order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
+    mesh = MeshSearch(order, search.finder, search.resolution, search.path_limit, search.engine, search.device)
+    count = len(scene.sources)
+    found = [
+        mesh.paths(scene, room, source, partial(report, search.progress, i / count, (i + 1) / count))
+        for i, source in enumerate(scene.sources)
+    ]
+    walls = np.concatenate([f.walls for f in found])
+    if len(walls) > search.path_limit:
+        raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
+    matrix, offset = image_isometries(room.walls, walls)
+    return SpecularPaths(
+        scene=scene,
+        source=read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])),
+        receiver=read_only(np.concatenate([f.receiver for f in found]).astype(np.int32)),
+        order=read_only(np.concatenate([f.order for f in found]).astype(np.int32)),
+        start=read_only(np.concatenate([f.begin for f in found])),
+        end=read_only(np.concatenate([f.end for f in found])),
+        objects=read_only(walls),
+        image_matrix=read_only(matrix),
+        image_offset=read_only(offset),
+    )
 
 
 def image_isometries(walls: Walls, sequence: NDArray[np.int32]) -> tuple[Floats, Floats]:
@@ -244,9 +279,9 @@ def _last(source: Motion, longest: float, receiver: Motion) -> float:
 
 def _diameter(room: MeshRoom, ends: TrajectoryTables) -> float:
     """Return a bound on the length of a leg, m."""
-    balls = [ends.ball(row) for row in range(len(ends.places))]
-    low = np.minimum(room.extent[0], np.min([c - r for c, r in balls], axis=0))
-    high = np.maximum(room.extent[1], np.max([c + r for c, r in balls], axis=0))
+    spheres = [ends.sphere(row) for row in range(len(ends.places))]
+    low = np.minimum(room.extent[0], np.min([c - r for c, r in spheres], axis=0))
+    high = np.maximum(room.extent[1], np.max([c + r for c, r in spheres], axis=0))
     return float(np.linalg.norm(high - low))
 
 

@@ -7,10 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import as_count, read_only
+from clsim.errors import InputError
+from clsim.paths.specular.family import SpecularPaths
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.search import PathSearch
+    from clsim.scene.room.shoebox import Shoebox
+    from clsim.scene.scene import Scene
+
+LARGEST_ORDER = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +42,37 @@ class Images:
     walls: NDArray[np.int8]
     matrix: Floats
     offset: Floats
+
+
+def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> SpecularPaths:
+    """Return every path of a shoebox up to an order: each image is heard all the time.
+
+    Raises
+    ------
+    InputError
+        If the order is out of range, or there would be more paths than the limit.
+    """
+    order = as_count("max_order", search.max_order, at_most=LARGEST_ORDER)
+    pairs, images = len(scene.sources) * len(scene.receivers), shoebox_image_count(order)
+    if images * pairs > search.path_limit:
+        raise InputError(
+            "max_order",
+            f"must give at most {search.path_limit} paths (path_limit), but {order} gives {images} images "
+            f"for each of {pairs} pairs of source and receiver",
+        )
+    found = shoebox_images(room.size, order)
+    source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
+    return SpecularPaths(
+        scene=scene,
+        source=read_only(source.astype(np.int32, copy=False)),
+        receiver=read_only(receiver.astype(np.int32, copy=False)),
+        order=read_only(np.tile(found.order, pairs)),
+        start=np.broadcast_to(-np.inf, images * pairs),
+        end=np.broadcast_to(np.inf, images * pairs),
+        objects=read_only(np.tile(found.walls, (pairs, 1))),
+        image_matrix=read_only(np.tile(found.matrix, (pairs, 1, 1))),
+        image_offset=read_only(np.tile(found.offset, (pairs, 1))),
+    )
 
 
 def shoebox_image_count(max_order: int) -> int:

@@ -1,4 +1,4 @@
-"""Where branch signals sound: what engines may leave out without a change of a single bit."""
+"""Where branch signals are active: what engines may leave out elsewhere without a change of a single bit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CELL = 16  # samples
-_SPARSE = 0.5  # share of cells that sound, below which it pays to look
+_SPARSE = 0.5  # share of active cells, below which it pays to look
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,13 +21,13 @@ class Activity:
     Attributes
     ----------
     cells : ndarray (cells,) bool
-        Whether they sound.
+        Whether they are active.
     """
 
     cells: NDArray[np.bool_]
 
     def __or__(self, other: Activity) -> Activity:
-        """Return where either sounds."""
+        """Return where either is active."""
         return Activity(self.cells | other.cells)
 
     @property
@@ -37,25 +37,25 @@ class Activity:
 
     @property
     def following(self) -> NDArray[np.int32]:
-        """The nearest cell that sounds from each one on, or the number of cells, (cells,)."""
+        """The nearest active cell from each one on, or the number of cells, (cells,)."""
         count = len(self.cells)
         index = np.where(self.cells, np.arange(count, dtype=np.int32), np.int32(count))
         return np.asarray(np.minimum.accumulate(index[::-1])[::-1])
 
     @property
     def preceding(self) -> NDArray[np.int32]:
-        """The nearest cell that sounds up to each one, or -1, (cells,)."""
+        """The nearest active cell up to each one, or -1, (cells,)."""
         index = np.where(self.cells, np.arange(len(self.cells), dtype=np.int32), np.int32(-1))
         return np.asarray(np.maximum.accumulate(index))
 
 
-def sounding(heard: NDArray[np.int64], count: int, before: int, after: int) -> Activity:
-    """Return which cells of branches sound.
+def find_activity(active: NDArray[np.int64], count: int, before: int, after: int) -> Activity:
+    """Return which cells of branch signals are active.
 
     Parameters
     ----------
-    heard : ndarray (n,)
-        Samples that sound of what the branch filters filter; the first sample of the branches is at `before`.
+    active : ndarray (n,)
+        Samples that are not zero of what the branch filters filter; the first sample of the branches is at `before`.
     count : int
         Samples of the branches.
     before, after : int
@@ -63,6 +63,6 @@ def sounding(heard: NDArray[np.int64], count: int, before: int, after: int) -> A
     """
     cells = -(-count // CELL)
     # A sample at i is heard by branches from i - after - before to i.
-    begun = np.bincount(np.clip((heard - before - after) // CELL, 0, cells), minlength=cells + 1)
-    ended = np.bincount(np.clip(heard // CELL + 1, 0, cells), minlength=cells + 1)
+    begun = np.bincount(np.clip((active - before - after) // CELL, 0, cells), minlength=cells + 1)
+    ended = np.bincount(np.clip(active // CELL + 1, 0, cells), minlength=cells + 1)
     return Activity(np.cumsum(begun - ended)[:-1] > 0)

@@ -58,7 +58,7 @@ class _BasebandRun(Run):
             for at in places:
                 begin = at * plan.segment
                 few = min(_FEW, (self._length - begin) // block)
-                nodes = self._engine._tracks.nodes(self._state, self._start + begin, block, few)
+                nodes = self._maker.nodes(self._state, self._start + begin, block, few)
                 errors.append(float(nodes.error.max()))
             # Where they are too long, shorter ones are made as well: one after the other 1 + share * block / shorter.
             if np.mean(np.array(errors) > self._tolerance) <= 1.0 - shorter / block:
@@ -73,7 +73,7 @@ class _BasebandRun(Run):
         lanes = engine._layout.lanes
         vectors = min(block, WIDEST_SUBBLOCK) // lanes if lanes > 1 else 1
         spans = (end - begin) // (vectors * lanes)
-        size = work(spans, len(self._slots.groups), group=1 if lanes > 1 else math.gcd(spans, 32))
+        size = work(spans, len(self._batch.groups), group=1 if lanes > 1 else math.gcd(spans, 32))
         filters = self._filters
         constants = {
             "LANES": lanes,
@@ -91,7 +91,7 @@ class _BasebandRun(Run):
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
         engine, begin = self._engine, segment * self._plan.segment
-        fades = find_fades(self._bounds, self._slots, self._start + begin, block, -(-(end - begin) // block))
+        fades = find_fades(self._bounds, self._batch, self._start + begin, block, -(-(end - begin) // block))
         if fades is None:
             return
         slot = engine._upload(fades.slot)

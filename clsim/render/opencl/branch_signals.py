@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.launch import upload, work
-from clsim.render.opencl.activity import CELL, Activity, sounding
+from clsim.render.opencl.activity import CELL, Activity, find_activity
 from clsim.render.opencl.batches import ActivePaths
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Feed:
     first: int  # of these, at which they begin
     least: int  # of these, of delay
     most: int
-    found: Activity | None  # where it is worth leaving out what is silent
+    activity: Activity | None  # where it is worth leaving out what is silent
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Branches:
     first: int  # of their own samples, at which the rows begin
     least: int  # of these
     most: int
-    sounding: Activity | None  # where it is worth leaving out what is silent
+    activity: Activity | None  # where it is worth leaving out what is silent
 
 
 class BranchSignals:
@@ -114,7 +114,7 @@ class BranchSignals:
         places, values = filters.active(first - before, first + width + after)
         if not len(places):
             return None
-        found = sounding(places, width, before, after)
+        found = find_activity(places, width, before, after)
         parts = np.stack([values.real, values.imag][: self._parts], axis=1, dtype=np.float32)
         return Feed(
             source, active, places.astype(np.int32), parts, before, after, width, first, least, most,
@@ -124,7 +124,7 @@ class BranchSignals:
     def made(self, feed: Feed, skips_silence: bool) -> Branches:
         """Filter what can be heard of a signal, all of it or what sounds of it."""
         filters = self._plan.source_filters[feed.source]
-        found = feed.found if skips_silence else None
+        found = feed.activity if skips_silence else None
         # Whole pages apart, rows would fight for the same cache lines.
         stride = feed.width + 16 * filters.oversampling
         out, following = self._rows(self._parts * int(filters.rows[-1]), stride, found)

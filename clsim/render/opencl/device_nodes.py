@@ -10,8 +10,8 @@ import numpy as np
 
 from clsim.numerics.quaternions import rotate
 from clsim.opencl.launch import Scratch, upload, work
-from clsim.paths.arrivals import MACH_EXPONENT, PairPaths
-from clsim.paths.response import Responses
+from clsim.paths.arrivals import MACH_EXPONENT
+from clsim.paths.response import SceneResponse
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
+    from clsim.paths.specular.family import SpecularPaths
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
     from clsim.tracks.basis import Basis
     from clsim.tracks.tracks import SceneTracks
+
+    Walls = NDArray[np.signedinteger[Any]]
 
 VECTOR = 8  # numbers of a vector of gains or of frequencies in kernels
 # A receiver at a node, as in nodes/image.h.
@@ -82,8 +85,11 @@ class _Chunk:
 class DeviceTracks:
     """Makes block polynomials with ``tracks.cl``."""
 
-    def __init__(self, plan: Plan, tracks: SceneTracks, queue: Any, compiler: Compiler, together: int) -> None:
+    def __init__(
+        self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
+    ) -> None:
         self._plan, self._tracks, self._queue, self._compiler = plan, tracks, queue, compiler
+        self._family: SpecularPaths = family
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
@@ -107,7 +113,8 @@ class DeviceTracks:
         }
         self._still = len(self._at_rest) == len(scene.receivers)
         for i, around in enumerate(self._surroundings):
-            around.most_bounces(g for g in tracks.path_groups if g.source == i)
+            mine = [pair for pair in tracks.pair_paths if pair.family is family and pair.source == i]
+            around.most_bounces(family.walls[pair.rows] for pair in mine)
 
     def prepare(
         self,
@@ -124,12 +131,11 @@ class DeviceTracks:
         Where `sounding` is given, what is silent is left out; `first` is the sample at which branch signals begin.
         """
         plan, scene = self._plan, self._tracks.scene
-        around, all_paths = self._surroundings[source], self._tracks.paths
-        rows = np.concatenate(
-            [self._tracks.path_rows[g][slots.path[slots.of_group(i)]] for i, g in enumerate(slots.groups)]
-        )
-        paths = PairPaths(source, -1, all_paths.image_matrix[rows], all_paths.image_offset[rows], all_paths.walls[rows])
-        reflection = np.where(slots.padding[:, None, None], 0.0, around.reflection(paths)).astype(np.float32)
+        around, pairs = self._surroundings[source], self._tracks.pair_paths
+        rows = np.concatenate([pairs[g].index[slots.path[slots.of_group(i)]] for i, g in enumerate(slots.groups)])
+        walls = self._family.walls[rows]
+        matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
+        reflection = np.where(slots.padding[:, None, None], 0.0, around.reflection(walls)).astype(np.float32)
         receiver_of = np.repeat(np.arange(len(slots.groups), dtype=np.int32), np.diff(slots.first_slot))
         rate = plan.sampling_rate
         longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
@@ -139,10 +145,8 @@ class DeviceTracks:
             (start + length) / rate - shortest + spare,
             self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
         )  # fmt: skip
-        images = self._uploaded(
-            image_matrix=paths.matrix.reshape(-1, 9).T, image_offset=paths.offset.T, receiver_of=receiver_of
-        )
-        wall_of, normal = around.bounces(paths)
+        images = self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T, receiver_of=receiver_of)
+        wall_of, normal = around.bounces(walls)
         columns = self._uploaded(reflection=reflection, wall_of=wall_of, normal=normal)
         trajectory = {
             "knots": self._upload(knots), "knot_count": len(knots), "first_knot": knot_first,
@@ -213,17 +217,7 @@ class DeviceTracks:
             meanwhile()
         cl.enqueue_copy(self._queue, found, found_there)
         cl.enqueue_copy(self._queue, unheld, unheld_there)
-        first = slots.first_slot[:-1]
-        # Errors of paths add up like the paths themselves: as the root of the sum of squares.
-        error, heard, left = (
-            np.sqrt(np.add.reduceat(square, first, axis=1), dtype=np.float64)
-            for square in (found[..., 0], found[..., 1], unheld)
-        )
-        heard = np.maximum(heard, 1e-30)
-        return DeviceNodes(
-            delay, polynomials, activity, (error / heard).max(axis=1), (left / heard).max(axis=1),
-            float(found[..., 2].min()), float(found[..., 3].max()),
-        )  # fmt: skip
+        return _nodes_made(slots.first_slot[:-1], (delay, polynomials, activity), found, unheld)
 
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
@@ -279,6 +273,20 @@ class DeviceTracks:
         return {name: self._upload(column) for name, column in columns.items()}
 
 
+def _nodes_made(
+    first: NDArray[np.int32], on_device: tuple[Any, Any, Any], found: NDArray[np.float32], unheld: NDArray[np.float32]
+) -> DeviceNodes:
+    """Return nodes with what was found of each walk and path, by receivers that begin at given paths."""
+    # Errors of paths add up like the paths themselves: as the root of the sum of squares.
+    error, heard, left = (
+        np.sqrt(np.add.reduceat(square, first, axis=1), dtype=np.float64)
+        for square in (found[..., 0], found[..., 1], unheld)
+    )
+    heard = np.maximum(heard, 1e-30)
+    shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
+    return DeviceNodes(*on_device, (error / heard).max(axis=1), (left / heard).max(axis=1), shortest, longest)
+
+
 def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
     """Return position, velocity, axes and clock of a receiver, (times,)."""
     out = np.empty(len(times), dtype=RECEIVER_NODE)
@@ -291,13 +299,16 @@ def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
     return out
 
 
+NODE_PROGRAMS = {"images": DeviceTracks}  # what makes the nodes of kinds of paths, by `PathFamily.device`
+
+
 class _Surroundings:
     """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``response.h``."""
 
     def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
         c = scene.air.speed_of_sound
         self.count, self.parts = len(basis.nodes), basis.parts
-        self._responses = Responses(scene, basis.nodes)
+        self._responses = SceneResponse(scene, basis.nodes)
         padding = -len(basis) % VECTOR if len(basis) > 1 else 0  # of gains, which stand side by side
         columns = {
             "nepers": self._responses.nepers, "projection": np.pad(basis.projection.T, ((0, 0), (0, padding))),
@@ -321,28 +332,28 @@ class _Surroundings:
         self.tables = {name: put(np.concatenate([*parts, nothing])) for name, parts in flat.items()}
         self.angular = 0
 
-    def most_bounces(self, groups: Iterable[PairPaths]) -> None:
-        """Make room for the most walls that depend on the angle that any path of some groups meets."""
+    def most_bounces(self, pairs: Iterable[Walls]) -> None:
+        """Make room for the most walls that depend on the angle that any path of some pairs meets."""
         met = self._responses.angular
-        self.angular = max((int(met[g.walls].sum(axis=1).max(initial=0)) for g in groups), default=0)
+        self.angular = max((int(met[walls].sum(axis=1).max(initial=0)) for walls in pairs), default=0)
 
     def no_bounces(self, slots: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return empty columns: material (at least 1, slots) and normal (at least 1, 3, slots) of every bounce."""
         count = max(self.angular, 1)
         return np.full((count, slots), -1, dtype=np.int32), np.zeros((count, 3, slots), dtype=np.float32)
 
-    def reflection(self, group: PairPaths) -> Floats:
+    def reflection(self, walls: Walls) -> Floats:
         """Return what the walls that are the same at every angle do to each path, (P, parts, nodes)."""
-        product = self._responses.walls(group)
+        product = self._responses.reflection(walls)
         return np.stack([product.real, product.imag][: self.parts], axis=1)
 
-    def bounces(self, group: PairPaths) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    def bounces(self, walls: Walls) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return material and normal of every bounce that depends on the angle, those of each path first."""
-        wall_of, normal = self.no_bounces(len(group.walls))
-        filled = np.zeros(len(group.walls), dtype=np.int64)
-        for bounce, normals in self._responses.angular_bounces(group):
-            here = np.flatnonzero(self._responses.angular[group.walls[:, bounce]])
-            wall_of[filled[here], here] = self._material_of[group.walls[here, bounce]]
+        wall_of, normal = self.no_bounces(len(walls))
+        filled = np.zeros(len(walls), dtype=np.int64)
+        for bounce, normals in self._responses.angular_bounces(walls):
+            here = np.flatnonzero(self._responses.angular[walls[:, bounce]])
+            wall_of[filled[here], here] = self._material_of[walls[here, bounce]]
             normal[filled[here], :, here] = normals[here]
             filled[here] += 1
         return wall_of, normal

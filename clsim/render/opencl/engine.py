@@ -15,7 +15,7 @@ from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
-from clsim.render.opencl.device_nodes import DeviceTracks
+from clsim.render.opencl.device_nodes import NODE_PROGRAMS, DeviceTracks
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
 from clsim.render.plan import NODE_BUDGET, Plan
@@ -25,11 +25,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.paths.family import PathFamily
     from clsim.render.opencl.fades import Fades
+
+    NodeMaker = DeviceTracks | HostTracks
 
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
-_STRETCH = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
+_CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
 
 
@@ -96,12 +99,7 @@ class OpenclEngine:
         self.skips_silence = True
         self._unheld = np.zeros(len(plan.source_filters))  # largest part of what is heard that no function holds
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
-        self._tracks: DeviceTracks | HostTracks
-        of_scene = plan.tracks.of_scene
-        if of_scene is not None and self._info.fp64:
-            self._tracks = DeviceTracks(plan, of_scene, self._queue, self._compiler, self._layout.nodes)
-        else:
-            self._tracks = HostTracks(plan, self._queue)
+        self._makers: dict[PathFamily | None, NodeMaker] = {}  # None: the host, whatever the kind of paths
 
     def render(self, start: int, stop: int) -> NDArray[np.float32]:
         """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
@@ -140,6 +138,19 @@ class OpenclEngine:
         """Remember the largest error that the shortest blocks leave of a source, and when."""
         self._coarse[source] = max(self._coarse[source], (wrong, time))
 
+    def maker(self, group: int) -> NodeMaker:
+        """Return what makes the nodes of a group: the device, where it has float64 and a program for such paths."""
+        plan, of_scene = self._plan, self._plan.tracks.of_scene
+        family = None if of_scene is None or not self._info.fp64 else of_scene.pair_paths[group].family
+        program = None if family is None else NODE_PROGRAMS.get(family.device or "")
+        kind = None if program is None else family
+        if kind not in self._makers:
+            self._makers[kind] = (
+                HostTracks(plan, self._queue) if program is None or of_scene is None
+                else program(plan, of_scene, family, self._queue, self._compiler, self._layout.nodes)
+            )  # fmt: skip
+        return self._makers[kind]
+
     @property
     def run(self) -> type[Run]:
         """What renders a batch of receivers."""
@@ -159,7 +170,7 @@ class OpenclEngine:
             active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
             segments = -(-length // plan.segment)
             always = all(plan.tracks.groups[group.index].always_heard for group in active)
-            step = segments if always else _STRETCH
+            step = segments if always else _CHOSEN_ANEW
             for first in range(0, segments, step):
                 last = min(first + step, segments)
                 here = [
@@ -167,9 +178,10 @@ class OpenclEngine:
                 ]
                 node = bytes_per_node(plan, source)
                 per_segment = node * (plan.segment // plan.shortest_block)
-                for some in _batches([group for group in here if len(group.rows)], per_segment):
-                    slots = fill_batch(plan, some, BATCH)
-                    self.run(self, source, slots, branches, on_device, length, start, first, last).render()
+                heard = [group for group in here if len(group.rows)]
+                for some in _batches(heard, per_segment, [self.maker(group.index) for group in heard]):
+                    batch = fill_batch(plan, some, BATCH)
+                    self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         cl.enqueue_copy(self._queue, pressure, on_device)
         return pressure[:, : stop - start]
 
@@ -177,48 +189,68 @@ class OpenclEngine:
         return upload(self._context, array)
 
 
-class Run:
-    """Renders one batch of receivers over some segments of a chunk, choosing the block length for each."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """The paths of a batch of receivers from one source, over some segments of a chunk.
 
-    def __init__(
-        self,
-        engine: OpenclEngine,
-        source: int,
-        slots: PathBatch,
-        branches: Branches,
-        pressure: Any,
-        length: int,
-        start: int,
-        first: int,
-        last: int,
-    ) -> None:
-        self._engine, self._plan = engine, engine._plan
-        self._source, self._slots, self._branches = source, slots, branches
-        self._pressure, self._length, self._start = pressure, length, start
-        self._first_slot, self._row = engine._upload(slots.first_slot), engine._upload(slots.receiver)
-        self._bounds = boundaries(self._plan, slots)
-        self._first, self._last = first, last
-        begin, end = first * self._plan.segment, min(last * self._plan.segment, length)
-        self._state: Any = engine._tracks.prepare(
-            source, slots, self._bounds, start + begin, end - begin, branches.sounding, branches.first
-        )
+    Attributes
+    ----------
+    source : int
+        Index.
+    batch : PathBatch
+        The paths.
+    branches : Branches
+        The source's branch signals for this chunk.
+    pressure : device memory (rows, length) float32
+        To which it is added.
+    length, start : int
+        Samples of the chunk, whole blocks, and the first of them.
+    first, last : int
+        Segments of the chunk, the last one not among them.
+    """
+
+    source: int
+    batch: PathBatch
+    branches: Branches
+    pressure: Any
+    length: int
+    start: int
+    first: int
+    last: int
+
+
+class Run:
+    """Carries out a task, choosing the block length for each segment."""
+
+    def __init__(self, engine: OpenclEngine, task: Task) -> None:
+        self._engine, self._plan, self._task = engine, engine._plan, task
+        self._source, self._batch, self._branches = task.source, task.batch, task.branches
+        self._pressure, self._length, self._start = task.pressure, task.length, task.start
+        self._first_slot, self._row = engine._upload(task.batch.first_slot), engine._upload(task.batch.receiver)
+        self._bounds = boundaries(self._plan, task.batch)
+        begin, end = task.first * self._plan.segment, min(task.last * self._plan.segment, task.length)
+        self._maker: Any = engine.maker(task.batch.groups[0])
+        self._state = self._maker.prepare(
+            task.source, task.batch, self._bounds, task.start + begin, end - begin, task.branches.activity,
+            task.branches.first,
+        )  # fmt: skip
         self._tolerance = 10 ** (self._plan.motion_error_db / 20)
-        self._functions = len(self._plan.source_filters[source].basis)
+        self._functions = len(self._plan.source_filters[task.source].basis)
 
     def render(self) -> None:
         """Add what is heard to the pressure on the device."""
-        self._cover(self._first, self._last, 0)
+        self._cover(self._task.first, self._task.last, 0)
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
         plan, segment = self._plan, self._plan.segment
         block = plan.blocks[level]
         node = bytes_per_node(plan, self._source)
-        step = max(1, NODE_BUDGET // (node * self._slots.count * (segment // block)))
+        step = max(1, NODE_BUDGET // (node * self._batch.count * (segment // block)))
         for at in range(first, last, step):
             upto = min(at + step, last)
             begin, end = at * segment, min(upto * segment, self._length)
-            nodes = self._engine._tracks.nodes(
+            nodes = self._maker.nodes(
                 self._state, self._start + begin, block, (end - begin) // block,
                 lambda: self._engine.branch_signals.look_ahead(self._source, self._start),
             )  # fmt: skip
@@ -238,7 +270,7 @@ class Run:
 
     def _fits(self, block: int) -> bool:
         """Return whether the polynomials of one segment in blocks of a length can be held."""
-        needed = bytes_per_node(self._plan, self._source) * self._slots.count * (self._plan.segment // block)
+        needed = bytes_per_node(self._plan, self._source) * self._batch.count * (self._plan.segment // block)
         return not self._plan.is_fine(block) or needed <= 4 * NODE_BUDGET
 
     def _check(self, shortest: float, longest: float) -> None:
@@ -260,7 +292,7 @@ class Run:
         layout = engine._layout.constants(subblock, sparse=sparse, fine=fine, oversampling=filters.oversampling)
         begin = segment * self._plan.segment
         subblocks = (end - begin) // subblock
-        size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._slots.groups))
+        size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._batch.groups))
         counts = [len(bank.taps) for bank in filters.banks]
         together = _TOGETHER if sparse else 1
         for k in range(0, len(counts), together):
@@ -277,8 +309,8 @@ class Run:
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
-        engine, slots, begin = self._engine, self._slots, segment * self._plan.segment
-        fades = find_fades(self._bounds, slots, self._start + begin, block, -(-(end - begin) // block))
+        engine, begin = self._engine, segment * self._plan.segment
+        fades = find_fades(self._bounds, self._batch, self._start + begin, block, -(-(end - begin) // block))
         if fades is None:
             return
         filters = self._plan.source_filters[self._source]
@@ -305,7 +337,7 @@ class Run:
         """Return the polynomials of blocks from one on, as kernels take them."""
         return {
             "delay": nodes.delay, "polynomials": nodes.polynomials, "activity": nodes.activity,
-            "slots": self._slots.count, "first_block": first_block,
+            "slots": self._batch.count, "first_block": first_block,
         }  # fmt: skip
 
     def _fade_arguments(self, fades: Fades, slot: Any, block: int, samples: int) -> dict[str, Any]:
@@ -326,7 +358,7 @@ class Run:
         count = slot.size // 4
         kernel(
             self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._functions,
-            polynomials=nodes.polynomials, slots=self._slots.count,
+            polynomials=nodes.polynomials, slots=self._batch.count,
         )  # fmt: skip
 
 
@@ -336,8 +368,8 @@ def _warn(message: str) -> None:
 
 def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the maximal ranges of equal values."""
-    fades = (np.flatnonzero(np.diff(values)) + 1).tolist()
-    return list(zip([0, *fades], [*fades, len(values)], strict=True))
+    changes = (np.flatnonzero(np.diff(values)) + 1).tolist()
+    return list(zip([0, *changes], [*changes, len(values)], strict=True))
 
 
 def bytes_per_node(plan: Plan, source: int) -> int:
@@ -345,16 +377,19 @@ def bytes_per_node(plan: Plan, source: int) -> int:
     return 4 + 4 * plan.delay_terms + 16 * len(plan.source_filters[source].basis)
 
 
-def _batches(active: list[ActivePaths], per_segment: int) -> list[list[ActivePaths]]:
-    """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path."""
+def _batches(active: list[ActivePaths], per_segment: int, makers: Sequence[NodeMaker]) -> list[list[ActivePaths]]:
+    """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path.
+
+    All groups of a batch have their nodes made by the same maker.
+    """
     most = max(BATCH, NODE_BUDGET // per_segment)
     batches: list[list[ActivePaths]] = []
-    count = most
-    for group in active:
+    count, last = most, None
+    for group, maker in zip(active, makers, strict=True):
         slots = -(-len(group.rows) // BATCH) * BATCH
-        if count + slots > most:
+        if count + slots > most or maker is not last:
             batches.append([])
-            count = 0
+            count, last = 0, maker
         batches[-1].append(group)
         count += slots
     return batches

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boundaries:
-    """When the paths of slots are heard.
+    """When the paths of a batch are heard.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Boundaries:
     first, last : ndarray (slots,) int64
         First sample with a weight, and the one after the last; empty for slots that fill up a batch.
     ramp : float
-        Length of a transition, samples; 0 for a gate.
+        Length of a transition, samples; 0 where paths begin and end at once.
     """
 
     start: Floats
@@ -71,22 +71,22 @@ class Fades:
     at: NDArray[np.int32]
 
 
-def boundaries(plan: Plan, slots: PathBatch) -> Boundaries:
-    """Return when the paths of slots are heard."""
+def boundaries(plan: Plan, batch: PathBatch) -> Boundaries:
+    """Return when the paths of a batch are heard."""
     rate, transition = plan.sampling_rate, plan.tracks.transition
-    groups = [plan.tracks.groups[i] for i in slots.groups]
-    rows = [slots.path[slots.of_group(i)] for i in range(len(groups))]
+    groups = [plan.tracks.groups[i] for i in batch.groups]
+    rows = [batch.path[batch.of_group(i)] for i in range(len(groups))]
     start = np.concatenate([g.start[r] for g, r in zip(groups, rows, strict=True)])
     end = np.concatenate([g.end[r] for g, r in zip(groups, rows, strict=True)])
     first, last = heard_samples(start, end, transition, rate)
-    first[slots.padding], last[slots.padding] = 0, 0
-    if transition == 0.0:  # a gate opens and closes between samples
+    first[batch.padding], last[batch.padding] = 0, 0
+    if transition == 0.0:  # at once: between samples
         return Boundaries(first.astype(np.float64), last.astype(np.float64), first, last, 0.0)
     return Boundaries(start * rate, end * rate, first, last, transition * rate)
 
 
-def find_fades(bounds: Boundaries, slots: PathBatch, start: int, block: int, blocks: int) -> Fades | None:
-    """Return the edges within some blocks from a sample on; None if there are none."""
+def find_fades(bounds: Boundaries, batch: PathBatch, start: int, block: int, blocks: int) -> Fades | None:
+    """Return where paths begin or end within some blocks from a sample on; None if none does."""
     found = []
     for place in (bounds.start, bounds.end):
         half = 0.5 * bounds.ramp
@@ -94,17 +94,17 @@ def find_fades(bounds: Boundaries, slots: PathBatch, start: int, block: int, blo
         high = np.clip((place + half - start) / block, -1.0, blocks)
         low, high = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
         if bounds.ramp == 0.0:
-            high = np.where(place - start == high * block, low - 1, high)  # a gate between blocks needs nothing
+            high = np.where(place - start == high * block, low - 1, high)  # at once and between blocks: nothing to do
         high = np.minimum(high, blocks - 1)
         low = np.maximum(low, 0)
-        count = np.where(slots.padding, 0, np.maximum(high - low + 1, 0))
-        which = np.repeat(np.arange(slots.count), count)
+        count = np.where(batch.padding, 0, np.maximum(high - low + 1, 0))
+        which = np.repeat(np.arange(batch.count), count)
         found.append((which, low[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)))
     slot, at = (np.concatenate([f[i] for f in found]) for i in range(2))
     if not len(slot):
         return None
     slot, at = np.unique(np.stack([slot, at]), axis=1)
-    group = np.searchsorted(slots.first_slot, slot, side="right") - 1
+    group = np.searchsorted(batch.first_slot, slot, side="right") - 1
     order = np.lexsort((slot, at, group))
     slot, at, group = slot[order], at[order], group[order]
     new = np.flatnonzero(np.diff(group * np.int64(blocks) + at, prepend=-1))
@@ -116,5 +116,5 @@ def find_fades(bounds: Boundaries, slots: PathBatch, start: int, block: int, blo
 
     return Fades(
         slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
-        np.append(new, len(slot)).astype(np.int32), slots.receiver[group[new]], at[new].astype(np.int32),
+        np.append(new, len(slot)).astype(np.int32), batch.receiver[group[new]], at[new].astype(np.int32),
     )  # fmt: skip

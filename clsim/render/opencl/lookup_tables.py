@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.paths.response import directivity_gain, known
+from clsim.paths.response import covered, directivity_gain
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 from clsim.scene.directivity.patterns import Omni
 
@@ -58,7 +58,7 @@ def beam_table(
             lambda towards: directivity_gain(directivity, towards, frequencies, speed_of_sound), len(frequencies), parts
         )
     assert isinstance(directivity, AxisymmetricDirectivity)
-    frequencies = known(frequencies, directivity)
+    frequencies = covered(frequencies, directivity)
     half = CELLS // 2  # two splines: the gain of a piston bends at 90 degrees
     cosine = np.linspace(-1.0, 1.0, CELLS + 1)
     ends = (slice(0, half + 1), slice(half, CELLS + 1))
@@ -75,7 +75,7 @@ def wall_table(material: Material, frequencies: Floats, speed_of_sound: float, p
     """Return the table of a material over the root of the cosine of the angle of incidence, flat."""
     root = np.linspace(0.0, 1.0, CELLS + 1)
     cosine = np.maximum(root, 1e-6)[:, None] ** 2
-    factor = material.reflection_at(known(frequencies, material), cosine, speed_of_sound)
+    factor = material.reflection_at(covered(frequencies, material), cosine, speed_of_sound)
     return _cubics(root, _shaped(factor, (CELLS + 1, len(frequencies))), parts)
 
 

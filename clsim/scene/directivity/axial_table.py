@@ -155,6 +155,20 @@ class AxialDirectivity(AxisymmetricDirectivity):
     def gain(self, cosine: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain; see `AxisymmetricDirectivity.gain`.
 
+        Parameters
+        ----------
+        cosine : ndarray (...)
+            Of the angle from the axis, -1 to 1.
+        frequency : array_like (...)
+            Hz; broadcasts against `cosine`.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Gain, 1; complex if the table is.
+
         Raises
         ------
         InputError
@@ -202,6 +216,11 @@ class AxialDirectivity(AxisymmetricDirectivity):
         **options
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
+        Returns
+        -------
+        AxialDirectivity
+            The table.
+
         Raises
         ------
         InputError
@@ -243,6 +262,11 @@ class AxialDirectivity(AxisymmetricDirectivity):
             What the first file's values are.
         **options
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
+
+        Returns
+        -------
+        AxialDirectivity
+            The table.
 
         Raises
         ------
@@ -288,6 +312,11 @@ class AxialDirectivity(AxisymmetricDirectivity):
         **options
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
+        Returns
+        -------
+        AxialDirectivity
+            The table.
+
         Raises
         ------
         InputError
@@ -316,6 +345,11 @@ class AxialDirectivity(AxisymmetricDirectivity):
             As in `from_npz`.
         variable : str, optional
             Name of the struct; `angle`, `frequency` and `values` are its fields then.
+
+        Returns
+        -------
+        AxialDirectivity
+            The table.
 
         Raises
         ------

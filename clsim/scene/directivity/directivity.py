@@ -69,7 +69,13 @@ class Directivity(ABC):
 
     @staticmethod
     def names() -> tuple[str, ...]:
-        """Return the names that `named` takes."""
+        """Return the names that `named` takes.
+
+        Returns
+        -------
+        tuple of str
+            In the order in which they were given.
+        """
         return tuple(_NAMED)
 
     @staticmethod
@@ -141,7 +147,22 @@ class AxisymmetricDirectivity(Directivity):
         """
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain by direction (..., 3); see `Directivity.gain_towards`."""
+        """Return the gain by direction (..., 3); see `Directivity.gain_towards`.
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the transducer's own frame.
+        frequency : array_like (...)
+            Hz; broadcasts against `direction` without its last axis.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Gain, 1.
+        """
         return self.gain(np.clip(np.asarray(direction)[..., 0], -1.0, 1.0), frequency, speed_of_sound)
 
 

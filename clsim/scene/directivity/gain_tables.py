@@ -13,7 +13,7 @@ from clsim.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-_SAME_FREQUENCY = 1e-9  # of a band's edge
+_SAME_FREQUENCY = 1e-9  # of an end of a band
 _SILENT = 1e-12  # of the loudest direction
 _LARGEST, _LARGEST_DB = 1e15, 300.0
 

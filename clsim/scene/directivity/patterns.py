@@ -41,7 +41,22 @@ class Omni(AxisymmetricDirectivity):
     band: ClassVar[tuple[float, float]] = _EVERYWHERE
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
-        """Return 1 for every direction; see `AxisymmetricDirectivity.gain`."""
+        """Return 1 for every direction; see `AxisymmetricDirectivity.gain`.
+
+        Parameters
+        ----------
+        cosine : ndarray (...)
+            Of the angle from the axis, -1 to 1.
+        frequency : array_like (...)
+            Hz; broadcasts against `cosine`.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Gain, 1.
+        """
         return np.ones_like(cosine, dtype=np.float64)
 
 
@@ -73,7 +88,22 @@ class FirstOrder(AxisymmetricDirectivity):
         object.__setattr__(self, "weight", as_number("weight", self.weight, at_least=0.0, at_most=1.0))
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
-        """Return the gain, the same at every frequency; see `AxisymmetricDirectivity.gain`."""
+        """Return the gain, the same at every frequency; see `AxisymmetricDirectivity.gain`.
+
+        Parameters
+        ----------
+        cosine : ndarray (...)
+            Of the angle from the axis, -1 to 1.
+        frequency : array_like (...)
+            Hz; broadcasts against `cosine`.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Gain, 1.
+        """
         return first_order_gain(cosine, self.weight)
 
 
@@ -108,7 +138,22 @@ class Piston(AxisymmetricDirectivity):
         object.__setattr__(self, "radius", as_number("radius", self.radius, at_least=1e-6, at_most=1e3, unit="m"))
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
-        """Return the gain; see `AxisymmetricDirectivity.gain`."""
+        """Return the gain; see `AxisymmetricDirectivity.gain`.
+
+        Parameters
+        ----------
+        cosine : ndarray (...)
+            Of the angle from the axis, -1 to 1.
+        frequency : array_like (...)
+            Hz; broadcasts against `cosine`.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Gain, 1.
+        """
         return piston_gain(cosine, frequency, self.radius, speed_of_sound)
 
 

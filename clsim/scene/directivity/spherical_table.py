@@ -134,6 +134,20 @@ class SphericalDirectivity(Directivity):
     def gain_towards(self, direction: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain; see `Directivity.gain_towards`.
 
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the transducer's own frame.
+        frequency : array_like (...)
+            Hz; broadcasts against `direction` without its last axis.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Gain, 1; complex if the table is.
+
         Raises
         ------
         InputError
@@ -164,6 +178,11 @@ class SphericalDirectivity(Directivity):
             Which of the file's measurements (for example notes), from 0.
         **options
             `outside`, `relative_to_axis` and `name` of the constructor.
+
+        Returns
+        -------
+        SphericalDirectivity
+            The table.
 
         Raises
         ------

@@ -68,6 +68,11 @@ class Material(ReflectingSurface):
         name : str
             What to call it.
 
+        Returns
+        -------
+        Material
+            The material.
+
         Raises
         ------
         InputError
@@ -88,6 +93,11 @@ class Material(ReflectingSurface):
             ends are held with a warning.
         name : str
             What to call it.
+
+        Returns
+        -------
+        Material
+            The material.
 
         Raises
         ------
@@ -121,6 +131,11 @@ class Material(ReflectingSurface):
             What the factor is outside the table: refused, or that at the nearest end.
         name : str
             What to call it.
+
+        Returns
+        -------
+        Material
+            The material.
 
         Raises
         ------
@@ -168,6 +183,11 @@ class Material(ReflectingSurface):
             What the impedance is outside the table: refused, or that at the nearest end.
         name : str
             What to call it.
+
+        Returns
+        -------
+        Material
+            The material.
 
         Raises
         ------
@@ -224,6 +244,11 @@ class Material(ReflectingSurface):
         name : str
             What to call it.
 
+        Returns
+        -------
+        Material
+            The material.
+
         Raises
         ------
         InputError
@@ -278,6 +303,11 @@ class Material(ReflectingSurface):
         reference, band, outside, tolerance, name
             See `from_impulse_response`.
 
+        Returns
+        -------
+        Material
+            The material.
+
         Raises
         ------
         InputError
@@ -303,6 +333,11 @@ class Material(ReflectingSurface):
             normal incidence, and the more the lower the sound comes in. Otherwise one real factor for all angles.
         name : str
             What to call it.
+
+        Returns
+        -------
+        Material
+            The material.
 
         Raises
         ------
@@ -350,6 +385,11 @@ class Material(ReflectingSurface):
         name : str
             What to call it.
 
+        Returns
+        -------
+        Material
+            The material.
+
         Raises
         ------
         InputError
@@ -380,6 +420,11 @@ class Material(ReflectingSurface):
             on are published coefficients from 125 Hz to 4 kHz, held above with a warning. Those that begin with
             ``"estimated-"`` are calculated for ultrasound from assumed properties: no measurements. ``clsim
             materials`` lists all with source and uncertainty.
+
+        Returns
+        -------
+        Material
+            The material.
 
         Raises
         ------

@@ -49,7 +49,7 @@ class Instants:
         """Return the times of some of them, s."""
         return np.asarray(self.start + self.step * index)
 
-    def reach(self, first: Indices, middle: Indices, last: Indices) -> Floats:
+    def margin(self, first: Indices, middle: Indices, last: Indices) -> Floats:
         """Return how far ranges go to either side of an instant within, s."""
         return np.asarray(self.step * np.maximum(middle - first, last - middle))
 

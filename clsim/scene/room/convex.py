@@ -64,17 +64,54 @@ class ConvexRoom(ABC):
         return np.asarray(self._heights(positions) > margin)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) have walls to all sides: those inside."""
+        """Return which positions (n, 3) have walls to all sides: those inside.
+
+        Parameters
+        ----------
+        positions : array_like (n, 3)
+            m.
+
+        Returns
+        -------
+        ndarray (n,) of bool
+            Whether they are inside.
+        """
         return self.contains(positions)
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
-        """Return how far positions (n, 3) are inside the room, (n,) m; see `Room.clearance`."""
+        """Return how far positions (n, 3) are inside the room, (n,) m; see `Room.clearance`.
+
+        Parameters
+        ----------
+        positions : ndarray (n, 3)
+            m.
+        mount : Mount, optional
+            The wall that they sit in.
+
+        Returns
+        -------
+        ndarray (n,)
+            Distance from the nearest wall, m; 0 or less outside.
+        """
         if mount is None:
             return self._heights(positions)
         return np.minimum(mount.clearance(positions), self._heights(mount.lifted(positions)))
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
-        """Return where positions (n, 3) first are outside the room, or off the wall they sit in."""
+        """Return where positions (n, 3) first are outside the room, or off the wall they sit in.
+
+        Parameters
+        ----------
+        positions : ndarray (n, 3)
+            In the order of time, m.
+        mount : Mount, optional
+            The wall that they sit in.
+
+        Returns
+        -------
+        Contact or None
+            The first position that is in the wrong place.
+        """
         seen = positions if mount is None else mount.lifted(positions)
         outside = np.flatnonzero(~(self._heights(seen) > 0.0))
         return first_of(
@@ -88,5 +125,16 @@ class ConvexRoom(ABC):
         return Contact(index, "must stay inside the room", "is", hint)
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return the walls whose planes a position (3,) is on."""
+        """Return the walls whose planes a position (3,) is on.
+
+        Parameters
+        ----------
+        position : ndarray (3,)
+            m.
+
+        Returns
+        -------
+        ndarray (k,) of int
+            Indices of walls.
+        """
         return np.flatnonzero(np.abs(self.faces.normals @ position - self.faces.offsets) < NEAREST)

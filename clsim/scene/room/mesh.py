@@ -148,6 +148,11 @@ class MeshRoom:
         flatness : float
             As in `MeshRoom`; raise it for files with rounded coordinates.
 
+        Returns
+        -------
+        MeshRoom
+            The room.
+
         Raises
         ------
         InputError
@@ -155,7 +160,7 @@ class MeshRoom:
         """
         from clsim.scene.room.mesh_files import read_mesh
 
-        mesh = read_mesh(path, scale=scale, up=up)  # type: ignore[arg-type]
+        mesh = read_mesh(path, scale=scale, up=up)
         by_group = _by_group(mesh.groups, Path(path).name, materials)
         stem = Path(path).stem
         names = [mesh.groups[g] for g in mesh.group]
@@ -185,6 +190,11 @@ class MeshRoom:
         pillars : sequence of array_like (n, 2)
             Outlines of pillars from floor to ceiling, m.
 
+        Returns
+        -------
+        MeshRoom
+            The room.
+
         Raises
         ------
         InputError
@@ -209,6 +219,11 @@ class MeshRoom:
         ----------
         parts : sequence of Room
             Room, furniture, screens.
+
+        Returns
+        -------
+        MeshRoom
+            The room.
 
         Raises
         ------
@@ -292,6 +307,16 @@ class MeshRoom:
         """Return which positions (n, 3) lie inside: most rays from them meet the walls an odd number of times.
 
         Of use for watertight rooms only.
+
+        Parameters
+        ----------
+        positions : array_like (n, 3)
+            m.
+
+        Returns
+        -------
+        ndarray (n,) of bool
+            Whether they are inside.
         """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         inside, other = (self._met(x, ray) % 2 == 1 for ray in _RAYS[:2])
@@ -300,7 +325,18 @@ class MeshRoom:
         return np.asarray(inside)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) have walls to all sides, as in a room whose walls are solids: by six rays."""
+        """Return which positions (n, 3) have walls to all sides, as in a room whose walls are solids: by six rays.
+
+        Parameters
+        ----------
+        positions : array_like (n, 3)
+            m.
+
+        Returns
+        -------
+        ndarray (n,) of bool
+            Whether walls surround them.
+        """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         return np.asarray(np.all([self._met(x, sign * ray) > 0 for ray in _RAYS for sign in (1.0, -1.0)], axis=0))
 
@@ -308,6 +344,18 @@ class MeshRoom:
         """Return how far positions (n, 3) surely are away from every wall, (n,) m; see `Room.clearance`.
 
         What is in a wall is on one.
+
+        Parameters
+        ----------
+        positions : ndarray (n, 3)
+            m.
+        mount : Mount, optional
+            The wall that they sit in.
+
+        Returns
+        -------
+        ndarray (n,)
+            m; 0 or less where they may be on a wall.
         """
         if mount is not None:
             return np.minimum(mount.clearance(positions), 0.0)
@@ -321,7 +369,20 @@ class MeshRoom:
         return found
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
-        """Return where a motion first is on a wall, goes through one, or leaves the wall that it is in."""
+        """Return where a motion first is on a wall, goes through one, or leaves the wall that it is in.
+
+        Parameters
+        ----------
+        positions : ndarray (n, 3)
+            In the order of time, m; between them the motion is straight.
+        mount : Mount, optional
+            The wall that the end sits in.
+
+        Returns
+        -------
+        Contact or None
+            The first position that is on a wall, off that of the mount, or after which one is walked through.
+        """
         if mount is None:
             return self._first_met(positions, "; an end in a wall needs flush=")
         off = first_off(self.walls, mount.wall, positions)
@@ -340,16 +401,38 @@ class MeshRoom:
         return Contact(met[0], rule, f"meets the wall {self.faces.names[met[1]]!r}", hint)
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return the walls that a position (3,) is on; walls of one plane are one."""
+        """Return the walls that a position (3,) is on; walls of one plane are one.
+
+        Parameters
+        ----------
+        position : ndarray (3,)
+            m.
+
+        Returns
+        -------
+        ndarray (k,) of int
+            Indices of walls, one for each plane.
+        """
         found = walls_at(self.walls, position)
         return found[np.unique(self.walls.plane[found], return_index=True)[1]]
 
     def as_mesh(self) -> MeshRoom:
-        """Return the room itself."""
+        """Return the room itself.
+
+        Returns
+        -------
+        MeshRoom
+            The room.
+        """
         return self
 
     def describe(self) -> list[str]:
         r"""Return what the mesh is like, a line each: size, walls, shells, holes, winding, repairs.
+
+        Returns
+        -------
+        list of str
+            The lines.
 
         Examples
         --------

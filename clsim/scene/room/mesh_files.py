@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ class _Face:
     part: str
 
 
-def read_mesh(path: Any, *, scale: float = 1.0, up: Literal["x", "y", "z"] = "z") -> MeshFile:
+def read_mesh(path: Any, *, scale: float = 1.0, up: str = "z") -> MeshFile:
     r"""Read a mesh file.
 
     Parameters

@@ -97,7 +97,13 @@ class Shoebox(ConvexRoom):
         return self.faces.reflections(frequency)
 
     def as_mesh(self) -> MeshRoom:
-        """Return the box as twelve triangles, turning outwards."""
+        """Return the box as twelve triangles, turning outwards.
+
+        Returns
+        -------
+        MeshRoom
+            With the same names and materials of walls.
+        """
         corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * self.size
         sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]  # as in WALLS
         triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
@@ -105,7 +111,13 @@ class Shoebox(ConvexRoom):
         return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
 
     def describe(self) -> list[str]:
-        """Return the room's size in a line."""
+        """Return the room's size in a line.
+
+        Returns
+        -------
+        list of str
+            One line.
+        """
         x, y, z = self.size
         return [f"room: a shoebox of {x:.4g} x {y:.4g} x {z:.4g} m"]
 

@@ -58,7 +58,18 @@ class Signal:
         return 0.25 * self.sampling_rate if centre is None else centre
 
     def read(self, start: int, stop: int) -> Floats:
-        """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut."""
+        """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut.
+
+        Parameters
+        ----------
+        start, stop : int
+            First sample, and the one after the last.
+
+        Returns
+        -------
+        ndarray (n,)
+            Pa, or V where a transducer is driven.
+        """
         out = np.zeros(max(stop - start, 0))
         first, last = max(start, 0), min(stop, self.count)
         if first < last:
@@ -67,6 +78,16 @@ class Signal:
 
     def at_rate(self, sampling_rate: float) -> Signal:
         """Return the signal at another sampling rate: formulae are evaluated anew, samples are resampled.
+
+        Parameters
+        ----------
+        sampling_rate : float
+            Hz.
+
+        Returns
+        -------
+        Signal
+            The signal.
 
         Raises
         ------
@@ -84,6 +105,11 @@ class Signal:
 
         Hann-windowed segments with half overlap, from before the onset to after the end. Of long signals the
         first and last segments and, from equal stretches between them, one each are taken, which stand for the rest.
+
+        Returns
+        -------
+        frequencies, energy : ndarray (n,)
+            Hz, and Pa² times samples.
         """
         length, hop = _SPECTRUM_LENGTH, _SPECTRUM_LENGTH // 2
         picked, weight = _picked_segments(self.count, hop)
@@ -101,6 +127,11 @@ class Signal:
         Hann windows with half overlap, picked as by `energy_spectrum`; silent ones are left out. Energies are relative
         to that of the window or its neighbour on either side, whichever is most, so that the end of a sound is seen
         beside the sound; what is 60 dB below the loudest window is taken relative to that level.
+
+        Returns
+        -------
+        frequencies, energy : ndarray (F,), (W, F)
+            Hz, and Pa² times samples.
         """
         length = 2 ** int(np.clip(round(math.log2(_WINDOW * self.sampling_rate)), 6, 14))
         hop, window = length // 2, _hann(length)
@@ -122,7 +153,13 @@ class Signal:
         return frequencies, np.array(found) / level[:, None]
 
     def band(self) -> tuple[float, float]:
-        """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz."""
+        """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz.
+
+        Returns
+        -------
+        low, high : float
+            Hz.
+        """
         frequencies, energy = self.energy_spectrum()
         share = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
         low, high = np.minimum(np.searchsorted(share, [0.005, 0.995]), len(share) - 1)
@@ -150,6 +187,11 @@ class Signal:
             Pa, rad.
         fade : float
             Length of a raised-cosine rise and fall, s; at most half the duration.
+
+        Returns
+        -------
+        Signal
+            The signal.
 
         Raises
         ------
@@ -198,6 +240,11 @@ class Signal:
         amplitude : float
             Pa.
 
+        Returns
+        -------
+        Signal
+            The signal.
+
         Raises
         ------
         InputError
@@ -236,6 +283,11 @@ class Signal:
             From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
         count : int
             At least 1; the train lasts 1e7 s at most.
+
+        Returns
+        -------
+        Signal
+            The signal.
 
         Raises
         ------
@@ -278,6 +330,11 @@ class Signal:
         rms : float
             Root mean square, Pa.
 
+        Returns
+        -------
+        Signal
+            The signal.
+
         Raises
         ------
         InputError
@@ -285,7 +342,7 @@ class Signal:
 
         Notes
         -----
-        The band's edges are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
+        The band's ends are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
         sampling rate; a narrower band than a hundredth becomes as wide as the filter can be. At another sampling
         rate the same seed gives other samples.
 
@@ -295,15 +352,15 @@ class Signal:
         40000.0
         """
         rate = _rate(sampling_rate)
-        edges = None
+        ends = None
         if band is not None:
             low, high = as_floats("band", band, (2,))
             as_number("band[0]", float(low), at_least=0.0, unit="Hz")
             as_number("band[1]", float(high), above=float(low), below=0.5 * rate, unit="Hz")
-            edges = (float(low), float(high))
+            ends = (float(low), float(high))
         return cls(
             Noise(
-                _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), edges,
+                _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), ends,
                 as_number("rms", rms, at_least=0.0, at_most=LOUDEST, unit="Pa"),
             ),
             rate,
@@ -342,6 +399,11 @@ class Signal:
         amplitude : float
             Level of a chip at its centre, Pa; between chips it overshoots, to 1.5 times at a rolloff of 0.5.
 
+        Returns
+        -------
+        Signal
+            The signal.
+
         Raises
         ------
         InputError
@@ -366,6 +428,18 @@ class Signal:
     def from_array(cls, samples: Any, sampling_rate: float) -> Signal:
         """Return a signal from samples (n,) in Pa.
 
+        Parameters
+        ----------
+        samples : array_like (n,)
+            Pa, or V for a transducer.
+        sampling_rate : float
+            Hz.
+
+        Returns
+        -------
+        Signal
+            The signal.
+
         Examples
         --------
         >>> Signal.from_array([0.0, 1.0, 0.0], 48e3).read(-1, 2)
@@ -377,6 +451,20 @@ class Signal:
     @classmethod
     def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0) -> Signal:
         """Return one channel of a sound file; full scale (1.0) becomes `scale` Pa.
+
+        Parameters
+        ----------
+        path : path-like
+            Of the sound file.
+        channel : int
+            From 0.
+        scale : float
+            Of a sample of 1, Pa, or V for a transducer.
+
+        Returns
+        -------
+        Signal
+            The signal.
 
         Raises
         ------

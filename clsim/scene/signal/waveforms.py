@@ -319,8 +319,8 @@ def _band_response(low: float, high: float, sampling_rate: float) -> NDArray[np.
     from scipy.signal import firwin
 
     count = 2 * _NOISE_HALF + 1
-    edges, pass_zero = ([low, high], False) if low > 0.0 else ([high], True)
-    taps = firwin(count, edges, window=("kaiser", 8.0), pass_zero=pass_zero, fs=sampling_rate)
+    cutoffs, pass_zero = ([low, high], False) if low > 0.0 else ([high], True)
+    taps = firwin(count, cutoffs, window=("kaiser", 8.0), pass_zero=pass_zero, fs=sampling_rate)
     return np.asarray(rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
 
 
@@ -331,8 +331,8 @@ def _taper(out: Floats, first: int, sampling_rate: float, duration: float, fade:
     fall = slice(max(rise.stop, math.floor((duration - fade) * sampling_rate) - first), None)
     for part in (rise, fall):
         t = (np.arange(len(out))[part] + first) / sampling_rate
-        edge = np.clip(np.minimum(t, duration - t), 0.0, fade) / fade
-        out[part] *= np.sin(0.5 * math.pi * edge) ** 2
+        share = np.clip(np.minimum(t, duration - t), 0.0, fade) / fade
+        out[part] *= np.sin(0.5 * math.pi * share) ** 2
 
 
 def _count(duration: float, sampling_rate: float) -> int:

@@ -13,6 +13,8 @@ from clsim.numerics.resampling import Resampler
 from clsim.numerics.resonator import minimum_phase, resonance_response, resonance_taps
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from clsim.arrays import Floats
 
 _SHORTEST, _LONGEST = 2**14, 2**20  # points of the spectrum from which taps are made
@@ -20,7 +22,7 @@ _REST = 1e-10  # share of energy in what is cut off behind
 _BEFORE = 1e-3  # share of energy before 0 s that is cut off without complaint
 _NOTHING = 1e-4  # of the peak, what a magnitude falls to where there is nothing
 _EASY = 0.33  # of the sampling rate, up to which a resonance is rendered with its own phase
-_EDGE = 0.1  # of the edge's frequency, over which it falls there
+_SKIRT = 0.1  # of the last frequency, over which it falls there
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,7 @@ class ResponseTable:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Known where the table is, or everywhere by name."""
+        """Frequencies (low, high) in Hz that it covers: those of the table, or all by name."""
         if self.outside is not None:
             return 0.0, math.inf
         return float(self.frequencies[0]), float(self.frequencies[-1])
@@ -85,7 +87,7 @@ class ResponseTable:
         log = np.interp(f, self.frequencies, np.log(self.magnitudes))
         if self.outside != "hold":
             low, high = self.frequencies[0], self.frequencies[-1]
-            beyond = np.maximum((low - f) / (_EDGE * max(low, 1e-300)), (f - high) / (_EDGE * high))
+            beyond = np.maximum((low - f) / (_SKIRT * max(low, 1e-300)), (f - high) / (_SKIRT * high))
             share = np.sin(0.5 * math.pi * np.clip(beyond, 0.0, 1.0)) ** 2
             log += share * (math.log(_NOTHING * self.peak) - log)
         return np.asarray(np.exp(log))
@@ -127,7 +129,7 @@ class ImpulseResponse:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Known up to half the rate at which it was recorded."""
+        """Frequencies (low, high) in Hz that it covers: up to half the rate at which it was recorded."""
         return 0.0, 0.5 * self.recorded
 
     def taps(self, sampling_rate: float) -> Floats:
@@ -142,12 +144,12 @@ class ImpulseResponse:
         return _cut(_causal(whole, "samples", advice, count))
 
 
-def _settled(make: object, sampling_rate: float, *, acausal: bool = False) -> Floats:
+def _settled(make: Callable[[Floats], Floats], sampling_rate: float, *, acausal: bool = False) -> Floats:
     """Return taps from a spectrum that is fine enough for them to die away, cut where they have."""
     size = _SHORTEST
     while True:
-        frequencies = np.arange(size // 2 + 1) * (sampling_rate / size)
-        taps: Floats = make(frequencies)  # type: ignore[operator]
+        frequencies = np.asarray(np.arange(size // 2 + 1) * (sampling_rate / size), dtype=np.float64)
+        taps = make(frequencies)
         middle = slice(size // 2 - size // 8, size // 2 + size // 8) if acausal else slice(size // 2, None)
         energy = np.square(taps)
         if energy[middle].sum() <= _REST * energy.sum():

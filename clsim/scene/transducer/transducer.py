@@ -67,6 +67,16 @@ class Transducer:
     def impulse_response(self, sampling_rate: float) -> Floats:
         """Return the causal impulse response (n,) at a sampling rate: what the transducer is rendered with.
 
+        Parameters
+        ----------
+        sampling_rate : float
+            Hz.
+
+        Returns
+        -------
+        ndarray (n,)
+            Taps, Pa at 1 m per V, or V per Pa.
+
         Raises
         ------
         InputError
@@ -75,13 +85,36 @@ class Transducer:
         return _taps(self, as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz"))
 
     def response(self, frequencies: ArrayLike, sampling_rate: float) -> NDArray[np.complex128]:
-        """Return the complex response at frequencies (n,) in Hz, as rendered at a sampling rate."""
+        """Return the complex response at frequencies (n,) in Hz, as rendered at a sampling rate.
+
+        Parameters
+        ----------
+        frequencies : ndarray (n,)
+            Hz.
+        sampling_rate : float
+            Hz.
+
+        Returns
+        -------
+        ndarray (n,)
+            Complex, Pa at 1 m per V, or V per Pa.
+        """
         taps = self.impulse_response(sampling_rate)
         angle = -2j * np.pi * np.asarray(frequencies, dtype=np.float64) / sampling_rate
         return np.array([np.exp(a * np.arange(len(taps))) @ taps for a in np.atleast_1d(angle)])
 
     def drive(self, voltage: Signal) -> Signal:
         """Return the sound pressure at 1 m that a voltage makes; the ring-down makes it longer.
+
+        Parameters
+        ----------
+        voltage : Signal
+            V.
+
+        Returns
+        -------
+        Signal
+            Pa at 1 m.
 
         Raises
         ------
@@ -90,15 +123,28 @@ class Transducer:
         """
         if not isinstance(voltage, Signal):
             raise InputError("signal", f"must be a Signal, but is {voltage!r:.80}")
-        self.check_covers(voltage.band(), "the signal")
+        self.check_coverage(voltage.band(), "the signal")
         made = Signal(Filtered(voltage.waveform, self, None), voltage.sampling_rate)
         frequencies, energy = made.energy_spectrum()
         total = float(energy.sum())
         centre = float(frequencies @ energy) / total if total > 0.0 else voltage.centre_frequency
         return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
 
-    def check_covers(self, band: tuple[float, float], what: str) -> None:
-        """Raise an InputError if the band (low, high) in Hz of `what` is not covered by the response."""
+    def check_coverage(self, band: tuple[float, float], what: str) -> None:
+        """Raise an InputError if the band (low, high) in Hz of `what` is not covered by the response.
+
+        Parameters
+        ----------
+        band : tuple of float
+            Frequencies (low, high), Hz.
+        what : str
+            Has the band; for the message.
+
+        Raises
+        ------
+        InputError
+            If the response does not cover it.
+        """
         low, high = self.model.band
         if band[0] < low or band[1] > high:
             extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
@@ -122,6 +168,11 @@ class Transducer:
             Magnitude at resonance: Pa at 1 m per V, or V per Pa.
         name : str
             What to call it.
+
+        Returns
+        -------
+        Transducer
+            The transducer.
 
         Raises
         ------
@@ -157,6 +208,11 @@ class Transducer:
         name : str
             What to call it.
 
+        Returns
+        -------
+        Transducer
+            The transducer.
+
         Raises
         ------
         InputError
@@ -165,7 +221,7 @@ class Transducer:
         Notes
         -----
         Between frequencies the logarithm of the magnitude and the phase are interpolated linearly. Nothing means
-        that the magnitude falls to -80 dB of its peak, as a raised cosine of its logarithm over a tenth of the edge's
+        that the magnitude falls to -80 dB of its peak, as a raised cosine of its logarithm over a tenth of the last
         frequency.
 
         Examples
@@ -204,6 +260,11 @@ class Transducer:
         name : str
             What to call it.
 
+        Returns
+        -------
+        Transducer
+            The transducer.
+
         Raises
         ------
         InputError
@@ -218,6 +279,22 @@ class Transducer:
     @classmethod
     def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0, name: str = "") -> Transducer:
         """Return the transducer whose impulse response is one channel of a sound file; full scale becomes `scale`.
+
+        Parameters
+        ----------
+        path : path-like
+            Of the sound file.
+        channel : int
+            From 0.
+        scale : float
+            Of a sample of 1: Pa at 1 m per V, or V per Pa.
+        name : str
+            What to call it.
+
+        Returns
+        -------
+        Transducer
+            The transducer.
 
         Raises
         ------

@@ -134,7 +134,7 @@ def test_paths_of_a_mesh_are_those_heard_at_a_time(mesh_scene: Path, tmp_path: P
     for time_ in ("0", "0.3"):
         assert main(["paths", str(mesh_scene), "--at", time_]) == 0
         header, *rows = capsys.readouterr().out.splitlines()
-        listed[time_] = {row[header.index("walls") :] for row in rows}
+        listed[time_] = {row[header.index("objects") :] for row in rows}
         assert len(listed[time_]) == len(rows)
     assert "direct" in listed["0"]
     assert "direct" not in listed["0.3"]
@@ -252,8 +252,7 @@ def test_view_shows_walls_and_what_is_heard(mesh_scene: Path) -> None:
     heard = np.flatnonzero(np.isfinite(table.delay[:, 0]))
     level = 20.0 * np.log10(np.abs(table.gain[heard, 0]) / np.nanmax(np.abs(table.gain)))
     assert set(view.frames[0].labels) == {
-        f"robot to mic, {table.wall_names[table.walls[p, 0]] if table.order[p] else 'direct'}: "
-        f"{table.delay[p, 0] * 1e3:.3f} ms, {decibels:.1f} dB"
+        f"robot to mic, {table.name_way(p)}: {table.delay[p, 0] * 1e3:.3f} ms, {decibels:.1f} dB"
         for p, decibels in zip(heard, level, strict=True)
     }
     first, last = view.frames[0], view.frames[-1]

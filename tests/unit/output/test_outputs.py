@@ -10,7 +10,7 @@ import soundfile
 
 import clsim
 from clsim.files.atomic import atomic_path
-from clsim.files.wav import WavWriter
+from clsim.files.sound import WavWriter
 from clsim.output.plots import echogram_picture, envelope_picture, spectrogram_picture
 from clsim.output.table import read_table, write_table
 from clsim.paths.path_table import PathTable
@@ -93,7 +93,7 @@ def test_table_as_parquet_has_a_row_per_path_and_time(tmp_path, table: PathTable
     i = next(i for i in range(75) if rows["path"][i] == p and rows["times"][i] == table.times[t])
     assert rows["delay"][i] == table.delay[p, t]
     assert rows["arrival_z"][i] == table.arrival[p, t, 2]
-    assert rows["walls"][i] == ",".join(table.wall_names[w] for w in table.walls[p] if w >= 0)
+    assert rows["objects"][i] == ",".join(table.object_names[w] for w in table.objects[p] if w >= 0)
 
 
 def test_table_refuses_other_files(tmp_path, table: PathTable) -> None:
@@ -109,7 +109,8 @@ def test_table_refuses_other_files(tmp_path, table: PathTable) -> None:
 
 
 def test_table_without_paths_is_written(tmp_path, table: PathTable) -> None:
-    rows = ("source", "receiver", "order", "walls", "direct", "delay", "doppler_factor", "gain", "departure", "arrival")
+    names = ("times", "source_names", "receiver_names", "object_names")
+    rows = [name for name in PathTable.__dataclass_fields__ if name not in names]
     empty = replace(table, **{name: getattr(table, name)[:0] for name in rows})
     write_table(empty, tmp_path / "t.npz")
     assert read_table(tmp_path / "t.npz").delay.shape == (0, 3)
@@ -143,13 +144,13 @@ def test_a_disk_too_full_for_an_hdf5_file_is_an_error_and_ends_nothing(tmp_path)
 import resource, signal, sys
 from pathlib import Path
 import numpy as np
-from clsim.output.stores import StoredSound, sound_store
+from clsim.output.stores import STORES, StoredSound
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 sound = StoredSound(("a", "b"), ("Pa", "Pa"), np.zeros((2, 3)), 192e3, 20_000, 18_432, "text" * 9000, "1", None)
 for limit in (500, 30_000, 100_000):
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     try:
-        sound_store("hdf5", Path(sys.argv[1]), sound, ["a", "b"]).create()
+        STORES["hdf5"](Path(sys.argv[1]), sound, ["a", "b"]).create()
     except OSError as error:
         print(error.strerror)
 """

@@ -19,16 +19,18 @@ def large_table(rng: np.random.Generator, paths: int, times: int, order: int) ->
         source=rng.integers(0, 2, paths, dtype=np.int32),
         receiver=rng.integers(0, 3, paths, dtype=np.int32),
         order=np.full(paths, order, dtype=np.int32),
-        walls=rng.integers(0, 6, (paths, order), dtype=np.int8),
+        interactions=np.zeros((paths, order), dtype=np.int8),
+        objects=rng.integers(0, 6, (paths, order), dtype=np.int8),
         direct=np.zeros(paths, dtype=np.bool_),
         delay=delay,
         doppler_factor=rng.random((paths, times)),
+        doppler_shift=rng.random((paths, times)),
         gain=rng.random((paths, times)),
         departure=rng.random((paths, times, 3)),
         arrival=rng.random((paths, times, 3)),
         source_names=("robot", "beacon"),
         receiver_names=("a", "b", "the one with the long name"),
-        wall_names=WALLS,
+        object_names=WALLS,
     )
 
 
@@ -68,5 +70,6 @@ def test_parquet_pieces_join_without_a_seam(tmp_path, rng: np.random.Generator) 
         ("receiver", table.receiver_names, table.receiver),
     ):
         assert read[name].to_pylist() == [names[i] for i in index[path]]
-    walls = [",".join(WALLS[w] for w in row) for row in table.walls]
-    assert read["walls"].to_pylist() == [walls[p] for p in path]
+    ways = [",".join(WALLS[w] for w in row) for row in table.objects]
+    assert read["objects"].to_pylist() == [ways[p] for p in path]
+    assert set(read["interactions"].to_pylist()) == {"0,0,0"}

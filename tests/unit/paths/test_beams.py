@@ -173,14 +173,14 @@ def test_tables_hold_the_motion(name: str, rng) -> None:
     exact = table.position(row, times)[away] - motion.position(times)[away]
     assert np.abs(exact).max() <= 1.1e-8
     np.testing.assert_allclose(table.position(row, times), motion.position(times), rtol=0, atol=allowed)
-    centre, radius = table.ball(2)
+    centre, radius = table.sphere(2)
     assert np.linalg.norm(motion.position(times) - centre, axis=1).max() <= radius + allowed
     begin, end = np.sort(rng.uniform(0.0, last, (2, 500)), axis=0)
     bound = table.speed_over(row, begin, end)
     far = np.linalg.norm(motion.position(end) - motion.position(begin), axis=1)
     assert np.all(far <= bound * (end - begin) * (1 + 1e-9) + 2 * allowed)
     for a, b in zip(begin[:50], end[:50], strict=True):  # a ball of a part of it
-        centre, radius = table.ball(2, a, b)
+        centre, radius = table.sphere(2, a, b)
         part = motion.position(np.linspace(a, b, 60))
         assert np.linalg.norm(part - centre, axis=1).max() <= radius + allowed
     for a, b, most in zip(begin, end, bound, strict=True):

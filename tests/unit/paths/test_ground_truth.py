@@ -13,8 +13,8 @@ from clsim.output.view import viewed
 from clsim.study.member import _add_ground_truth, _add_paths
 
 TIMES = np.array([0.0, 0.04, 0.1])
-OF_PATHS = ("source", "receiver", "order", "walls", "direct")
-OVER_TIME = ("delay", "doppler_factor", "gain", "departure", "arrival")
+OF_PATHS = ("source", "receiver", "order", "interactions", "objects", "direct")
+OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain", "departure", "arrival")
 OF_DIRECT_PATH = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
 
 
@@ -39,7 +39,7 @@ def table(paths: clsim.PathSet):
 
 def test_every_door_has_the_table_under_its_own_names(paths: clsim.PathSet, table, tmp_path: Path) -> None:
     names = {"times", *OF_PATHS, *OVER_TIME}
-    assert {f.name for f in fields(table)} == names | {"source_names", "receiver_names", "wall_names"}
+    assert {f.name for f in fields(table)} == names | {"source_names", "receiver_names", "object_names"}
     assert np.isnan(table.delay).any()
     write_table(table, tmp_path / "paths.npz")
     with np.load(tmp_path / "paths.npz") as file:
@@ -61,7 +61,16 @@ def test_parquet_has_the_names_of_the_table(table, tmp_path: Path) -> None:
     write_table(table, tmp_path / "paths.parquet")
     rows = parquet.read_table(tmp_path / "paths.parquet")
     directions = {f"{name}_{axis}" for name in ("departure", "arrival") for axis in "xyz"}
-    assert set(rows.column_names) == {"times", "path", *OF_PATHS, "delay", "doppler_factor", "gain", *directions}
+    assert set(rows.column_names) == {
+        "times",
+        "path",
+        *OF_PATHS,
+        "delay",
+        "doppler_factor",
+        "doppler_shift",
+        "gain",
+        *directions,
+    }
     path, time = np.nonzero(np.isfinite(table.delay))
     np.testing.assert_array_equal(rows["times"].to_numpy(), table.times[time])
     for name in ("delay", "doppler_factor", "gain"):

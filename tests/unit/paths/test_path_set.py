@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.paths.arrivals import arrivals
-from clsim.paths.response import Responses
+from clsim.paths.response import SceneResponse
 from clsim.paths.specular.shoebox import shoebox_image_count, shoebox_images
 
 SIZE = np.array([8.0, 6.0, 3.0])
@@ -79,9 +78,9 @@ def test_without_absorption_a_gain_is_spreading_and_walls_alone(scene: clsim.Sce
     distance = bare.air.speed_of_sound * table.delay[:, 0]
     np.testing.assert_allclose(table.gain[:, 0], factors / distance, rtol=1e-12)
     frequencies = np.array([1e3, 40e3, 90e3])
-    for rows, group in paths.groups():  # and at every frequency
-        found = arrivals(bare, group, np.zeros(1))
-        response = Responses(bare, frequencies).along(group, found, np.zeros(1))[:, 0]
+    for rows, pair in paths.pairs():  # and at every frequency
+        found = pair.arrivals(np.zeros(1))
+        response = pair.response(found, np.zeros(1), SceneResponse(bare, frequencies))[:, 0]
         np.testing.assert_allclose(response, (factors / distance)[rows, None] * np.ones(3), rtol=1e-12)
 
 

@@ -1,0 +1,291 @@
+"""Kinds of paths: what every table, picture and engine asks of a path, whatever happens to it on its way."""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.errors import InputError
+from clsim.paths.propagation import delay_bounds, max_delay_rate, medium_of
+from clsim.paths.response import SceneResponse, is_complex
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals
+    from clsim.paths.propagation import Medium
+    from clsim.scene.ends import Receiver, Source
+    from clsim.scene.scene import Scene
+
+
+Rows = slice | NDArray[np.int64]  # of a kind of paths
+NONE, SPECULAR, DIFFRACTION, SCATTERING = -1, 0, 1, 2  # kinds of interaction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathFamily(ABC):
+    """Paths of one kind, as columns of equal length: a kind owns its columns and its law.
+
+    A kind adds columns of its own, names them in `columns`, and defines the abstract methods; the others have answers
+    that hold for paths by things that rest. Rows are a slice or an array of indices.
+
+    Attributes
+    ----------
+    scene : Scene
+        Where they are.
+    source, receiver, order : ndarray (paths,) int
+        Indices in the scene, and number of interactions.
+    start, end : ndarray (paths,)
+        Interval of reception in which each is heard, s.
+    interactions : ndarray (paths, N) int
+        What happens on the way from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`; filled up with `NONE`.
+    objects : ndarray (paths, N) int
+        To which wall that happens (specular) or to which of `object_names`; filled up with -1.
+    columns : tuple of str
+        A kind's own fields with a row per path.
+    device : str or None
+        Program of the device (see ``render/opencl/device_nodes.py``) that knows this kind's columns; without one the
+        host makes the nodes of the same sum.
+    moves : bool
+        Whether paths change though both ends rest.
+    object_names : tuple of str
+        Of things that are no walls.
+    """
+
+    scene: Scene
+    source: NDArray[np.int32]
+    receiver: NDArray[np.int32]
+    order: NDArray[np.int32]
+    start: Floats
+    end: Floats
+    interactions: NDArray[np.signedinteger[Any]]
+    objects: NDArray[np.signedinteger[Any]]
+
+    columns: ClassVar[tuple[str, ...]] = ()
+    device: ClassVar[str | None] = None
+    moves: ClassVar[bool] = False
+
+    @abstractmethod
+    def arrivals(
+        self, rows: Rows, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
+    ) -> Arrivals:
+        """Return delays, directions and lengths of paths between one source and one receiver.
+
+        Parameters
+        ----------
+        rows : slice or ndarray (P,) int
+            The paths.
+        times : ndarray (T,)
+            Times of reception, s; any at which the ends' trajectories are known, heard or not.
+        motion : {"retarded", "quasi-static"}
+            Whether everything is where it was when the sound passed, or where it is at reception.
+        amplitude : {"wave-equation", "static", "convective"}
+            Exponent 1, 0 or 2 of ``1 / (1 - M)``; quasi-static motion has none.
+        """
+
+    @abstractmethod
+    def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return received over emitted pressure at 1 m, (P, T, F), without the delay.
+
+        Parameters
+        ----------
+        rows, times
+            As for `arrivals`.
+        found : Arrivals
+            Of these rows at these times.
+        at : SceneResponse
+            Air, walls and transducers at F frequencies.
+        """
+
+    @abstractmethod
+    def vertices(self, rows: Rows, time: float, motion: str = "retarded") -> Floats:
+        """Return source, points of interaction and receiver (P, N + 2, 3) of paths between one source and one receiver.
+
+        They are those of what is received at a time, s; NaN behind the receiver of paths of fewer interactions.
+        """
+
+    @abstractmethod
+    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
+        """Return how long paths (P,) of any pairs are with their ends at rest at places (P, 3), m."""
+
+    def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
+        """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
+
+        The times are numbers, or arrays (P,); `speeds` are the largest ones of the ends.
+        """
+        scene, source, receiver = self.scene, self.source[rows], self.receiver[rows]
+        middle, half = 0.5 * (start + end), 0.5 * (end - start)
+        length = self.lengths(rows, ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle))
+        source_speed, receiver_speed = speeds.source[source], speeds.receiver[receiver]
+        return delay_bounds(self.medium, length, half * (source_speed + receiver_speed), source_speed)
+
+    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
+        """Return bounds (P, F) of responses without directivities and motion, relative to free air of the same length.
+
+        What has none is never left out.
+        """
+        return np.full((len(self.source[rows]), len(at.frequencies)), np.inf)
+
+    def max_rate(self, source_speed: float, receiver_speed: float) -> float:
+        """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
+        return max_delay_rate(self.medium, source_speed, receiver_speed)
+
+    @property
+    def medium(self) -> Medium:
+        """What sound travels in."""
+        return medium_of(self.scene.air)
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether responses have phases."""
+        return is_complex(self.scene)
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names of things other than walls."""
+        return ()
+
+    @property
+    def walls(self) -> NDArray[np.signedinteger[Any]]:
+        """Walls of specular reflections (paths, N) from the source's side, -1 elsewhere."""
+        return np.where(self.interactions == SPECULAR, self.objects, -1)
+
+    def ends(self, rows: Rows) -> tuple[Source, Receiver]:
+        """Return the source and the receiver of paths of one pair."""
+        source, receiver = self.source[rows], self.receiver[rows]
+        return self.scene.sources[source[0]], self.scene.receivers[receiver[0]]
+
+    def digest(self) -> str:
+        """Return a hash of all fields but the scene."""
+        found = hashlib.sha256(f"{type(self).__module__}.{type(self).__qualname__}".encode())
+        for field in fields(self):
+            if field.name != "scene":
+                found.update(field.name.encode())
+                _hash_value(found, getattr(self, field.name))
+        return found.hexdigest()
+
+    def part(self, rows: Rows) -> Self:
+        """Return some of the paths."""
+        own = [f.name for f in fields(PathFamily) if f.name != "scene"] + list(self.columns)
+        given = {f.name for f in fields(self) if f.init}
+        return replace(self, **{name: getattr(self, name)[rows] for name in own if name in given})
+
+    def pairs(self) -> Iterator[PairPaths]:
+        """Yield the paths of every source and receiver that have any, in order."""
+        receivers = len(self.scene.receivers)
+        pair = self.source.astype(np.int64) * receivers + self.receiver
+        in_order = bool(np.all(pair[1:] >= pair[:-1]))
+        order = np.arange(0) if in_order else np.argsort(pair, kind="stable")
+        bounds = np.searchsorted(
+            pair if in_order else pair[order], np.arange(len(self.scene.sources) * receivers + 1)
+        ).tolist()
+        for i, (first, last) in enumerate(pairwise(bounds)):
+            if first < last:
+                rows = slice(first, last) if in_order else order[first:last]  # a slice is no copy
+                yield PairPaths(self, rows, *divmod(i, receivers))
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __post_init__(self) -> None:
+        for name in (*(f.name for f in fields(PathFamily) if f.name != "scene"), *self.columns):
+            if len(getattr(self, name)) != len(self.source):
+                raise InputError(
+                    name, f"must have one row per path, {len(self.source)}, but has {len(getattr(self, name))}"
+                )
+        if self.objects.shape != self.interactions.shape:
+            raise InputError(
+                "objects",
+                f"must have the shape of interactions, {self.interactions.shape}, but has {self.objects.shape}",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairPaths:
+    """Paths of one kind from one source to one receiver.
+
+    Attributes
+    ----------
+    family : PathFamily
+        Whose paths.
+    rows : slice or ndarray (P,) int
+        Which of them.
+    source, receiver : int
+        Indices in the scene.
+    """
+
+    family: PathFamily
+    rows: Rows
+    source: int
+    receiver: int
+
+    def __len__(self) -> int:
+        return len(self.family.source[self.rows])
+
+    @property
+    def index(self) -> NDArray[np.int64]:
+        """The rows as indices (P,)."""
+        if isinstance(self.rows, slice):
+            return np.arange(*self.rows.indices(len(self.family)))
+        return self.rows
+
+    def part(self, rows: NDArray[np.int64]) -> PairPaths:
+        """Return some of the paths, by their places among these."""
+        return PairPaths(self.family, self.index[rows], self.source, self.receiver)
+
+    def arrivals(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Arrivals:
+        """Return delays, directions and lengths; see `PathFamily.arrivals`."""
+        return self.family.arrivals(self.rows, times, motion, amplitude)
+
+    def response(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return responses (P, T, F); see `PathFamily.response`."""
+        return self.family.response(self.rows, found, times, at)
+
+    def gain(self, found: Arrivals, times: Floats) -> Floats | Complexes:
+        """Return responses (P, T) at the centre frequency of what the source emits."""
+        scene = self.family.scene
+        centre = np.array([scene.sources[self.source].emitted.centre_frequency])
+        return self.response(found, times, SceneResponse(scene, centre))[..., 0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeakSpeeds:
+    """Bounds of the speeds of the sources (S,) and the receivers (R,) of a scene, m/s."""
+
+    source: Floats
+    receiver: Floats
+
+
+Instant = Any  # a time, or times (P,), s
+
+
+def ends_at(ends: Sequence[Source] | Sequence[Receiver], which: NDArray[np.int32], times: Instant) -> Floats:
+    """Return the positions (P, 3) of sources or receivers (P,) at a time, or at times (P,), m."""
+    out = np.empty((len(which), 3))
+    new = np.ones(len(which), dtype=bool)  # neighbours that are the same are looked at once
+    new[1:] = which[1:] != which[:-1]
+    instants = np.broadcast_to(np.asarray(times, dtype=np.float64), which.shape)
+    new[1:] |= instants[1:] != instants[:-1]
+    first = np.flatnonzero(new)
+    at = np.empty((len(first), 3))
+    for end in np.unique(which[first]):
+        mine = which[first] == end
+        at[mine] = ends[end].trajectory.position(instants[first[mine]])
+    out[:] = np.repeat(at, np.diff([*first.tolist(), len(which)]), axis=0)
+    return out
+
+
+def _hash_value(found: Any, value: object) -> None:
+    """Add a value to a hash: the type, shape and bytes of an array."""
+    if isinstance(value, np.ndarray):
+        found.update(f"{value.dtype.str}{value.shape}".encode())
+        found.update(np.ascontiguousarray(value).tobytes())
+    else:
+        found.update(repr(value).encode())

@@ -1,0 +1,44 @@
+"""What is asked of a search for paths, of any kind and in any room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clsim.paths.family import PathFamily
+    from clsim.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class PathSearch:
+    """The arguments of `find_paths`, checked.
+
+    Attributes
+    ----------
+    max_order : int
+        Largest number of interactions; at least 0, and how many there may be is the finder's to say.
+    path_limit : int
+        Number of paths of a kind above which the search is refused or given up.
+    finder : str
+        How wall sequences are found in a mesh.
+    resolution : float or None
+        To which ends of intervals are found, s; chosen by the finder when None.
+    engine, device : str, str or None
+        What validates paths.
+    progress : callable
+        Takes the share of the work that is done.
+    """
+
+    max_order: int
+    path_limit: int
+    finder: str
+    resolution: float | None
+    engine: str
+    device: str | None
+    progress: Callable[[float], None]
+
+
+RoomFinder = Callable[["Scene", Any, PathSearch], "PathFamily"]  # scene, its room, what is asked
+FamilyFinder = Callable[["Scene", PathSearch], "PathFamily"]

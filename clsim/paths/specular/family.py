@@ -1,0 +1,126 @@
+"""Paths that walls reflect like mirrors: images of the source, each an isometry of its trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
+from clsim.paths.family import NONE, SPECULAR, PathFamily
+from clsim.paths.propagation import solve_delay
+from clsim.paths.vertices import path_vertices
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.family import Rows
+    from clsim.paths.response import SceneResponse
+    from clsim.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecularPaths(PathFamily):
+    """Paths by any number of mirrors that rest; all interactions are reflections, and objects are walls.
+
+    Attributes
+    ----------
+    image_matrix, image_offset : ndarray (paths, 3, 3), (paths, 3)
+        The image of the source is at ``image_matrix @ x + image_offset``; the matrix is orthogonal.
+    """
+
+    interactions: NDArray[np.signedinteger[Any]] = field(init=False, repr=False)
+    image_matrix: Floats
+    image_offset: Floats
+
+    columns: ClassVar[tuple[str, ...]] = ("image_matrix", "image_offset")
+    device: ClassVar[str | None] = "images"
+
+    def __post_init__(self) -> None:
+        kinds = np.where(self.objects >= 0, np.int8(SPECULAR), np.int8(NONE))
+        object.__setattr__(self, "interactions", read_only(kinds))
+        super(SpecularPaths, self).__post_init__()
+
+    @classmethod
+    def direct(cls, scene: Scene) -> Self:
+        """Return the direct path of every pair of source and receiver, whatever is in the way."""
+        source, receiver = np.divmod(np.arange(len(scene.sources) * len(scene.receivers)), len(scene.receivers))
+        count = len(source)
+        return cls(
+            scene, source.astype(np.int32), receiver.astype(np.int32), np.zeros(count, dtype=np.int32),
+            np.full(count, -np.inf), np.full(count, np.inf), np.empty((count, 0), dtype=np.int32),
+            np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)),
+        )  # fmt: skip
+
+    @property
+    def walls(self) -> NDArray[np.signedinteger[Any]]:
+        """Walls (paths, N) from the source's side, filled up with -1."""
+        return self.objects
+
+    def arrivals(
+        self, rows: Rows, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
+    ) -> Arrivals:
+        """Return delays, directions and lengths of paths between one source and one receiver.
+
+        Notes
+        -----
+        The delay solves ``delay = |x_r(t) - A x_s(t - delay) - b| / c``. A point source of the linear wave equation is
+        received as ``s(t - delay) / (d (1 - M))``, M the Mach number of the image towards the receiver at emission
+        (Morse and Ingard, Theoretical Acoustics, 1968, section 11.2).
+        """
+        matrix, offset = self.image_matrix[rows], self.image_offset[rows]
+        source, receiver = (end.trajectory for end in self.ends(rows))
+        times = np.asarray(times, dtype=np.float64)
+        # Seen from the image's room the receiver stands at A^T (x_r - b): one mirrored receiver per path.
+        mirrored = np.einsum("pji,ptj->pti", matrix, receiver.position(times)[None] - offset[:, None, :])
+        if motion == "quasi-static":
+            emission_time = np.broadcast_to(times, mirrored.shape[:2])
+            delay = self.medium.travel_time(source.position(times), mirrored)
+        else:
+            delay = solve_delay(self.medium, source, mirrored, times)
+            emission_time = times - delay
+        flat, shape = emission_time.ravel(), mirrored.shape
+        leg = self.medium.leg(source.position(flat).reshape(shape), mirrored)
+        mach = leg.mach_at_departure(source.velocity(flat).reshape(shape))
+        receding = leg.mach_at_arrival(np.einsum("pji,tj->pti", matrix, receiver.velocity(times)))
+        arrival = -np.einsum("pij,ptj->pti", matrix, leg.arrival)
+        if motion == "quasi-static":
+            rate, mach_factor = receding - mach, np.ones_like(mach)
+        else:
+            rate, mach_factor = (receding - mach) / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
+        return Arrivals(delay, rate, leg.departure, arrival, leg.length, emission_time, mach_factor)
+
+    def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return received over emitted pressure (P, T, F): spreading, air, walls and directivities."""
+        walls = self.objects[rows]
+        response = at.air(found.length) * at.reflection(walls)[:, None, :]
+        response *= (found.mach_factor / found.length)[..., None]
+        for bounce, normals in at.angular_bounces(walls):
+            met = walls[:, bounce]
+            for wall in np.unique(met[at.angular[met]]):
+                here = np.flatnonzero(met == wall)
+                cosine = np.abs(np.einsum("pti,pi->pt", found.departure[here], normals[here]))
+                response[here] *= at.reflection_at(wall, cosine)
+        at.apply_directivities(response, self.ends(rows), found, times)
+        return response
+
+    def vertices(self, rows: Rows, time: float, motion: str = "retarded") -> Floats:
+        """Return source, points of reflection and receiver (P, N + 2, 3) of paths of one pair."""
+        source, receiver = (end.trajectory for end in self.ends(rows))
+        now, walls = np.array([time]), self.objects[rows]
+        delay = 0.0 if motion == "quasi-static" else self.arrivals(rows, now, motion).delay[:, 0]
+        emitted_at = source.position(np.full(len(walls), time) - delay)
+        faces, heard_at = self.scene.room.faces, np.broadcast_to(receiver.position(now), emitted_at.shape)
+        return path_vertices((faces.normals, faces.offsets), walls, emitted_at, heard_at)
+
+    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
+        """Return distances (P,) from the images of places (P, 3) to others, m."""
+        image = (self.image_matrix[rows] @ source[:, :, None])[..., 0] + self.image_offset[rows]
+        return np.asarray(np.linalg.norm(image - receiver, axis=1))
+
+    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
+        """Return the reflection factors' magnitudes (P, F), 1 where they depend on the angle."""
+        return at.largest_reflection(self.objects[rows])

@@ -1,0 +1,86 @@
+"""A kind of store is a class and its name in the list."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from clsim.cli import main
+from clsim.output import stores
+
+SCENE = """
+format = 1
+room = { kind = "shoebox", size = [4.0, 3.0, 2.5], walls = { reflection = 0.9 } }
+[[sources]]
+name = "s"
+signal = { kind = "tone", frequency = 40e3, duration = 0.005, sampling_rate = 192e3, fade = 0.001 }
+trajectory = { kind = "fixed", position = [1.0, 1.0, 1.0] }
+[[receivers]]
+name = "left"
+trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
+[[receivers]]
+name = "right"
+trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
+[paths]
+max_order = 0
+[render]
+sampling_rate = 192e3
+engine = "reference"
+"""
+
+
+class Columns(stores.SoundStore):
+    """A NumPy file whose columns are receivers."""
+
+    packages = ("numpy",)
+
+    @staticmethod
+    def names(receivers):
+        return ["sound.npy"]
+
+    @staticmethod
+    def problem_of(receiver: str) -> str:
+        return "must not be called nobody" if receiver == "nobody" else ""
+
+    def create(self) -> None:
+        shape = (self._sound.samples, len(self._sound.receiver_names))
+        np.lib.format.open_memmap(self.paths[0], "w+", np.float32, shape).flush()
+
+    def open(self) -> None:
+        self._array = np.lib.format.open_memmap(self.paths[0], "r+")
+
+    def write(self, start: int, samples) -> None:
+        self._array[start : start + samples.shape[1]] = samples.T
+
+    def to_disk(self) -> None:
+        self._array.flush()
+
+    def close(self) -> None:
+        del self._array
+
+    def row(self, folder: Path, receiver: int):
+        return np.load(folder / "sound.npy", mmap_mode="r")[:, receiver]
+
+
+def test_a_store_is_a_class_and_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    scene = tmp_path / "s.toml"
+    scene.write_text(SCENE, "utf-8")
+    assert main(["run", str(scene), "-o", str(tmp_path / "wav"), "--no-plots"]) == 0
+    assert main(["run", str(scene), "-o", str(tmp_path / "npy"), "--store", "columns"]) == 2
+    assert "invalid choice: 'columns'" in capsys.readouterr().err
+    monkeypatch.setitem(stores.STORES, "columns", Columns)
+    assert main(["run", str(scene), "-o", str(tmp_path / "npy"), "--store", "columns", "--no-plots"]) == 0
+    for row, name in zip(np.load(tmp_path / "npy" / "sound.npy").T, ("left", "right"), strict=True):
+        np.testing.assert_array_equal(row, soundfile.read(tmp_path / "wav" / f"{name}.wav", dtype="float32")[0])
+    scene.write_text(SCENE.replace("left", "nobody"), "utf-8")
+    capsys.readouterr()
+    assert main(["run", str(scene), "-o", str(tmp_path / "other"), "--store", "columns"]) == 2
+    assert capsys.readouterr().err == "clsim: error: receivers[0]: must not be called nobody\n"
+
+
+@pytest.mark.parametrize("kind", stores.STORES)
+def test_stores_have_names_and_packages(kind: str) -> None:
+    names = stores.STORES[kind].names(["a", "b"])
+    assert len(names) == len(set(names)) > 0
+    assert stores.STORES[kind].problem_of("a") == ""
