@@ -69,6 +69,7 @@ _PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
 _GAINS = ("common/gains.h",)
+_MASK = ("common/mask.h",)
 
 _IMAGES = {
     "image_matrix": _in("double", "9, slots"),
@@ -162,7 +163,7 @@ PROGRAMS = {
     "tracks": Program(
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
-            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h",
+            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", *_MASK,
             "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
@@ -209,8 +210,8 @@ PROGRAMS = {
             _DELAY_CONSTANTS
             | {
                 "BLOCK", "WALK", "NODES_AT_ONCE", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
-                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "MACH_EXPONENT", "ANGULAR", "SOURCE_DIRECTIVITY",
-                "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
+                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
+                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
             }
         ),
     ),
@@ -230,11 +231,11 @@ PROGRAMS = {
             "first_piece": _in("int", "wall_count + 1"),
             "first_line": _in("int", "pieces + 1"),
             "first_twin": _in("int", "wall_count + 1"),
-            "edge": _in("double", "edges, 2, 3"),
+            "edge": _in("edge_ends", "edges"),
             "line": _in("double4", "lines"),
             "twin": _in("int", "twins"),
-            "places": _in("long", "1 + receivers, 3"),
-            "scales": _in("double", "1 + receivers, 3"),
+            "places": _in("table_place", "1 + receivers"),
+            "scales": _in("table_scale", "1 + receivers"),
             "knots": _in("double", "knots, KNOT_COLUMNS"),
             "speeds": _in("double", "speeds"),
             "mounts": _in("double4", "1 + receivers"),
@@ -251,7 +252,10 @@ PROGRAMS = {
             "found": _out("interval", "found"),
             "found_count": _both("int", "1"),
         },
-        frozenset(_DELAY_CONSTANTS | {"ORDER", "DEPTH", "GRAZE_TIME"}),
+        frozenset(_DELAY_CONSTANTS | {
+                "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL",
+                "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
+            }),
     ),
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
@@ -279,7 +283,7 @@ PROGRAMS = {
     ),
     "render": Program(
         (
-            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_GAINS, "render/phases.h", "render/subblock.h",
+            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_GAINS, *_MASK, "render/phases.h", "render/subblock.h",
             "render/farrow.h", "render/render.cl",
         ),
         {
@@ -302,7 +306,7 @@ PROGRAMS = {
         ),
     ),
     "baseband": Program(
-        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "render/carrier.h", "render/baseband.cl"),
+        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/baseband.cl"),
         {
             **_BRANCHES,
             "first_row": _in("int", "FUNCTIONS + 1"),

@@ -68,9 +68,10 @@ class Launch:
             raise self._refusal(arguments)
         for i, number in self._numbers:
             taken[i] = number(taken[i])
-        for i, element in self._read:
-            if isinstance(taken[i], np.ndarray):
-                taken[i] = upload(queue.context, _elements(taken[i], element))
+        if np.ndarray in map(type, taken):  # quicker than asking every argument
+            for i, element in self._read:
+                if isinstance(taken[i], np.ndarray):
+                    taken[i] = upload(queue.context, _elements(taken[i], element))
         return self._kernel(queue, *items, *taken)
 
     def _refusal(self, arguments: Mapping[str, Any]) -> ClsimError:

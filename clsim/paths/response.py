@@ -1,6 +1,6 @@
 """What air, walls and directivities make of every frequency along paths, in float64: the definition of right.
 
-The OpenCL gains (``gain.h``) are the small twin of this file.
+The OpenCL gains (``response.h``) are the small twin of this file.
 """
 
 from __future__ import annotations

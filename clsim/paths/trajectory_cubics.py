@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from clsim.scene.ends import Source
 
 KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
+CUBIC_COLUMNS = 12  # coefficients of a position or an axis between two knots, [power][xyz]
 _AXIS = np.array([1.0, 0.0, 0.0])
 _AXIS_TOLERANCE = 1e-5  # rad
 _SLICE = 20_000  # knots looked at at a time

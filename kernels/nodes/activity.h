@@ -6,7 +6,7 @@ typedef struct {
     __global const int* following;  // [cells], the next cell that sounds, or `cells`; itself if it does
     __global const int* preceding;  // [cells], the one before, or -1
     int cells;
-    double origin;                 // sample of the branches at the run's first sample, without delay
+    double origin;                  // sample of the branches at the run's first sample, without delay
 } activity_mask;
 
 static int cell_at(const activity_mask* s, double sample)
@@ -31,7 +31,7 @@ static int next_active(const activity_mask* s, int block, double shortest, doubl
     return cell == s->cells ? NEVER : begin > 0.0 ? block + (int)(begin * (1.0 / BLOCK)) : block;
 }
 
-// First subblock of a block in which something is heard, and the one after the last shifted by 16 bits; 0 for none.
+// The mask of a block, see mask.h.
 static int active_subblocks(const activity_mask* s, int block, double shortest, double longest)
 {
     const double start = s->origin + (double)block * BLOCK;
@@ -39,5 +39,5 @@ static int active_subblocks(const activity_mask* s, int block, double shortest, 
     const double end = (double)(s->preceding[cell_at(s, start + BLOCK - shortest)] + 1) * CELL - start + longest;
     const int first = begin > 0.0 ? (int)(begin / SUBBLOCK) : 0;
     const int last = end < (double)BLOCK ? (int)(end / SUBBLOCK) + 1 : BLOCK / SUBBLOCK;
-    return first < last && end > 0.0 ? first | last << 16 : 0;
+    return first < last && end > 0.0 ? MASK(first, last) : 0;
 }

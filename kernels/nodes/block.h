@@ -17,14 +17,14 @@ static void write_gains(const gains* gain, int apart, __global float* g)
     for (int k = 0; k < FUNCTIONS; k++) g[k * apart] = ((const float*)gain)[k];
 }
 
-static void write_block(const window* node, int block, int slots, int slot, double sampling_rate, double late,
-                        int heard, __global int* delay, __global float* cubics)
+static void write_block(const window* node, int block, int slots, int slot, double sampling_rate, double delay_samples,
+                        int heard, __global int* delay, __global float* polynomials)
 {
     const int apart = APART(slots);
-    __global float* c = cubics + place_of(block, slot, FUNCTIONS, slots);
+    __global float* c = polynomials + place_of(block, slot, FUNCTIONS, slots);
     gains terms[4][GAIN_VECTORS];
 #if DELAY_TERMS == 8
-    delay[block * slots + slot] = write_septic(node->delay, node->rate, sampling_rate, late, c);
+    delay[block * slots + slot] = write_septic(node->delay, node->rate, sampling_rate, delay_samples, c);
 #pragma unroll
     for (int i = 0; i < GAIN_VECTORS; i++) {
         // The cubic through all four nodes, at t = -3, -1, 1 and 3.
@@ -37,7 +37,7 @@ static void write_block(const window* node, int block, int slots, int slot, doub
     }
 #else
     const double rate = OVERSAMPLING * sampling_rate, half_block = 0.5 * OVERSAMPLING * BLOCK;
-    const double p0 = node->delay[1] * rate + late, p1 = node->delay[2] * rate + late;
+    const double p0 = node->delay[1] * rate + delay_samples, p1 = node->delay[2] * rate + delay_samples;
     const double e0 = node->rate[1] * half_block, e1 = node->rate[2] * half_block;
     const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
     delay[block * slots + slot] = (int)whole;
@@ -84,19 +84,19 @@ static float block_error_squared(const window* node, __global const gains* sizes
 {
     const double* r = node->rate;
 #if DELAY_TERMS == 8
-    const float late = septic_error(node->delay, r, block_time);
+    const float delay_error = septic_error(node->delay, r, block_time);
 #else
     const float remainder = (float)((r[3] - r[0] + 3.0 * (r[1] - r[2])) * block_time) / 384.0f;
 #if FINE
-    const float late = remainder;
+    const float delay_error = remainder;
 #else
     const float part = (float)SUBBLOCK / (float)BLOCK;
     const float cubed = (float)(0.125 * block_time * (r[1] + r[2]) - 0.25 * (node->delay[2] - node->delay[1]));
     const float twist = cubed * part * part * part;
-    const float late = (remainder < 0.0f ? -remainder : remainder) + (twist < 0.0f ? -twist : twist);
+    const float delay_error = (remainder < 0.0f ? -remainder : remainder) + (twist < 0.0f ? -twist : twist);
 #endif
 #endif
-    const float phase = angular_frequency * late;
+    const float phase = angular_frequency * delay_error;
     gains change = 0.0f;
 #pragma unroll
     for (int i = 0; i < GAIN_VECTORS; i++) {

@@ -14,7 +14,7 @@ __kernel void coarse_delays(__global const double* image_matrix, __global const 
     arrival a;
     settle(&path, turned_back(image_matrix, slots, slot, difference(at_row(node->position), offset)),
            turned_back(image_matrix, slots, slot, at_row(node->velocity)), start + (end - 1) * walk_time + node->clock_error,
-           1e-14, &a);
+           CONVERGED, &a);
     delays[2 * end * (long)slots + slot] = a.delay - node->clock_error;
     delays[(2 * end + 1) * (long)slots + slot] = a.rate * node->clock_rate - (node->clock_rate - 1.0);
 }

@@ -25,10 +25,10 @@ static void apply_sphere(__global const bins* points, float x, float y, float z,
     const int axis = ax >= ay && ax >= az ? 0 : ay >= az ? 1 : 2;
     const float along = axis == 0 ? x : axis == 1 ? y : z, scale = 1.0f / (along < 0.0f ? -along : along);
     const float p = (axis == 0 ? y : axis == 1 ? z : x) * scale, q = (axis == 0 ? z : axis == 1 ? x : y) * scale;
-    const float cells = 0.5f * (SIDE - 5), at_p = (p + 1.0f) * cells, at_q = (q + 1.0f) * cells;
+    const float cells = 0.5f * FACE_CELLS, at_p = (p + 1.0f) * cells, at_q = (q + 1.0f) * cells;
     int i = (int)at_p, j = (int)at_q;
-    i = i < SIDE - 6 ? i : SIDE - 6;
-    j = j < SIDE - 6 ? j : SIDE - 6;
+    i = i < FACE_CELLS - 1 ? i : FACE_CELLS - 1;
+    j = j < FACE_CELLS - 1 ? j : FACE_CELLS - 1;
     const float u[2] = {at_p - (float)i, at_q - (float)j};
     float weight[2][4];
     for (int d = 0; d < 2; d++) {

@@ -63,10 +63,10 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
         apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
     }
 #if SOURCE_DIRECTIVITY == AXIAL
-    const double cosine = inner(cubic(a->knot + 12, a->u), a->departure);
+    const double cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
     apply_cubics(s->source_directivity, 0.5f * (float)(1.0 + cosine), &r);
 #elif SOURCE_DIRECTIVITY == SPHERICAL
-    const triple x = cubic(a->knot + 12, a->u), y = cubic(a->knot + 24, a->u), z = cross_product(x, y);
+    const triple x = cubic(a->knot + CUBIC_COLUMNS, a->u), y = cubic(a->knot + 2 * CUBIC_COLUMNS, a->u), z = cross_product(x, y);
     apply_sphere(s->source_directivity, (float)inner(x, a->departure), (float)inner(y, a->departure),
                  (float)inner(z, a->departure), &r);
 #endif

@@ -39,7 +39,7 @@ static void solve_nodes(const trajectory* path, const receiver_in_image* receive
             if (!open[i]) continue;
             const receiver_in_image* here = receiver + (STATIC_RECEIVERS ? 0 : i);
             const double step = newton_step(path, here->position, here->velocity, times[i], node + i);
-            open[i] = step * step >= 1e-14;
+            open[i] = step * step >= CONVERGED;
             any |= open[i];
         }
         if (!any) break;

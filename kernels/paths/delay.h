@@ -23,6 +23,8 @@ static void locate(const trajectory* path, double emitted, arrival* a)
     a->u = u < 0.0 ? 0.0 : u < 1.0 ? u : 1.0;
 }
 
+#define CONVERGED 1e-14  // s^2, of a Newton step: the next one, of the order of its square, is of no use
+
 // One Newton step from `a->delay`; returns it. All else is that of the emission time before the step.
 static double newton_step(const trajectory* path, triple receiver, triple receiver_velocity, double time, arrival* a)
 {

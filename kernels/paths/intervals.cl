@@ -28,7 +28,8 @@ typedef struct {
 // Status at an instant, while both ends move as they can for `within` before and after (s); `reach` is how far that is.
 static int evaluate(const search* s, double time, double within, double* clear, double* reach)
 {
-    const triple source_perturbation = {6.1e-8, -3.7e-8, 7.0e-8}, receiver_perturbation = {-2.9e-8, 8.3e-8, 4.7e-8}, still = {0.0, 0.0, 0.0};
+    const triple source_perturbation = SOURCE_PERTURBATION, receiver_perturbation = RECEIVER_PERTURBATION;
+    const triple still = {0.0, 0.0, 0.0};
     arrival a;
     locate(&s->receiver.path, time, &a);
     const triple receiver = cubic(a.knot, a.u);
@@ -73,10 +74,10 @@ static void put(__global progress* p, double begin, double end, int path, __glob
 __kernel void intervals(int wall_count, double tolerance, double thickness, __global const double4* plane,
                         __global const double4* sphere, __global const int* same, __global const int* first_edge,
                         __global const int* first_piece,
-                        __global const int* first_line, __global const int* first_twin, __global const double* edge,
+                        __global const int* first_line, __global const int* first_twin, __global const edge_ends* edge,
                         __global const double4* line, __global const int* twin,
-                        __global const long* places,    // [ends][3]: first knot, first speed, knots; the source first
-                        __global const double* scales,  // [ends][3]: time of the first knot, knots per second, speed
+                        __global const table_place* places,    // [ends], the source first
+                        __global const table_scale* scales,    // [ends]
                         __global const double* knots, __global const double* speeds,
                         __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
                         double speed_of_sound,
@@ -116,8 +117,8 @@ __kernel void intervals(int wall_count, double tolerance, double thickness, __gl
             if (valid) put(p, now.begin, now.end, path, found, found_count);
             continue;
         }
-        double share = 0.999 * clear / reach;
-        if (share < 0.05 || share * within < 0.5 * resolution) share = 0.0;
+        double share = CERTAIN * clear / reach;
+        if (share < LEAST_SHARE || share * within < 0.5 * resolution) share = 0.0;
         const double from = middle - share * within, until = middle + share * within;
         push(p, until, now.end, 0, 0);
         push(p, from, until, 1, valid);

@@ -1,5 +1,13 @@
 // Trajectories of a source and its receivers, as trajectory_tables.py makes them: how fast they can be, and walls that they sit in.
 
+typedef struct {
+    long first_knot, first_speed, knots;
+} table_place;
+
+typedef struct {
+    double first_knot, knot_rate, fastest;  // time of the first knot, s; knots per second; m/s
+} table_scale;
+
 // A trajectory: cubics between knots, and the largest speed in each, in pairs of them, and so on.
 typedef struct {
     trajectory path;
@@ -25,11 +33,14 @@ static double speed_over(const end_of_path* end, double begin, double until)
     return fmax(level[a], level[b]);
 }
 
-static end_of_path trajectory_at(__global const long* places, __global const double* scales, __global const double* knots,
-                      __global const double* speeds, __global const double4* mounts, double speed_of_sound, int row)
+static end_of_path trajectory_at(__global const table_place* places, __global const table_scale* scales,
+                                 __global const double* knots, __global const double* speeds,
+                                 __global const double4* mounts, double speed_of_sound, int row)
 {
-    const end_of_path out = {{knots + places[3 * row] * KNOT_COLUMNS, (int)places[3 * row + 2], scales[3 * row],
-                        scales[3 * row + 1], 1.0 / speed_of_sound}, speeds + places[3 * row + 1], scales[3 * row + 2],
-                        mounts[row]};
+    const table_place at = places[row];
+    const table_scale scale = scales[row];
+    const trajectory path = {knots + at.first_knot * KNOT_COLUMNS, (int)at.knots, scale.first_knot, scale.knot_rate,
+                             1.0 / speed_of_sound};
+    const end_of_path out = {path, speeds + at.first_speed, scale.fastest, mounts[row]};
     return out;
 }

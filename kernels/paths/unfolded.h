@@ -1,8 +1,6 @@
 // The straight line from the source mirrored k times to the receiver mirrored back, in the real space of each leg. Leg k
 // runs from wall k to wall k + 1 (0 is the source, ORDER + 1 the receiver); the line meets wall k at the share tau[k].
 
-#define EVER 1e300
-
 typedef struct {
     triple from[ORDER + 1], to[ORDER + 1];  // ends of the unfolded line in the real space of each leg
     double tau[ORDER + 2];

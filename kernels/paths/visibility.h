@@ -57,7 +57,7 @@ static int blocks(const room* walls, int wall, triple a, triple b)
     const double first = height(walls->plane[wall], a), last = height(walls->plane[wall], b);
     if (!(first * last < 0.0)) return 0;
     const double share = first / (first - last);
-    return share > 1e-9 && share < 1.0 - 1e-9 && holds(walls, wall, sum(a, times(share, difference(b, a))));
+    return share > INNER && share < 1.0 - INNER && holds(walls, wall, sum(a, times(share, difference(b, a))));
 }
 
 // How far the ends of a path may move while a leg from a to b still reaches through a plane that it crosses.

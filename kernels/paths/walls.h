@@ -1,17 +1,21 @@
 // The walls of a room in float64, and distances between segments.
 
 typedef struct {
+    double from[3], to[3];
+} edge_ends;
+
+typedef struct {
     int count;
     double tolerance;                // m, how far outside its outline a point still is on a wall
     double thickness;                // m, how far edges lie from the planes of their walls
     __global const double4* plane;   // unit normal and offset
-    __global const double4* sphere;   // centre and radius
+    __global const double4* sphere;  // centre and radius
     __global const int* same;        // equal for walls in one plane
     __global const int* first_edge;  // where the edges, pieces and twins of a wall begin, and the lines of a piece
     __global const int* first_piece;
     __global const int* first_line;
     __global const int* first_twin;
-    __global const double* edge;     // [edges][6]: ends of a segment
+    __global const edge_ends* edge;  // [edges]
     __global const double4* line;    // x is inside if inner(line, x) >= line.w
     __global const int* twin;        // walls of lower index in the same plane
 } room;
@@ -43,7 +47,7 @@ static double segments_apart(triple a, triple u, triple b, triple v)
     const triple w = difference(a, b);
     const double uu = inner(u, u), uv = inner(u, v), vv = inner(v, v), uw = inner(u, w), vw = inner(v, w);
     const double determinant = uu * vv - uv * uv;
-    double s = determinant > 1e-14 * uu * vv ? unit_range((uv * vw - vv * uw) / determinant) : 0.0;
+    double s = determinant > PARALLEL * uu * vv ? unit_range((uv * vw - vv * uw) / determinant) : 0.0;
     const double t = unit_range((uv * s + vw) / vv);
     s = uu > 0.0 ? unit_range((uv * t - uw) / uu) : 0.0;
     const triple apart = sum(w, difference(times(s, u), times(t, v)));
@@ -56,7 +60,7 @@ static double edges_apart(const room* walls, int wall, triple a, triple b, doubl
     const triple u = difference(b, a);
     double least = most;
     for (int i = walls->first_edge[wall]; i < walls->first_edge[wall + 1] && least > enough; i++) {
-        const triple from = at_row(walls->edge + 6 * i), to = at_row(walls->edge + 6 * i + 3);
+        const triple from = at_row(walls->edge[i].from), to = at_row(walls->edge[i].to);
         const double squared = segments_apart(a, u, from, difference(to, from));
         least = squared < least ? squared : least;
     }

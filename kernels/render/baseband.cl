@@ -32,8 +32,8 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
     }
     for (int slot = first_slot[receiver]; slot < first_slot[receiver + 1]; slot++) {
 #if SPARSE
-        const int active = activity[row * (long)slots + slot];
-        if ((inside + WIDTH - 1) / SUBBLOCK < (active & 0xffff) || inside / SUBBLOCK >= active >> 16) continue;
+        const int mask = activity[row * (long)slots + slot];
+        if ((inside + WIDTH - 1) / SUBBLOCK < MASK_FIRST(mask) || inside / SUBBLOCK >= MASK_END(mask)) continue;
 #endif
         __global const float* c = polynomials + place_of(row, slot, FUNCTIONS, slots);
         float moved = c[DELAY_TERMS - 1];  // whole samples from the block's middle to that of these samples

@@ -24,9 +24,9 @@ __kernel void baseband_fades(
         float both = weight((float)n - start[fade], per_ramp);
         both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[fade], 0.0f) : weight(end[fade] - (float)n, per_ramp);
         if (both == 0.0f) continue;
-        float late = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
-        for (int i = DELAY_TERMS - 1; i >= 0; i--) late = late * t + c[i];
-        const float rest = rounded(late), mu = late - rest;
+        float delayed = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
+        for (int i = DELAY_TERMS - 1; i >= 0; i--) delayed = delayed * t + c[i];
+        const float rest = rounded(delayed), mu = delayed - rest;
         const int whole = delay[node * (long)slots + slot] + (int)rest;
         for (int k = 0; k < FUNCTIONS; k++) {
             const int count = first_row[k + 1] - first_row[k];

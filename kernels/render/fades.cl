@@ -32,8 +32,8 @@ __kernel void fades(__global const float* branches,  // [rows][stride]
         float both = weight((float)n - start[fade], per_ramp);
         both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[fade], 0.0f) : weight(end[fade] - (float)n, per_ramp);
         if (both == 0.0f) continue;
-        const float late = CUBIC(c[0], c[apart], c[2 * apart], c[3 * apart], t);
-        const float rest = floor(late + 0.5f), mu = late - rest;
+        const float delayed = CUBIC(c[0], c[apart], c[2 * apart], c[3 * apart], t);
+        const float rest = floor(delayed + 0.5f), mu = delayed - rest;
         const int whole = delay[node * slots + slot] + (int)rest;
         for (int k = 0; k < functions; k++) {
             __global const float* g = c + (DELAY_TERMS + k) * apart;

@@ -44,7 +44,7 @@ static void find_active(__global const int* activity, int slots, int tile, int t
         for (int slot = tile; slot < tile_end; slot++) {
             const int mask = row[slot];
             if (!mask) continue;
-            const int begin = block * block_subblocks + (mask & 0xffff), end = block * block_subblocks + (mask >> 16);
+            const int begin = block * block_subblocks + MASK_FIRST(mask), end = block * block_subblocks + MASK_END(mask);
             const int from = begin > first_subblock ? begin : first_subblock, until = end < last_subblock ? end : last_subblock;
             for (int g = from + ((first_subblock + worker - from) & (WORKERS - 1)); g < until; g += WORKERS) {
                 active[g - first_subblock][count[g - first_subblock]++] = slot - tile;

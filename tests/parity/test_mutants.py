@@ -197,7 +197,7 @@ ELSEWHERE = {
     "spline's weights": ("lopsided", "tracks", "t * t * (1.0f + s)", "t * t * (1.0f + t)"),
     "cell of the cube": ("lopsided", "tracks", "* SIDE + j + 1)", "* SIDE + j)"),
     "source's third axis": ("lopsided", "tracks", "z = cross_product(x, y)", "z = cross_product(y, x)"),
-    "source's second axis": ("lopsided", "tracks", "y = cubic(a->knot + 24", "y = cubic(a->knot + 12"),
+    "source's second axis": ("lopsided", "tracks", "y = cubic(a->knot + 2 * CUBIC_COLUMNS", "y = cubic(a->knot + CUBIC_COLUMNS"),
     "receiver's frame by its mirrored axes": (
         "lopsided", "tracks", "turned_back(image_matrix, slots, slot, cross_product(at_row(node->axes[0]), at_row(node->axes[1])))", "cross_product(out.frame[0], out.frame[1])",
     ),

@@ -146,7 +146,7 @@ MUTANTS = {
     "last group too early": ("tracks", "+ 1) * CELL - start + longest", "+ 1) * CELL - start + shortest - 40.0"),
     "cells before the origin": ("tracks", "s->origin + (double)block * BLOCK;\n    return", "(double)block * BLOCK;\n    return"),
     "last node forgotten": ("tracks", "solved = block + 3;", "solved = block + 4;"),
-    "first group left out": ("render", "+ (mask & 0xffff), end", "+ (mask & 0xffff) + 1, end"),
+    "first group left out": ("render", "+ MASK_FIRST(mask), end", "+ MASK_FIRST(mask) + 1, end"),
     "last group left out": ("render", "g < until; g += WORKERS", "g < until - 1; g += WORKERS"),
     "path left out": ("render", "if (!mask) continue;", "if (!mask || slot % 64 == 7) continue;"),
     "last path left out": ("render", "i < count[g - first_subblock]; i++", "i < count[g - first_subblock] - 1; i++"),

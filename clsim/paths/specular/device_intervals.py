@@ -11,18 +11,25 @@ from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import upload, work
 from clsim.paths.specular.intervals import (
+    CERTAIN,
     GRAZE,
     GRAZE_TIME,
+    LEAST_SHARE,
     MOST_EVALUATIONS,
     SMALLEST_MOVE,
     Intervals,
     VisibilityQuery,
     merged,
 )
+from clsim.paths.specular.visibility import EVER, INNER, PARALLEL
+from clsim.paths.trajectory_cubics import CUBIC_COLUMNS
+from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.scene.room.walls import INSIDE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
 
 _PATHS = 16_384  # searched at a time
 _EVALUATIONS = 2**19  # evaluations in one launch
@@ -102,8 +109,11 @@ class DeviceSearch:
         query, context, flags = self._query, self._queue.context, cl.mem_flags
         states = self._beginning(query.first[receiver], query.last[receiver])
         constants = {
-            "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": 12, "RETARDED": 1, "STATIC_RECEIVERS": 0,
-            "GRAZE_TIME": GRAZE_TIME,
+            "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
+            "STATIC_RECEIVERS": 0, "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
+            "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
+            "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
+            "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),
         }  # fmt: skip
         kernel = self._compiler.kernel("intervals", constants)
         columns = {"sequences": np.append(sequence, 0).astype(np.int32), "receiver_of": receiver.astype(np.int32)}
@@ -149,3 +159,8 @@ class DeviceSearch:
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
+
+
+def _triple(vector: Floats) -> str:
+    """Return a vector as OpenCL C initialises one."""
+    return f"{{{','.join(map(repr, vector.tolist()))}}}"

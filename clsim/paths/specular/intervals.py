@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
 GRAZE = 1e-6  # of the room's size; paths that pass an edge nearer than this run along it
 GRAZE_TIME = 1e-3  # s; intervals shorter than this of such a path are one, if both ends agree with the middle
+CERTAIN = 0.999  # of a clearance, what is relied on
+LEAST_SHARE = 0.05  # of an interval; less of it is not taken out of its middle
 MOST_EVALUATIONS = 3_000_000  # evaluations of one path
 _CHUNK = 20_000  # intervals looked at at a time
 
@@ -123,8 +125,8 @@ def find_intervals(query: VisibilityQuery, sequence: NDArray[np.int32], receiver
         split = ~done
         path, begin, end = path[split], begin[split], end[split]
         middle, half, valid = middle[split], half[split], valid[split]
-        share = 0.999 * clear[split] / np.maximum(reach[split], 1e-300)
-        share[(share < 0.05) | (share * half < 0.5 * query.resolution)] = 0.0
+        share = CERTAIN * clear[split] / np.maximum(reach[split], 1e-300)
+        share[(share < LEAST_SHARE) | (share * half < 0.5 * query.resolution)] = 0.0
         first, last = middle - share * half, middle + share * half
         known = valid & (last > first)
         found.append((path[known], first[known], last[known]))

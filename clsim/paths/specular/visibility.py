@@ -1,6 +1,6 @@
 """Whether paths are valid at an instant, and how far their ends may move before that can change; in NumPy, float64.
 
-The twin of ``validity.h``, which has the same names.
+The twin of ``visibility.h`` and ``unfolded.h``, which have the same names.
 
 Notes
 -----
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     Ints = NDArray[np.int64] | NDArray[np.int32]
 
 
-_EVER = 1e300
+EVER = 1e300  # m, next to no bound
+INNER = 1e-9  # share of a segment at either end in which nothing blocks it
+PARALLEL = 1e-14  # square of the sine of an angle below which segments are parallel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,7 +223,7 @@ def _reflects(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Flo
 def _ratio(height: Floats, move: Floats) -> Floats:
     """Return how often a move fits into a height, (n,); next to infinity where nothing moves."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(move > 0.0, height / move, _EVER)
+        return np.where(move > 0.0, height / move, EVER)
 
 
 def _passes(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Floats]:
@@ -271,7 +273,7 @@ def _blocks(walls: Walls, wall: int, a: Floats, b: Floats) -> Bools:
     first, last = (x @ walls.normal[wall] - walls.offset[wall] for x in (a, b))
     crosses = first * last < 0.0
     share = first / np.where(crosses, first - last, 1.0)
-    inner = crosses & (share > 1e-9) & (share < 1.0 - 1e-9)
+    inner = crosses & (share > INNER) & (share < 1.0 - INNER)
     blocked = np.zeros(len(a), dtype=bool)
     rows = np.flatnonzero(inner)
     blocked[rows] = walls.holds(wall, a[rows] + share[rows, None] * (b[rows] - a[rows]))
@@ -297,7 +299,7 @@ def _edges_apart(walls: Walls, wall: int, a: Floats, b: Floats) -> Floats:
     uu, uv, vv, uw, vw = (np.sum(x * y, axis=2) for x, y in ((u, u), (u, v), (v, v), (u, w), (v, w)))
     determinant = uu * vv - uv * uv
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = np.where(determinant > 1e-14 * uu * vv, np.clip((uv * vw - vv * uw) / determinant, 0.0, 1.0), 0.0)
+        s = np.where(determinant > PARALLEL * uu * vv, np.clip((uv * vw - vv * uw) / determinant, 0.0, 1.0), 0.0)
         t = np.clip((uv * s + vw) / vv, 0.0, 1.0)
         s = np.where(uu > 0.0, np.clip((uv * t - uw) / uu, 0.0, 1.0), 0.0)
     apart = w + s[..., None] * u - t[..., None] * v

@@ -12,12 +12,13 @@ from clsim.numerics.quaternions import rotate
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.response import SceneResponse
-from clsim.paths.trajectory_cubics import knot_rate, motion_knots
+from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
 from clsim.render.opencl.lookup_tables import (
     AXIAL,
     CELLS,
+    FACE_CELLS,
     OMNI,
     SIDE,
     SPHERICAL,
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
     Walls = NDArray[np.signedinteger[Any]]
 
+VECTOR = 8  # numbers of a vector of gains or of frequencies in kernels
 # A receiver at a node, as in nodes/image.h.
 RECEIVER_NODE = np.dtype(
     [("position", "f8", 3), ("velocity", "f8", 3), ("axes", "f8", (2, 3)), ("clock_error", "f8"), ("clock_rate", "f8")]
@@ -184,7 +186,7 @@ class DeviceTracks:
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * slots.count)
-        polynomials = self._scratch.take(("polynomials", block), 4 * (terms * blocks * slots.count + 8))
+        polynomials = self._scratch.take(("polynomials", block), 4 * (terms * blocks * slots.count + VECTOR))
         found = np.empty((walks, slots.count, 4), dtype=np.float32)
         unheld = np.empty((walks, slots.count), dtype=np.float32)
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
@@ -220,7 +222,7 @@ class DeviceTracks:
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
         return {
-            "KNOT_COLUMNS": 36 if sideways else 24,
+            "KNOT_COLUMNS": CUBIC_COLUMNS * (3 if sideways else 2),
             "RETARDED": int(self._tracks.motion == "retarded"),
             "STATIC_RECEIVERS": int(self._still),
         }
@@ -241,6 +243,8 @@ class DeviceTracks:
             "PARTS": around.parts,
             "CELLS": CELLS,
             "SIDE": SIDE,
+            "FACE_CELLS": FACE_CELLS,
+            "CUBIC_COLUMNS": CUBIC_COLUMNS,
             "MACH_EXPONENT": MACH_EXPONENT[self._tracks.amplitude] if retarded else 0,
             "SOURCE_DIRECTIVITY": around.source_kind,
             "RECEIVER_DIRECTIVITY": around.receiver_kind,
@@ -299,13 +303,13 @@ NODE_PROGRAMS = {"images": DeviceTracks}  # what makes the nodes of kinds of pat
 
 
 class _Surroundings:
-    """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``gain.h``."""
+    """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``response.h``."""
 
     def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
         c = scene.air.speed_of_sound
         self.count, self.parts = len(basis.nodes), basis.parts
         self._responses = SceneResponse(scene, basis.nodes)
-        padding = -len(basis) % 8 if len(basis) > 1 else 0  # of gains, which stand side by side
+        padding = -len(basis) % VECTOR if len(basis) > 1 else 0  # of gains, which stand side by side
         columns = {
             "nepers": self._responses.nepers, "projection": np.pad(basis.projection.T, ((0, 0), (0, padding))),
             "functions": basis.functions, "weight": basis.weight, "strengths": np.pad(basis.strengths, (0, padding)),
@@ -316,14 +320,14 @@ class _Surroundings:
         source_beam = beam_table(scene.sources[source].directivity, self.source_kind, basis.nodes, c, self.parts)
         kinds = list(dict.fromkeys(beams))
         tables = [beam_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
-        bands = len(tables[0]) // min(self.count, 8)
+        bands = len(tables[0]) // min(self.count, VECTOR)
         self.directivity_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
         materials, angular = scene.room.faces.materials, self._responses.angular
         different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
         kind = {key: i for i, key in enumerate(different)}
         self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)
         walls = [wall_table(m, basis.nodes, c, self.parts) for m in different.values()]
-        nothing = np.zeros(8, dtype=np.float32)
+        nothing = np.zeros(VECTOR, dtype=np.float32)
         flat = {"wall_tables": walls, "source_directivity": [source_beam], "receiver_directivities": tables}
         self.tables = {name: put(np.concatenate([*parts, nothing])) for name, parts in flat.items()}
         self.angular = 0

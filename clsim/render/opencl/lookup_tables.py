@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from clsim.scene.material.material import Material
 
 CELLS = 1024  # of a table over an angle; its cubics are within 1e-9 for a piston of ka = 10
-SIDE = 101  # points of a table over a sphere along a face of the cube: 96 cells and two points beyond either edge
+FACE_CELLS = 96  # of a table over a sphere along a face of the cube
+SIDE = FACE_CELLS + 5  # its points: those of the cells and two beyond either edge
 _MARGIN = 14  # points beyond an edge that the spline is made of, where 0.27 ** 12 of what is not known there is left
 OMNI, AXIAL, SPHERICAL = range(3)  # kinds of tables of directivities: none, by angle to an axis, by direction
 
@@ -103,8 +104,7 @@ def _sphere(gain: Callable[[Floats], Floats | Complexes], count: int, parts: int
     """
     from scipy.ndimage import spline_filter
 
-    cells = SIDE - 5
-    place = np.arange(-_MARGIN, cells + _MARGIN + 1) * (2.0 / cells) - 1.0
+    place = np.arange(-_MARGIN, FACE_CELLS + _MARGIN + 1) * (2.0 / FACE_CELLS) - 1.0
     p, q = np.meshgrid(place, place, indexing="ij")
     kept = slice(_MARGIN - 2, _MARGIN - 2 + SIDE)
     table = np.empty((6, SIDE, SIDE, parts, count), dtype=np.float32)

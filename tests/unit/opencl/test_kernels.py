@@ -12,7 +12,7 @@ from clsim.opencl.device import find_device
 from clsim.opencl.kernels import PROGRAMS, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, upload
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
-from clsim.render.opencl.device_nodes import RECEIVER_NODE
+from clsim.render.opencl.device_nodes import RECEIVER_NODE, VECTOR
 
 KNOWN = {"CLK_LOCAL_MEM_FENCE"}  # of OpenCL C itself
 TYPEDEFS = {"bins", "gains"}  # vectors of float, as wide as constants say
@@ -22,6 +22,10 @@ STRUCTURES = {
     "span": ("intervals", SPAN),
     "progress": ("intervals", progress(DEPTH)),
     "interval": ("intervals", INTERVAL),
+    # Arrays of numbers in Python: Walls.edge and TrajectoryTables.
+    "edge_ends": ("intervals", np.dtype([("from", "f8", 3), ("to", "f8", 3)])),
+    "table_place": ("intervals", np.dtype([("first_knot", "i8"), ("first_speed", "i8"), ("knots", "i8")])),
+    "table_scale": ("intervals", np.dtype([("first_knot", "f8"), ("knot_rate", "f8"), ("fastest", "f8")])),
 }
 
 
@@ -109,6 +113,14 @@ def test_structures_are_laid_out_alike(name: str, device: None) -> None:
     cl.Kernel(cl.Program(context, source).build([f"-DDEPTH={DEPTH}"]), "layout")(queue, (1,), (1,), held, buffer)
     cl.enqueue_copy(queue, out, buffer)
     assert out.tolist() == [dtype.itemsize, *(offset for _, offset in fields_of(dtype))]
+
+
+def test_vectors_are_as_wide_as_python_pads_them() -> None:
+    text = kernel_source("tracks")
+    for name in TYPEDEFS:
+        assert re.findall(rf"typedef (\w+) {name};", text) == ["float", f"float{VECTOR}"]
+    assert f"(FREQUENCIES / {VECTOR})" in text
+    assert f"((FUNCTIONS + {VECTOR - 1}) / {VECTOR})" in text
 
 
 def test_launches_refuse_names_that_are_wrong() -> None:
