@@ -1,15 +1,12 @@
 """Where envelopes go: stores, runs that are gone on with, studies, and quiet paths left out."""
 
 import json
-import os
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+from killing import Killer
 
 import clsim
 from clsim.cli import main
@@ -41,9 +38,8 @@ sampling_rate = 192e3
 baseband = { carrier = 40e3, bandwidth = 1e3 }
 chunk = 1
 """
-SHORT, LONG = SCENE % (0.3, 1), SCENE % (40.0, 7)
+SHORT, LONG = SCENE % (0.3, 1), SCENE % (4.0, 2)
 KINDS = ("wav", "zarr", "hdf5")
-ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
 
 
 @pytest.fixture
@@ -54,13 +50,6 @@ def scene(tmp_path: Path) -> Path:
 
 def command(scene: Path, out: Path, kind: str, *more: str) -> list[str]:
     return ["run", str(scene), "-o", str(out), "--store", kind, "--table", "none", *more]
-
-
-def run_alone(arguments: list[str]) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own, where linear algebra has as many threads as in the one that was killed."""
-    return subprocess.run(
-        [sys.executable, "-m", "clsim.cli", *arguments], env=ENVIRONMENT, capture_output=True, text=True, check=False
-    )
 
 
 def envelopes(out: Path) -> np.ndarray:
@@ -94,29 +83,21 @@ def test_stores_hold_the_same_envelopes(scene: Path, tmp_path: Path) -> None:
     assert truth["delay"].shape[:2] == (1, 2)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["wav", "zarr"])
-def test_a_killed_run_is_gone_on_with(kind: str, tmp_path: Path) -> None:
+def test_a_killed_run_is_gone_on_with(kind: str, tmp_path: Path, killer: Killer) -> None:
     if kind != "wav":
         pytest.importorskip("zarr")
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text(LONG, "utf-8")
     arguments = command(scene, out, kind, "--no-plots")
-    process = subprocess.Popen([sys.executable, "-m", "clsim.cli", *arguments], env=ENVIRONMENT, stderr=subprocess.PIPE)
-    journal = Journal(out / ".partial")
-    while process.poll() is None and not journal.exists():
-        time.sleep(0.01)
-    process.kill()
-    process.communicate()
-    assert 0 < journal.load()[1] < 40 * 2560
+    assert killer.run(arguments, out, event=7, of="journal.npz") == -9  # when some chunks had been noted
+    assert 0 < Journal(out / ".partial").load()[1] < 4 * 2560
     scene.write_text(LONG.replace("bandwidth = 1e3", "bandwidth = 1100.0"), "utf-8")
-    refused = run_alone([*arguments, "--resume"])
-    assert refused.returncode == 2
-    assert "scene.render.baseband.bandwidth was 1000.0 and is 1100.0" in refused.stderr
+    assert killer.run([*arguments, "--resume"], out) == 2
+    assert "scene.render.baseband.bandwidth was 1000.0 and is 1100.0" in killer.log
     scene.write_text(LONG, "utf-8")
     for more in ([*arguments, "--resume"], command(scene, tmp_path / "whole", "wav", "--no-plots")):
-        done = run_alone(more)
-        assert done.returncode == 0, done.stderr
+        assert killer.run(more, out) == 0, killer.log
     wanted = envelopes(tmp_path / "whole")
     if kind == "wav":
         np.testing.assert_array_equal(envelopes(out), wanted)

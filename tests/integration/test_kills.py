@@ -5,14 +5,11 @@ Ten kills here; `make kills` does 200.
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from killing import Killer, content
-
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 
 SCENE = """
 format = 1
@@ -90,11 +87,8 @@ class Cases:
 
 
 @pytest.fixture(scope="module")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cases]:
-    folder = tmp_path_factory.mktemp("kills")
-    killer = Killer(folder)
-    yield Cases(folder, killer)
-    killer.close()
+def cases(tmp_path_factory: pytest.TempPathFactory, killer: Killer) -> Cases:
+    return Cases(tmp_path_factory.mktemp("kills"), killer)
 
 
 @pytest.mark.parametrize("number", range(KILLS))

@@ -87,15 +87,6 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def killer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Killer]:
-    if not hasattr(os, "fork"):
-        pytest.skip("this system does not fork")
-    killer = Killer(tmp_path_factory.mktemp("killer"))
-    yield killer
-    killer.close()
-
-
 def test_a_killed_run_ends_like_one_that_was_not(killer: Killer, tmp_path: Path, device) -> None:
     """On a device; `test_kills` has more moments, and all stores."""
     scene, out = tmp_path / "scene.toml", tmp_path / "out"

@@ -1,10 +1,13 @@
-"""Structure: imports point up, heavy packages are imported late, files stay small, kernels say what they are."""
+"""Structure: imports point down, there is no cycle, heavy packages come late, files and functions stay small."""
 
 import ast
 import io
+import re
 import subprocess
 import sys
 import tokenize
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -12,6 +15,7 @@ import pytest
 import clsim
 
 PACKAGE = Path(clsim.__file__).parent
+ROOT = PACKAGE.parent
 LAYERS = [
     ("errors", "arrays", "version"),
     ("files", "numerics"),
@@ -28,29 +32,93 @@ LAYERS = [
     ("study",),
     ("commands",),
     ("cli",),
+    ("__init__",),
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
-FILES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+FILES = sorted(PACKAGE.rglob("*.py"))
+KERNELS = sorted(p for p in (ROOT / "kernels").rglob("*") if p.suffix in (".cl", ".h"))
+FILE_LINES, FUNCTION_LINES, KERNEL_LINES = 300, 40, 150
+# An import that points up, and why it must: at most five.
+UPWARD: dict[tuple[str, str], str] = {}
+# Whose kind nobody outside a package asks for: what differs by kind is the package's own.
+KINDS = {"scene/room": {"Room", "Shoebox", "MeshRoom"}, "tracks": {"Tracks", "SceneTracks", "SampledTracks"}}
+# What `type: ignore[code]  # reason` may say.
+REASONS = {
+    "no stubs",  # a package that says nothing of its types
+    "pydantic",  # what pydantic builds, mypy does not see
+    "default argument binds the loop's value",
+    "property for a field",  # a subclass computes what its base holds
+}
 
 
-def top_name(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text("utf-8"))
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_point_up(path: Path) -> None:
-    rank = RANK[top_name(path)]
-    tree = ast.parse(path.read_text("utf-8"))
-    late = {
-        id(node)
-        for function in ast.walk(tree)
-        if isinstance(function, ast.FunctionDef)
-        or (isinstance(function, ast.If) and "TYPE_CHECKING" in ast.dump(function.test))
-        for node in ast.walk(function)
-    }
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("clsim.") and id(node) not in late:
-            assert RANK[node.module.split(".")[1]] <= rank, f"{path.name} imports {node.module}"
+def place(path: Path, node: ast.AST | None = None) -> str:
+    return f"{path.relative_to(ROOT)}" + (f":{node.lineno}" if node is not None else "")
+
+
+def none(found: Iterable[str]) -> None:
+    """Fail with a line for each thing found."""
+    listed = sorted(found)
+    assert not listed, "\n".join([f"{len(listed)} found", *listed])
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_name(path): path for path in FILES}
+
+
+def rank(module: str) -> int:
+    return RANK[module.split(".")[1] if "." in module else "__init__"]
+
+
+def imported(path: Path) -> set[str]:
+    """Return the modules of clsim that a file imports anywhere: inside functions and for types alone, too."""
+    found = set()
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{place(path, node)} imports relatively"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in MODULES else str(node.module) for name in names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return {name for name in found if name in MODULES and name != module_name(path)}
+
+
+GRAPH = {name: imported(path) for name, path in MODULES.items()}
+
+
+def test_every_module_has_a_layer() -> None:
+    assert {(name.split(".")[1] if "." in name else "__init__") for name in MODULES} == set(RANK)
+
+
+def test_imports_point_down() -> None:
+    upward = {(name, other) for name, others in GRAPH.items() for other in others if rank(other) > rank(name)}
+    assert len(UPWARD) <= 5
+    none(f"{a} imports {b}" for a, b in upward - set(UPWARD))
+    assert set(UPWARD) <= upward, "what is allowed and not needed"
+
+
+def reaches(module: str) -> set[str]:
+    """Return all that a module imports, and what that imports."""
+    found, left = set(), [module]
+    while left:
+        new = GRAPH[left.pop()] - found
+        found |= new
+        left += new
+    return found
+
+
+def test_no_module_imports_itself_by_others() -> None:
+    every = {name: reaches(name) for name in GRAPH}
+    cycles = {tuple(sorted(m for m in every[name] if name in every[m])) for name in GRAPH if name in every[name]}
+    none(" <-> ".join(cycle) for cycle in cycles)
 
 
 def test_import_loads_nothing_heavy() -> None:
@@ -59,24 +127,91 @@ def test_import_loads_nothing_heavy() -> None:
     assert out.stdout.strip() == "[]"
 
 
-def code_lines(text: str) -> int:
+@cache
+def code_lines(path: Path) -> frozenset[int]:
     """Return the lines that hold code: no comments, no docstrings, nothing empty."""
+    text = path.read_text("utf-8")
     told = {
         line
-        for node in ast.walk(ast.parse(text))
+        for node in ast.walk(tree_of(path))
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
         for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
     }
     silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
     tokens = (t for t in tokenize.generate_tokens(io.StringIO(text).readline) if t.type not in silent)
-    return len({line for t in tokens for line in range(t.start[0], t.end[0] + 1)} - told)
+    return frozenset({line for t in tokens for line in range(t.start[0], t.end[0] + 1)} - told)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_files_are_small(path: Path) -> None:
-    assert code_lines(path.read_text("utf-8")) <= 300
+def kernel_code(text: str) -> int:
+    """Return how many lines of a kernel file hold code."""
+    bare = re.sub(r"/\*.*?\*/", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
+    return sum(bool(line.split("//")[0].strip()) for line in bare.splitlines())
 
 
-def test_public_names_are_documented_and_exist() -> None:
-    for name in clsim.__all__:
-        assert getattr(clsim, name).__doc__, name
+def test_lines_of_code_are_counted() -> None:
+    assert kernel_code("/* a\n b */ int x; // c\n\n// d\nint y;\n") == 2
+
+
+def test_files_are_small() -> None:
+    sizes = [(path, len(code_lines(path)), FILE_LINES) for path in FILES]
+    sizes += [(path, kernel_code(path.read_text("utf-8")), KERNEL_LINES) for path in KERNELS]
+    none(f"{place(path)} has {size} lines of code" for path, size, most in sizes if size > most)
+
+
+def test_functions_are_small() -> None:
+    long = []
+    for path in FILES:
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                size = sum(node.body[0].lineno <= line <= (node.end_lineno or 0) for line in code_lines(path))
+                long += [f"{place(path, node)} {node.name} has {size} lines of code"] if size > FUNCTION_LINES else []
+    none(long)
+
+
+def asked_kinds(tree: ast.Module) -> list[tuple[ast.AST, set[str]]]:
+    """Return where a file asks what class a value is of, and the names of those classes."""
+    asked: list[tuple[ast.AST, ast.AST]] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.MatchClass):
+            asked.append((node, node.cls))
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) == 2:
+            asked += [(node, node.args[1])] if node.func.id in ("isinstance", "issubclass") else []
+        elif isinstance(node, ast.Compare) and any(isinstance(o, ast.Is | ast.IsNot | ast.Eq) for o in node.ops):
+            asked += [(node, other) for other in node.comparators] if "type(" in ast.unparse(node.left) else []
+    return [(at, {n.id for n in ast.walk(of) if isinstance(n, ast.Name)} | {n.attr for n in ast.walk(of) if isinstance(n, ast.Attribute)}) for at, of in asked]  # fmt: skip
+
+
+def test_kinds_are_asked_for_at_home_alone() -> None:
+    none(
+        f"{place(path, node)} asks for {', '.join(sorted(names & kinds))}"
+        for path in FILES
+        for node, names in asked_kinds(tree_of(path))
+        for home, kinds in KINDS.items()
+        if names & kinds and not path.is_relative_to(PACKAGE / home)
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "seen"),
+    [
+        ("isinstance(room, Shoebox | MeshRoom)", True), ("isinstance(x, (a.Shoebox, int))", True), ("type(x) is Shoebox", True),
+        ("match x:\n    case Shoebox(): pass", True), ("isinstance(x, int)", False), ("Shoebox(3)", False),
+    ],
+)  # fmt: skip
+def test_every_way_to_ask_is_seen(text: str, seen: bool) -> None:
+    assert any(names & KINDS["scene/room"] for _, names in asked_kinds(ast.parse(text))) == seen
+
+
+def test_ignored_types_have_reasons() -> None:
+    none(
+        f"{place(path)}:{number} {line.strip()}"
+        for path in FILES
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1)
+        if "type: ignore" in line
+        and not ((said := re.search(r"# type: ignore\[[a-z-]+\]  # (.+)$", line)) and said[1] in REASONS)
+    )
+
+
+def test_heads_of_kernel_files_say_what_they_hold() -> None:
+    for path in KERNELS:
+        assert path.read_text("utf-8").lstrip().startswith(("//", "/*")), place(path)

@@ -1,0 +1,247 @@
+"""What is written is whole: public docstrings, sources of formulae, and the figures and files that pages name."""
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import re
+import textwrap
+import types
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import clsim
+import clsim.acoustics
+import clsim.numerics
+
+ROOT = Path(clsim.__file__).parents[1]
+# A unit, or that there is none.
+UNIT = re.compile(
+    r"(?<![\w^])(m|mm|s|Hz|kHz|dB|dB/m|Pa|kPa|V|V/Pa|Pa/V|rad|rad/s|m/s|m/s²|m²|m³|°|°C|K|kg|kg/m³|kg/m²|%|ppm|MiB|GiB|bytes|N s/m⁴|Pa s/m²)(?![\w/])"
+    r"|degrees|per cent|samples?\b|frames|octaves?|unit vectors?|quaternions?|rows|1\.|[0-9] to [0-9]|[Ff]rom 0|from -1|[Ww]ithout (a )?unit|ratio|share|fraction|factors?|gains?|direction"
+)
+SHAPE = re.compile(r"\([^()]*\w*[^()]*,?[^()]*\)|scalar|sequence|one per|as many|broadcast|same shape|any shape")
+NUMBERS = re.compile(r"float|array|complex|Floats")
+EQUATION = re.compile(
+    r"(?:[Ee]qs?\.|[Ee]quations?|[Ss]ections?|[Tt]ables?|[Aa]nnex|[Aa]ppendix|[Cc]hapter|[Cc]h\.|pp?\.) ?\(?[A-Z]?\d"
+    r"|\bno\. ?\d|[Aa]nnex [A-Z]|§ ?\d|algorithm \d|his appendix"
+)
+SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
+# Functions of numerics that compute by no published formula: what a name says, or what is derived beside.
+OWN = {
+    "band_edges", "bank_error", "largest_hole", "merged", "neighbours_on_sphere", "normalised", "ringing",
+    "same_hemisphere",
+}  # fmt: skip
+
+
+def sections(text: str) -> dict[str, str]:
+    """Return a numpydoc docstring's sections by their titles; the summary's is empty."""
+    lines = inspect.cleandoc(text).splitlines()
+    found, title = {"": ""}, ""
+    for i, line in enumerate(lines):
+        below = lines[i + 1] if i + 1 < len(lines) else ""
+        if line and below and set(below) == {"-"} and len(below) == len(line):
+            title = line
+            found[title] = ""
+        elif not (line and set(line) == {"-"}):
+            found[title] += line + "\n"
+    return found
+
+
+def parameters(section: str) -> dict[str, tuple[str, str]]:
+    """Return type and text by the name of each parameter that a section tells of."""
+    found: dict[str, tuple[str, str]] = {}
+    names: list[str] = []
+    for line in section.splitlines():
+        if line and not line[0].isspace():
+            head, _, kind = line.partition(" : ")
+            names = [name.strip().lstrip("*") for name in head.split(",")]
+            found |= dict.fromkeys(names, (kind, ""))
+        elif line.strip():
+            found |= {name: (found[name][0], f"{found[name][1]} {line.strip()}") for name in names}
+    return found
+
+
+def public_callables() -> Iterator[tuple[str, Any, bool]]:
+    """Yield a name, what it is, and whether it is a class, for all that clsim exports and the methods of its classes."""
+    for name in clsim.__all__:
+        value = getattr(clsim, name)
+        yield name, value, inspect.isclass(value)
+        for method, raw in _methods(value) if inspect.isclass(value) else ():
+            yield f"{name}.{method}", raw, False
+
+
+def _methods(value: type) -> Iterator[tuple[str, Any]]:
+    found = {
+        name: raw
+        for base in reversed(value.__mro__)
+        if base.__module__.startswith("clsim.")
+        for name, raw in vars(base).items()
+    }
+    for name, raw in found.items():
+        plain = raw.__func__ if isinstance(raw, classmethod | staticmethod) else raw
+        if not name.startswith("_") and (inspect.isfunction(plain) or isinstance(raw, property)):
+            yield name, raw.fget if isinstance(raw, property) else plain
+
+
+def raises(function: Callable[..., Any]) -> bool:
+    """Return whether a function's own text raises, or has what is given checked."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    checks = {"check", "checked", "as_number", "as_count", "as_floats", "as_flag", "as_choice", "InputError"}
+    called = {ast.unparse(n.func).split(".")[-1] for n in ast.walk(tree) if isinstance(n, ast.Call)}
+    return any(isinstance(n, ast.Raise) for n in ast.walk(tree)) or bool(called & checks)
+
+
+def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
+    """Yield what the docstring of one public thing lacks."""
+    told = sections(value.__doc__ or "")
+    if not told[""].strip():
+        yield f"{name}: no docstring"
+        return
+    if is_class and issubclass(value, Exception | Warning):
+        return
+    arguments = [p for p in inspect.signature(value).parameters.values() if p.name not in ("self", "cls")]
+    described = parameters(told.get("Parameters", "") + (told.get("Attributes", "") if is_class else ""))
+    for argument in arguments:
+        kind, text = described.get(argument.name, (None, ""))
+        if kind is None:
+            yield f"{name}: parameter {argument.name} is not described"
+        elif not kind and not text.strip().startswith(("As ", "See ", "Passed ", "Of ")):
+            yield f"{name}: parameter {argument.name} has no type"
+        elif (
+            NUMBERS.search(kind)
+            and not re.search(r"\bint|bool", kind)
+            and not UNIT.search(f"{argument.name} {kind} {text}")
+        ):
+            yield f"{name}: parameter {argument.name} has no unit"
+        elif re.search(r"array|Floats", kind) and not SHAPE.search(f"{kind} {text}"):
+            yield f"{name}: parameter {argument.name} has no shape"
+    if is_class:
+        checks = vars(value).get("__post_init__") or vars(value).get("__init__")
+        if (
+            isinstance(checks, types.FunctionType)
+            and checks.__code__.co_filename != "<string>"
+            and raises(checks)
+            and "Raises" not in told
+        ):
+            yield f"{name}: no Raises"
+        return
+    answer = inspect.signature(value).return_annotation
+    is_property = not arguments and "property" in inspect.getsource(value).split("def ")[0]
+    told_in_full = is_property or not arguments or str(answer) in (name.split(".")[0], "Self")  # by the first sentence
+    if answer not in (None, "None") and not told_in_full and not {"Returns", "Yields"} & set(told):
+        yield f"{name}: no Returns"
+    if raises(value) and "Raises" not in told:
+        yield f"{name}: no Raises"
+
+
+def none(found: Iterable[str]) -> None:
+    listed = sorted(found)
+    assert not listed, "\n".join([f"{len(listed)} found", *listed])
+
+
+def test_public_docstrings_are_whole() -> None:
+    everything = list(public_callables())
+    assert len(everything) > 100
+    none(line for one in everything for line in missing(*one))
+
+
+def good(x: float, names: object = ()) -> float:
+    """Do something.
+
+    Parameters
+    ----------
+    x : float
+        Length, m.
+    names : sequence of str
+        Of all.
+
+    Returns
+    -------
+    float
+        Area, m².
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if x < 0:
+        raise ValueError
+    return x * x
+
+
+@pytest.mark.parametrize(
+    ("cut", "left", "message"),
+    [
+        ("x : float\n        Length, m.\n    ", "", "parameter x is not described"), ("Length, m.", "Length.", "parameter x has no unit"),
+        (" : float\n        Length", "\n        Length", "parameter x has no type"), ("x : float", "x : ndarray", "parameter x has no shape"),
+        ("Returns\n    -------", "Notes\n    -----", "no Returns"), ("Raises\n    ------", "Notes\n    -----", "no Raises"),
+    ],
+)  # fmt: skip
+def test_what_a_docstring_lacks_is_seen(cut: str, left: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert list(missing("good", good, False)) == []
+    assert good.__doc__ is not None
+    assert good.__doc__.count(cut) == 1
+    monkeypatch.setattr(good, "__doc__", good.__doc__.replace(cut, left))
+    assert list(missing("good", good, False)) == [f"good: {message}"]
+
+
+def formulae() -> Iterator[tuple[str, str]]:
+    """Yield the names and docstrings of functions that compute by formulae, with what their modules cite."""
+    for package in (clsim.acoustics, clsim.numerics):
+        for found in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+            module = importlib.import_module(found.name)
+            for name, value in vars(module).items():
+                public = inspect.isfunction(value) and value.__module__ == module.__name__ and not name.startswith("_")
+                if public and not (package is clsim.numerics and name in OWN):
+                    yield f"{found.name}.{name}", value.__doc__ or ""
+
+
+def test_formulae_name_their_sources() -> None:
+    everything = list(formulae())
+    assert len(everything) > 20
+    found = [f"{name}: no source" for name, text in everything if not SOURCE.search(text)]
+    found += [f"{name}: no number of equation, section or table" for name, text in everything if SOURCE.search(text) and not EQUATION.search(text)]  # fmt: skip
+    none(found)
+
+
+def validation_rows() -> list[str]:
+    text = (ROOT / "docs" / "validation.md").read_text("utf-8")
+    return [line for line in text.splitlines() if line.startswith("| ")]
+
+
+def test_validation_names_files_that_there_are() -> None:
+    named = {name for row in validation_rows() for name in re.findall(r"`((?:unit|physics|parity|integration|compare)/[\w/]+\.py)`", row)}  # fmt: skip
+    assert len(named) > 30
+    none(name for name in named if not (ROOT / "tests" / name).exists())
+
+
+def loaded(name: str) -> types.ModuleType:
+    """Return a file of tests as a module."""
+    spec = importlib.util.spec_from_file_location(name.replace("/", "_"), ROOT / "tests" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("parity/test_mutants", lambda m: len(m.MUTANTS) + len(m.ELSEWHERE)),
+        ("parity/test_baseband_engines", lambda m: len(m.MUTANTS)),
+        ("parity/test_path_search", lambda m: len(m.MUTANTS)),
+        ("parity/test_silence", lambda m: len(m.MUTANTS)),
+        ("physics/proven", lambda m: len(m.MUTANTS)),
+    ],
+)
+def test_validation_counts_mutants_as_tests_do(name: str, count: Callable[[Any], int]) -> None:
+    rows = [row for row in validation_rows() if f"`{name}.py`" in row]
+    said = [int(n) for row in rows for n in re.findall(r"(\d+) (?:mutants|wrong kernels)", row)]
+    assert said == [count(loaded(name))]
