@@ -55,7 +55,7 @@ class PathBatch:
         Where the slots of each group begin; whole batches.
     path : ndarray (slots,) int64
         Row of each slot in its group.
-    filling : ndarray (slots,) bool
+    padding : ndarray (slots,) bool
         Slots that only fill up a batch: silent copies of a path.
     shortest, longest : float
         Bounds of all delays over the chunk, s.

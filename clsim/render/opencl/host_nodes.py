@@ -45,15 +45,15 @@ class HostTracks:
     def prepare(
         self,
         source: int,
-        slots: PathBatch,
+        batch: PathBatch,
         bounds: Boundaries,
         start: int,
         length: int,
-        sounding: Activity | None,
+        activity: Activity | None,
         first: int,
     ) -> tuple[int, PathBatch, Boundaries]:
         """Return what `nodes` needs; nothing is left out here."""
-        return source, slots, bounds
+        return source, batch, bounds
 
     def nodes(
         self,
@@ -64,19 +64,19 @@ class HostTracks:
         meanwhile: Callable[[], None] | None = None,
     ) -> HostNodes:
         """Make the polynomials of `blocks` blocks from a sample on; the host has no time for anything else."""
-        source, slots, bounds = state
+        source, batch, bounds = state
         plan, filters = self._plan, self._plan.source_filters[source]
         rate = plan.sampling_rate
-        whole = np.empty((blocks, slots.count), dtype=np.int32)
-        cubics = np.empty((blocks, plan.delay_terms + 4 * len(filters.basis), slots.count), dtype=np.float32)
+        whole = np.empty((blocks, batch.count), dtype=np.int32)
+        cubics = np.empty((blocks, plan.delay_terms + 4 * len(filters.basis), batch.count), dtype=np.float32)
         error = np.zeros(-(-blocks * block // plan.segment))
         shortest, longest = math.inf, -math.inf
         times = node_times(start, block, blocks, rate)
         first, last = bounds.samples_from(start)
         begins = block * np.arange(blocks)
-        for i, index in enumerate(slots.groups):
-            here = slots.of_group(i)
-            delay, change, gain = plan.tracks.evaluate(index, times, filters.basis, slots.path[here])
+        for i, index in enumerate(batch.groups):
+            here = batch.of_group(i)
+            delay, change, gain = plan.tracks.evaluate(index, times, filters.basis, batch.path[here])
             whole[:, here], made = block_polynomials(
                 delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, plan.delay_terms
             )
