@@ -156,7 +156,7 @@ def speed_of_sound_iso9613(temperature_celsius: float) -> float:
 
     Notes
     -----
-    ``343.2 sqrt(T / 293.15 K)``: [ISO]_ equation A.5; from -20 to 50 °C.
+    ``343.2 sqrt(T / 293.15 K)``: [ISO]_ annex A, equation A.5; from -20 to 50 °C.
 
     Examples
     --------
@@ -186,7 +186,8 @@ def vapour_percent_iso9613(temperature_celsius: float, relative_humidity: float,
     Notes
     -----
     ``h = h_r (p_sat / p_r) / (p_a / p_r)`` with
-    ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ equations B.1 to B.3; from -20 to 50 °C.
+    ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ annex B, equations B.1 to B.3;
+    from -20 to 50 °C.
 
     Examples
     --------

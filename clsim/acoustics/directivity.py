@@ -33,9 +33,9 @@ def piston_gain(cosine: ArrayLike, frequency: ArrayLike, radius: float, speed_of
 
     Notes
     -----
-    ``2 J1(k a sin θ) / (k a sin θ)``: P. M. Morse and K. U. Ingard, "Theoretical Acoustics", 1968, section
-    7.4. The formula holds in front of the baffle, well beyond ``a² / λ``. Behind it (negative cosine) the value at 90°
-    is kept, so that the gain has no step where a path crosses the plane of the baffle.
+    ``2 J1(k a sin θ) / (k a sin θ)``: P. M. Morse and K. U. Ingard, "Theoretical Acoustics", 1968,
+    section 7.4. The formula holds in front of the baffle, well beyond ``a² / λ``. Behind it (negative cosine) the value
+    at 90° is kept, so that the gain has no step where a path crosses the plane of the baffle.
 
     Examples
     --------
@@ -72,7 +72,7 @@ def first_order_gain(cosine: ArrayLike, weight: float) -> Floats:
 
     Notes
     -----
-    ``w + (1 - w) cos θ``: H. F. Olson, "Gradient microphones", J. Acoust. Soc. Am. 17 (3), 192-198, 1946. For plane
+    ``w + (1 - w) cos θ``: J. Eargle, "The Microphone Book", 2nd ed. 2004, chapter 5. For plane
     waves on capsules much smaller than the wavelength.
 
     Examples

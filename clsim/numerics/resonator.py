@@ -95,8 +95,8 @@ def minimum_phase(magnitude: Floats) -> Floats:
 
     Notes
     -----
-    The cepstrum is folded: A. V. Oppenheim and R. W. Schafer, "Discrete-Time Signal Processing", chapter on the
-    cepstrum and the Hilbert transform.
+    The cepstrum is folded: A. V. Oppenheim and R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed. 2010,
+    chapter 13.
 
     Examples
     --------

@@ -50,6 +50,11 @@ class Source:
     ----------
     emitted : Signal
         Sound pressure at 1 m on the axis: the signal, or what the transducer makes of it, ring-down included.
+
+    Raises
+    ------
+    InputError
+        If a value is of another kind or out of bounds.
     """
 
     name: str
@@ -115,6 +120,11 @@ class Receiver:
         Noise, filters, amplifier, converter and clock.
     flush : bool or array_like (3,)
         Whether it sits in a wall; as of a `Source`.
+
+    Raises
+    ------
+    InputError
+        If a value is of another kind or out of bounds.
     """
 
     name: str

@@ -63,7 +63,7 @@ def grid_positions(x: Any, y: Any, z: Any) -> Floats:
     Parameters
     ----------
     x, y, z : float or (first, last, count)
-        One coordinate, or evenly spaced ones from the first to the last.
+        One coordinate, m, or evenly spaced ones from the first to the last.
 
     Returns
     -------

@@ -33,7 +33,7 @@ EQUATION = re.compile(
 SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
 # Functions of numerics that compute by no published formula: what a name says, or what is derived beside.
 OWN = {
-    "band_edges", "bank_error", "largest_hole", "merged", "neighbours_on_sphere", "normalised", "ringing",
+    "band_taper", "bank_error", "largest_hole", "merged", "neighbours_on_sphere", "normalised", "ringing",
     "same_hemisphere",
 }  # fmt: skip
 

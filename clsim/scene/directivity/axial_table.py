@@ -213,7 +213,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
             20 times the logarithm of the gain. Silence has none: give a floor.
         phases_degrees : array_like (a, f), optional
             With them the gain is complex; a delay has falling phase.
-        **options
+        **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
         Returns
@@ -260,7 +260,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
             Another file of the same layout, angles and frequencies, with phases in degrees.
         scale : {"db", "linear"}
             What the first file's values are.
-        **options
+        **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
         Returns
@@ -309,7 +309,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
             Names of the arrays: angles (a,), frequencies (f,) in Hz, values (a, f), or (f, a) where that fits only.
         angle_unit : {"degree", "radian"}
             That of the angles. Radians are rounded to a ten-thousandth of a degree.
-        **options
+        **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
         Returns

@@ -50,7 +50,7 @@ class SphericalDirectivity(Directivity):
     frequencies : array_like (f,)
         Increasing, Hz. One is enough.
     values : array_like (n, f)
-        Gain of sound pressure, complex (``exp(+j 2 pi f t)``: a delay has falling phase) or real with its sign.
+        Gain of sound pressure, 1: complex (``exp(+j 2 pi f t)``: a delay has falling phase) or real with its sign.
     outside : {None, "hold"}
         What the gain is beyond the table's frequencies: refused (None), or as at the nearest one.
     relative_to_axis : bool
@@ -176,7 +176,7 @@ class SphericalDirectivity(Directivity):
             and a receiver in each direction.
         measurement : int
             Which of the file's measurements (for example notes), from 0.
-        **options
+        **options : Any
             `outside`, `relative_to_axis` and `name` of the constructor.
 
         Returns

@@ -151,7 +151,12 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(factor, shape))
 
     def check_coverage(self, frequency: ArrayLike) -> None:
-        """Check that the material covers frequencies (...) in Hz.
+        """Check that the material covers frequencies.
+
+        Parameters
+        ----------
+        frequency : array_like (...)
+            Hz.
 
         Raises
         ------

@@ -106,7 +106,7 @@ class Motion:
 
         Parameters
         ----------
-        t : array_like
+        t : array_like (...)
             Times, s.
 
         Returns
@@ -134,6 +134,11 @@ class Motion:
         begin, end : ndarray (n,)
             Times, s.
 
+        Returns
+        -------
+        ndarray (n,)
+            m/s.
+
         Examples
         --------
         >>> import numpy as np
@@ -151,7 +156,7 @@ class Motion:
 
         Parameters
         ----------
-        t : array_like
+        t : array_like (...)
             Times, s. Before the first and after the last orientation given, that one is held.
 
         Returns

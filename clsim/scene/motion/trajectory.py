@@ -38,6 +38,21 @@ class Trajectory(Motion):
 
     Its functions of time are those of `Motion`.
 
+    Parameters
+    ----------
+    curve : Curve
+        Position and velocity.
+    start, end : float
+        First and last time, s; -inf and inf for a fixed point.
+    turning : Turning, optional
+        Orientation over time; identity where left out.
+    notes : tuple of str
+        What was found, smoothed or repaired in the making, a sentence each.
+    breaks : ndarray (k,)
+        Times at which the velocity jumps, s; empty for smooth trajectories.
+    residual : ndarray (3,), optional
+        Root mean square by which smoothing moved the points along x, y and z, m.
+
     Examples
     --------
     >>> lap = Trajectory.circle(center=(4, 3, 1.5), radius=1.0, period=1.0, duration=2.0)

@@ -186,6 +186,11 @@ class Electronics:
         ----------
         sampling_rate : float
             Hz.
+
+        Raises
+        ------
+        InputError
+            If one does not.
         """
         for name in ("low_cut", "high_cut"):
             if getattr(self, name) is not None:

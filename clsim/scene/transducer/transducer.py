@@ -46,6 +46,11 @@ class Transducer:
         What gives the response.
     name : str
         What to call it.
+
+    Raises
+    ------
+    InputError
+        If the model is none, or the name no text.
     """
 
     model: Resonance | ResponseTable | ImpulseResponse

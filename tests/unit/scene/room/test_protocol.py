@@ -112,7 +112,7 @@ def test_a_room_of_ones_own_is_a_room_of_a_scene(room: Room) -> None:
     assert len(walls) == len(room.faces)
     assert sum(len(wall.triangles) for wall in walls) == len(room.as_mesh().triangles)
     assert not _is_box(room)
-    with pytest.raises(clsim.InputError, match="Shoebox or a MeshRoom"):
+    with pytest.raises(clsim.InputError, match="must be a Shoebox or MeshRoom to find paths"):
         clsim.find_paths(held, 1)
 
 
