@@ -93,7 +93,8 @@ class Compiler:
                     # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the
                     # driver: with a constant that nothing uses, the program is another one and is built anew.
                     anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
-                    built = cl.Program(self.context, text).build(options=anew, cache_dir=False)  # type: ignore[arg-type]
+                    uncached: Any = False  # as PyOpenCL takes it, but does not say in its types
+                    built = cl.Program(self.context, text).build(options=anew, cache_dir=uncached)
                     cl.Kernel(built, program)
             except cl.Error as error:
                 device = self.context.devices[0].name.strip()

@@ -41,7 +41,7 @@ def prepare() -> str:
     if _trouble(_pyopencl_folder()) or not _pyopencl_cache_opens():
         os.environ["PYOPENCL_NO_CACHE"] = "1"
         if "pyopencl" in sys.modules:
-            sys.modules["pyopencl"]._PYOPENCL_NO_CACHE = True  # type: ignore[attr-defined]
+            vars(sys.modules["pyopencl"])["_PYOPENCL_NO_CACHE"] = True
     folder = pocl_folder()
     trouble = _trouble(folder)
     if not trouble:

@@ -78,15 +78,9 @@ _IMAGES = {
 }
 _TRAJECTORY = {
     "knots": _in("double", "knot_count, KNOT_COLUMNS"),
-    "knot_count": _INT,
-    "first_knot": _DOUBLE,
-    "knot_rate": _DOUBLE,
-}
-_BRANCHES = {
-    "branches": _in("float", "rows, stride"),
-    "stride": _INT,
-    "lead": _INT,
-}
+    "knot_count": _INT, "first_knot": _DOUBLE, "knot_rate": _DOUBLE,
+}  # fmt: skip
+_BRANCHES = {"branches": _in("float", "rows, stride"), "stride": _INT, "lead": _INT}
 _BLOCKS = {
     "delay": _in("int", "blocks, slots"),
     "polynomials": _in("float", "blocks, slots, terms"),
@@ -95,10 +89,8 @@ _BLOCKS = {
     "first_block": _INT,
 }
 _PRESSURE = {
-    "pressure": _both("float", "receivers, pressure_stride"),
-    "pressure_stride": _INT,
-    "first_sample": _INT,
-}
+    "pressure": _both("float", "receivers, pressure_stride"), "pressure_stride": _INT, "first_sample": _INT,
+}  # fmt: skip
 _ENVELOPE = {
     "envelope": _both("float", "receivers, 2, envelope_stride"),
     "envelope_stride": _INT,
