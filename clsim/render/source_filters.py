@@ -285,7 +285,8 @@ def _check_received(
     raise InputError(
         f"signals[{index}]",
         f"must be received below {unmoved:.0f} Hz at a sampling rate of {rate:g} Hz, but at speeds of up to "
-        f"{speed:.4g} m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or stay below {most:.4g} m/s",
+        f"{speed:.4g} m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or stay below "
+        f"{most:.4g} m/s",
     )
 
 
