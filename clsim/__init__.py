@@ -14,6 +14,7 @@ from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
 from clsim.paths.path_set import PathSet
+from clsim.paths.path_table import PathTable
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
@@ -61,6 +62,7 @@ __all__ = [
     "MeshRoom",
     "Omni",
     "PathSet",
+    "PathTable",
     "Piston",
     "Plan",
     "Receiver",

@@ -50,9 +50,6 @@ class PathFamily(ABC):
         To which wall that happens (specular) or to which of `object_names`; filled up with -1.
     columns : tuple of str
         A kind's own fields with a row per path.
-    device : str or None
-        Program of the device (see ``render/opencl/device_nodes.py``) that knows this kind's columns; without one the
-        host makes the nodes of the same sum.
     moves : bool
         Whether paths change though both ends rest.
     object_names : tuple of str
@@ -69,7 +66,6 @@ class PathFamily(ABC):
     objects: NDArray[np.signedinteger[Any]]
 
     columns: ClassVar[tuple[str, ...]] = ()
-    device: ClassVar[str | None] = None
     moves: ClassVar[bool] = False
 
     @abstractmethod
@@ -141,6 +137,14 @@ class PathFamily(ABC):
     def medium(self) -> Medium:
         """What sound travels in."""
         return medium_of(self.scene.air)
+
+    @property
+    def device(self) -> str | None:
+        """Program that knows this kind's columns (see ``render/opencl/device_nodes.py``), or None.
+
+        Without one the host makes the nodes of the same sum.
+        """
+        return None
 
     @property
     def is_complex(self) -> bool:

@@ -8,7 +8,6 @@ import ast
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -57,11 +56,9 @@ class UniformWind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindyPaths(SpecularPaths):
-    """Images by walls along the wind; no device knows it."""
+    """Images by walls along the wind, which no device knows."""
 
     wind: float
-
-    device: ClassVar[str | None] = None
 
     @property
     def medium(self) -> Medium:
@@ -158,6 +155,7 @@ def test_engines_pages_and_identities_know_it(engine: str, tmp_path: Path) -> No
 
     scene = corridor(DRIVING, LEAVING)
     paths = clsim.find_paths(scene, 0)
+    assert paths.families[0].device is None
     heard = clsim.render(paths, RATE, duration=0.3, engine=engine).pressure[0]
     n = np.arange(round(0.1 * RATE), round(0.29 * RATE), 97)
     found = paths.families[0].arrivals(slice(None), n / RATE)

@@ -10,7 +10,7 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.family import NONE, SPECULAR, PathFamily
-from clsim.paths.propagation import solve_delay
+from clsim.paths.propagation import StillAir, solve_delay
 from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ class SpecularPaths(PathFamily):
     image_offset: Floats
 
     columns: ClassVar[tuple[str, ...]] = ("image_matrix", "image_offset")
-    device: ClassVar[str | None] = "images"
 
     def __post_init__(self) -> None:
         kinds = np.where(self.objects >= 0, np.int8(SPECULAR), np.int8(NONE))
@@ -54,6 +53,11 @@ class SpecularPaths(PathFamily):
             np.full(count, -np.inf), np.full(count, np.inf), np.empty((count, 0), dtype=np.int32),
             np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)),
         )  # fmt: skip
+
+    @property
+    def device(self) -> str | None:
+        """The program for images; none that knows a medium other than still air."""
+        return "images" if isinstance(self.medium, StillAir) else None
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:

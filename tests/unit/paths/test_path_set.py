@@ -1,5 +1,7 @@
 """Images of a shoebox and the path table, against explicit mirroring."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -117,3 +119,22 @@ def test_scene_refuses_leaving_the_room_and_coming_too_close() -> None:
         scene(clsim.Trajectory.line((1, 3, 2), (7, 3, 2), duration=0.51 / 30))
     with pytest.raises(clsim.InputError, match=r"sources\[0\].trajectory.*as long as the signal"):
         scene(clsim.Trajectory.line((1, 3, 2), (2, 3, 2), duration=0.25))
+
+
+def test_columns_of_one_kind_are_no_copies(scene: clsim.Scene) -> None:
+    paths = clsim.find_paths(scene, 2)
+    (images,) = paths.families
+    for name in ("source", "receiver", "order", "start", "end", "interactions", "objects", "walls"):
+        assert getattr(paths, name) is getattr(images, name), name
+        assert not getattr(paths, name).flags.writeable
+    assert np.array_equal(images.interactions, np.where(images.walls >= 0, 0, -1))
+
+
+def test_paths_of_another_scene_are_refused(scene: clsim.Scene) -> None:
+    paths, other = clsim.find_paths(scene, 1), clsim.Scene(scene.room, scene.air, scene.sources, scene.receivers)
+    with pytest.raises(clsim.InputError, match=r"families\[0\].*same scene"):
+        clsim.PathSet(other, paths.families)
+    with pytest.raises(clsim.InputError, match="families"):
+        clsim.PathSet(scene, ())
+    with pytest.raises(clsim.InputError, match=r"image_matrix.*one row per path"):
+        replace(paths.families[0], image_matrix=paths.families[0].image_matrix[:3])
