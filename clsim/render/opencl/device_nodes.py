@@ -71,14 +71,14 @@ class _Chunk:
     """What one source and a batch of receivers need over a chunk, on the device."""
 
     source: int
-    slots: PathBatch
+    batch: PathBatch
     start: int  # sample
     images: dict[str, Any]
     columns: dict[str, Any]
     bounds: Boundaries
     coarse_delays: Any
     trajectory: dict[str, Any]
-    sounding: dict[str, Any] | None
+    cells: dict[str, Any] | None
     first: int  # sample of the branches
 
 
@@ -119,26 +119,26 @@ class DeviceTracks:
     def prepare(
         self,
         source: int,
-        slots: PathBatch,
+        batch: PathBatch,
         bounds: Boundaries,
         start: int,
         length: int,
-        sounding: Activity | None,
+        activity: Activity | None,
         first: int,
     ) -> _Chunk:
         """Upload images and motion for one source and a batch of receivers over a stretch of samples.
 
-        Where `sounding` is given, what is silent is left out; `first` is the sample at which branch signals begin.
+        Where `activity` is given, what is silent is left out; `first` is the sample at which branch signals begin.
         """
         plan, scene = self._plan, self._tracks.scene
         around, pairs = self._surroundings[source], self._tracks.pair_paths
-        rows = np.concatenate([pairs[g].index[slots.path[slots.of_group(i)]] for i, g in enumerate(slots.groups)])
+        rows = np.concatenate([pairs[g].index[batch.path[batch.of_group(i)]] for i, g in enumerate(batch.groups)])
         walls = self._family.walls[rows]
         matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
-        reflection = np.where(slots.padding[:, None, None], 0.0, around.reflection(walls)).astype(np.float32)
-        receiver_of = np.repeat(np.arange(len(slots.groups), dtype=np.int32), np.diff(slots.first_slot))
+        reflection = np.where(batch.padding[:, None, None], 0.0, around.reflection(walls)).astype(np.float32)
+        receiver_of = np.repeat(np.arange(len(batch.groups), dtype=np.int32), np.diff(batch.first_slot))
         rate = plan.sampling_rate
-        longest, shortest = slots.longest, min(0.0, slots.shortest)  # below 0 s by a receiver's own clock
+        longest, shortest = batch.longest, min(0.0, batch.shortest)  # below 0 s by a receiver's own clock
         spare = 0.05 + plan.segment / rate  # for nodes and coarse delays beside the run
         knots, knot_first = motion_knots(
             scene.sources[source], start / rate - longest - 0.01 * abs(longest) - spare,
@@ -152,23 +152,23 @@ class DeviceTracks:
             "knots": self._upload(knots), "knot_count": len(knots), "first_knot": knot_first,
             "knot_rate": self._knot_rates[source],
         }  # fmt: skip
-        coarse = self._coarse_delays(source, slots, images | trajectory, start, -(-length // plan.segment) + 3)
+        coarse = self._coarse_delays(source, batch, images | trajectory, start, -(-length // plan.segment) + 3)
         cells = None
-        if sounding is not None:
-            cells = self._uploaded(following=sounding.following, preceding=sounding.preceding)
-            cells["cells"] = len(sounding.cells)
-        return _Chunk(source, slots, start, images, columns, bounds, coarse, trajectory, cells, first)
+        if activity is not None:
+            cells = self._uploaded(following=activity.following, preceding=activity.preceding)
+            cells["cells"] = len(activity.cells)
+        return _Chunk(source, batch, start, images, columns, bounds, coarse, trajectory, cells, first)
 
-    def _coarse_delays(self, source: int, slots: PathBatch, paths: dict[str, Any], start: int, ends: int) -> Any:
+    def _coarse_delays(self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int) -> Any:
         """Solve the delays at the ends of segments, from which those between are predicted."""
         import pyopencl as cl
 
         rate, segment = self._plan.sampling_rate, self._plan.segment
-        out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * slots.count)
+        out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * batch.count)
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
         kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source))
         kernel(
-            self._queue, work(slots.count, ends), **paths, receivers=self._receivers_at(slots, times), ends=ends,
+            self._queue, work(batch.count, ends), **paths, receivers=self._receivers_at(batch, times), ends=ends,
             start=start / rate, walk_time=segment / rate, speed_of_sound=self._tracks.scene.air.speed_of_sound,
             delays=out,
         )  # fmt: skip
@@ -180,30 +180,30 @@ class DeviceTracks:
         """Make the polynomials of `blocks` blocks from a sample on; something else can be done meanwhile."""
         import pyopencl as cl
 
-        plan, scene, slots = self._plan, self._tracks.scene, chunk.slots
+        plan, scene, batch = self._plan, self._tracks.scene, chunk.batch
         filters = plan.source_filters[chunk.source]
         rate, c = plan.sampling_rate, scene.air.speed_of_sound
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
-        delay = self._scratch.take(("delay", block), 4 * blocks * slots.count)
-        polynomials = self._scratch.take(("polynomials", block), 4 * (terms * blocks * slots.count + VECTOR))
-        found = np.empty((walks, slots.count, 4), dtype=np.float32)
-        unheld = np.empty((walks, slots.count), dtype=np.float32)
+        delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
+        polynomials = self._scratch.take(("polynomials", block), 4 * (terms * blocks * batch.count + VECTOR))
+        found = np.empty((walks, batch.count, 4), dtype=np.float32)
+        unheld = np.empty((walks, batch.count), dtype=np.float32)
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
-        receivers = self._receivers_at(slots, node_times(start, block, blocks, rate))
+        receivers = self._receivers_at(batch, node_times(start, block, blocks, rate))
         heard_from, heard_until = chunk.bounds.samples_from(start)
         around = self._surroundings[chunk.source]
         spread = filters.filter_half / rate  # by which the functions' filters are longer than what is emitted
         activity: Any = None
         cells: dict[str, Any] = {"following": None, "preceding": None, "cells": 0}
-        if chunk.sounding is not None:
-            activity, cells = self._scratch.take(("activity", block), 4 * blocks * slots.count), chunk.sounding
-            cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * slots.count)
+        if chunk.cells is not None:
+            activity, cells = self._scratch.take(("activity", block), 4 * blocks * batch.count), chunk.cells
+            cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * batch.count)
         constants = self._constants(chunk.source, block) | {"SPARSE": int(activity is not None)}
         kernel = self._compiler.kernel("tracks", constants)
         kernel(
-            self._queue, work(slots.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **cells,
-            **around.basis, **around.tables, directivity_of=around.directivity_of[slots.receiver],
+            self._queue, work(batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **cells,
+            **around.basis, **around.tables, directivity_of=around.directivity_of[batch.receiver],
             receivers=receivers, nodes=blocks + 3,
             heard_from=heard_from, heard_until=heard_until,
             coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
@@ -217,7 +217,7 @@ class DeviceTracks:
             meanwhile()
         cl.enqueue_copy(self._queue, found, found_there)
         cl.enqueue_copy(self._queue, unheld, unheld_there)
-        return _nodes_made(slots.first_slot[:-1], (delay, polynomials, activity), found, unheld)
+        return _nodes_made(batch.first_slot[:-1], (delay, polynomials, activity), found, unheld)
 
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
@@ -255,14 +255,14 @@ class DeviceTracks:
             "ANGULAR": around.angular,
         }
 
-    def _receivers_at(self, slots: PathBatch, times: Floats) -> NDArray[Any]:
+    def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:
         """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes).
 
         Where all receivers are at rest, a single node is enough.
         """
         times = times[:1] if self._still else times
-        out = np.empty((len(slots.groups), len(times)), dtype=RECEIVER_NODE)
-        for i, r in enumerate(slots.receiver):
+        out = np.empty((len(batch.groups), len(times)), dtype=RECEIVER_NODE)
+        for i, r in enumerate(batch.receiver):
             out[i] = self._at_rest[r] if r in self._at_rest else _receiver_at(self._tracks.scene.receivers[r], times)
         return out
 
