@@ -76,7 +76,7 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
     assert counts == {(0, 1.0): 1, (0, 1.125): 2, (2, 1.0): 1, (2, 1.125): 2}
     # The index is only a table: without it, and with a torn line, the store is what counts.
     (folder / "out" / "index.jsonl").write_text('{"member": 1, "status": "fai', "utf-8")
-    assert main([*arguments, "--resume"]) == 1
+    assert main([*arguments, "--resume", "--workers", "1"]) == 1
     assert {member: len(p) for member, p in runs(folder).items()} == counts | {(0, 1.125): 3, (2, 1.125): 3}
 
 

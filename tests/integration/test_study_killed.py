@@ -60,6 +60,15 @@ def workers_of(study: subprocess.Popen) -> list[int]:
     return []
 
 
+def members_of_processes(folder: Path) -> dict[int, list[int]]:
+    """Return the members that each process ran to their metrics."""
+    found: dict[int, list[int]] = {}
+    for (_, length), processes in runs(folder).items():
+        for process in processes:
+            found.setdefault(process, []).append(round((length - 1.5) / 0.001))
+    return found
+
+
 def kill_at_random(study: subprocess.Popen, store: Path, kills: int, chance: random.Random) -> int:
     """Kill workers of a study until it ends, the first as soon as there is one, others as members go by; count them."""
     killed, members = 0, 0
@@ -109,22 +118,6 @@ def test_a_member_that_kills_its_worker_fails_alone(folder: Path, monkeypatch: p
     assert err == (
         "clsim: member 0 failed: its worker died 2 times, the last 1 while it ran nothing else (out of memory?)\n"
     )
-
-
-@pytest.mark.slow
-def test_each_worker_has_a_device_of_its_own(folder: Path) -> None:
-    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], [1.25 + 0.001 * i for i in range(6)])]
-    two = ENVIRONMENT | {"POCL_DEVICES": "pthread pthread"}
-    done = subprocess.run([*arguments, "--workers", "2"], env=two, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    processes: dict[str, set[int]] = {}
-    for n, row in index(folder).items():
-        processes.setdefault(row["device"].split()[0], set()).update(runs(folder)[0, 1.25 + 0.001 * n])
-    listed = subprocess.run(
-        [sys.executable, "-m", "clsim.cli", "devices"], env=two, capture_output=True, text=True, check=True
-    )
-    assert sorted(processes) == [line.split()[0] for line in listed.stdout.splitlines() if "Portable" in line]
-    assert all(len(found) == 1 for found in processes.values())
 
 
 @pytest.mark.slow
@@ -195,20 +188,32 @@ def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_an_interrupted_study_is_one_line(folder: Path) -> None:
-    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], [1.5 + 0.001 * i for i in range(40)])]
+def test_an_interrupted_study_is_one_line_and_its_workers_had_devices_of_their_own(folder: Path) -> None:
+    lengths = [1.5 + 0.001 * i for i in range(40)]
+    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], lengths), "--workers", "2"]
+    two = ENVIRONMENT | {"POCL_DEVICES": "pthread pthread"}
     study = subprocess.Popen(
         arguments,
-        env=ENVIRONMENT,
+        env=two,
         start_new_session=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests themselves ignore it, too
     )
-    while study.poll() is None and not list((folder / "out" / "study.zarr").glob("m*")):
+    # Until each worker has finished two.
+    while study.poll() is None and [len(m) >= 2 for m in members_of_processes(folder).values()] != [True, True]:
         time.sleep(0.02)
     os.killpg(study.pid, signal.SIGINT)  # Ctrl-C goes to all processes of a terminal
     _, err = study.communicate(timeout=120)
     assert study.returncode == 130, err
     assert err == f"clsim: interrupted; what is finished is kept in {folder / 'out'}: --resume goes on with it\n"
+    devices: dict[int, set[str]] = {}
+    for process, members in members_of_processes(folder).items():
+        devices[process] = {index(folder)[n]["device"].split()[0] for n in members if n in index(folder)}
+    listed = subprocess.run(
+        [sys.executable, "-m", "clsim.cli", "devices"], env=two, capture_output=True, text=True, check=True
+    )
+    there = [line.split()[0] for line in listed.stdout.splitlines() if "Portable" in line]
+    assert sorted(d for found in devices.values() for d in found) == there
+    assert len(there) == len(devices) == 2
