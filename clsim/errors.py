@@ -1,6 +1,9 @@
-"""What clsim raises: one class for what the user gave, one for the device, one for warnings."""
+"""What clsim raises: one class for what the user gave, one for the device; and how it warns."""
 
 from __future__ import annotations
+
+import sys
+import warnings
 
 
 class ClsimError(Exception):
@@ -45,3 +48,11 @@ class DeviceError(ClsimError, RuntimeError):
 
 class ClsimWarning(UserWarning):
     """A result is right but perhaps not what was meant; the message says why."""
+
+
+def warn(message: str) -> None:
+    """Warn, as of the line outside clsim that called it."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "clsim":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, ClsimWarning, stacklevel=level)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.paths.coverage import check_band_coverage
 from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
 from clsim.paths.path_set import PathSet
@@ -187,7 +186,7 @@ def impulse_responses(
         read_only(cut_db),
     )  # fmt: skip
     if cut_db.max() > _LOUD_LEAD_DB:
-        warnings.warn(f'lead="cut": {made.describe()[1]}; lead="keep" keeps it', ClsimWarning, stacklevel=2)
+        warn(f'lead="cut": {made.describe()[1]}; lead="keep" keeps it')
     return made
 
 

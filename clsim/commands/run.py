@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.commands.arguments import add_render_option, add_scene, as_path
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.files.atomic import safe_path
 from clsim.output.stores import STORES, check_store
 from clsim.output.table import check_table, write_ground_truth, write_table
@@ -118,10 +117,8 @@ def _table_times(plan: Plan, options: argparse.Namespace) -> Floats:
     count = int(plan.duration * rate) + 1
     most = max(2, _LARGEST_TABLE // max(plan.path_count, 1))
     if count > most:
-        warnings.warn(
+        warn(
             f"--table-rate: {plan.path_count} paths at {rate:g} Hz are too much for one table; "
-            f"{most} instants are written, {most / plan.duration:.3g} a second",
-            ClsimWarning,
-            stacklevel=2,
+            f"{most} instants are written, {most / plan.duration:.3g} a second"
         )
     return np.linspace(0.0, (count - 1) / rate, min(count, most))

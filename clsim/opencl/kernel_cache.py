@@ -10,13 +10,12 @@ import struct
 import sys
 import tempfile
 import uuid
-import warnings
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clsim.errors import ClsimWarning
+from clsim.errors import warn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -52,7 +51,7 @@ def prepare() -> str:
         return f"{trouble}; no temporary folder can either: free some space, or set POCL_CACHE_DIR to one that can"
     os.environ["POCL_CACHE_DIR"] = str(private)
     message = f"{trouble}; kernels are built anew by every process (set POCL_CACHE_DIR to a folder that lasts)"
-    warnings.warn(message, ClsimWarning, stacklevel=2)
+    warn(message)
     return ""
 
 
@@ -147,7 +146,7 @@ class Trial:
                     f"a process died while it built or first ran {program}.cl: the program is built anew, and what is "
                     f"cut short in {pocl_folder()} was deleted ({_swept(pocl_folder())} files)"
                 )
-                warnings.warn(message, ClsimWarning, stacklevel=4)
+                warn(message)
 
     def _died(self) -> str:
         """Return "now" if a process is found to have died, "before" if that is known, or an empty text."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from clsim.arrays import as_number
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.scene.transducer.electronics import Electronics
 
 if TYPE_CHECKING:
@@ -151,7 +150,7 @@ def half_band(
             f"{low:.0f} and {high:.0f} Hz",
         )
     if outside_db > _LOUD_DB:
-        warnings.warn(f"baseband: {outside}, and is removed; widen it, or fade the signal", ClsimWarning, stacklevel=6)
+        warn(f"baseband: {outside}, and is removed; widen it, or fade the signal")
     return half, outside_db
 
 
@@ -194,11 +193,9 @@ def segmented(tracks: Tracks, sampling_rate: float, carrier: float, max_rate: fl
     """Return the lengths of segments and blocks, samples; warn where paths begin or end faster than envelopes can."""
     samples = tracks.transition * sampling_rate
     if samples < _RAMP and not all(group.always_heard for group in tracks.groups):
-        warnings.warn(
+        warn(
             f"transition: paths begin and end within {samples:.1f} samples of the envelopes at {sampling_rate:g} Hz, "
-            f"which aliases; {_RAMP / sampling_rate:.2g} s or more does not",
-            ClsimWarning,
-            stacklevel=5,
+            f"which aliases; {_RAMP / sampling_rate:.2g} s or more does not"
         )
     blocks = blocks_of(sampling_rate, carrier, max_rate)
     return _BLOCKS_IN_SEGMENT * blocks[0], blocks

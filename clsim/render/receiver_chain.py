@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.render.plan import SEGMENT, Plan
 from clsim.scene.signal.filtering import StreamFilter
 from clsim.scene.signal.waveforms import white_noise
@@ -82,12 +81,10 @@ class ReceiverChain:
         """Warn of samples that were clipped."""
         for i, end in self._ends.items():
             if end.clipped:
-                warnings.warn(
+                warn(
                     f"receivers[{i}].electronics: {end.clipped} of {self._plan.samples} samples of {end.name!r} were "
                     f"clipped at adc_full_scale, {end.electronics.adc_full_scale:g} {end.unit}; "
-                    "lower gain_db or raise it",
-                    ClsimWarning,
-                    stacklevel=4,
+                    "lower gain_db or raise it"
                 )
 
 

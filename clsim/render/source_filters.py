@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.paths.coverage import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_above, shares
@@ -260,7 +259,7 @@ def _band(
     unmoved = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
     _check_received(index, spectrum, widest, unmoved, tracks, rate)
     if removed_db > _LOUD_SHARE_DB:
-        _warn(
+        warn(
             f"signals[{index}]: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
             "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
         )
@@ -308,7 +307,7 @@ def _banks(
     carried = np.abs(basis.filters @ np.exp(-1j * np.outer(taps, fine))).reshape(len(basis), CELLS, 8).max(axis=2)
     banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist()), times) for row in carried)
     if banks[0].error_db > _WEAK_ERROR_DB:
-        _warn(
+        warn(
             f"signals[{index}]: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
             f'{high:.0f} Hz; sample faster or use the "bandlimited" interpolator'
         )
@@ -397,7 +396,3 @@ def _ranges(begins: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np
     """Return whole numbers from each beginning on, range after range."""
     ends = np.cumsum(lengths)
     return np.repeat(begins - ends + lengths, lengths) + np.arange(int(ends[-1]) if len(ends) else 0)
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, ClsimWarning, stacklevel=6)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,7 @@ from clsim.acoustics.air import (
     vapour_percent_iso9613,
 )
 from clsim.arrays import Floats, as_choice, as_flag, as_number
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -101,7 +100,7 @@ class Air:
             object.__setattr__(self, name, value)
         for message in (_doubt_in_speed(self, asked, vapour), _doubt_in_absorption(self)):
             if message:
-                warnings.warn(message, ClsimWarning, stacklevel=2)
+                warn(message)
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
         """Return the absorption of pure tones by ISO 9613-1, dB/m; zero in air without.
@@ -132,11 +131,9 @@ class Air:
         if not self.absorption:
             return np.zeros(f.shape)
         if np.any(f > 10.0 * self.pressure):
-            warnings.warn(
+            warn(
                 f"the absorption of air is asked for at {np.max(f):g} Hz, but ISO 9613-1 states its accuracy "
-                f"up to 10 Hz/Pa only, here {10.0 * self.pressure:g} Hz",
-                ClsimWarning,
-                stacklevel=2,
+                f"up to 10 Hz/Pa only, here {10.0 * self.pressure:g} Hz"
             )
         return absorption_iso9613(f, self.temperature_celsius, self.relative_humidity, self.pressure)
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.instants import Instants
 from clsim.scene.places import first_approach, first_refused, nearest_within
@@ -127,7 +126,7 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     )
     if inside.any():
         raise InputError(f"{field}.trajectory", f"must be where other ends can be heard, but {where}")
-    warnings.warn(f"{field}.trajectory: no source or receiver is inside the room: {where}", ClsimWarning, stacklevel=4)
+    warn(f"{field}.trajectory: no source or receiver is inside the room: {where}")
 
 
 def first_place(room: Room, item: End) -> Floats:

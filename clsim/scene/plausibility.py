@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import warnings
 from typing import TYPE_CHECKING
 
-from clsim.errors import ClsimWarning
+from clsim.errors import warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +23,7 @@ def warn_of_units(room: Room, sources: Sequence[Source]) -> None:
     doubts = [_doubt_in_size(room)]
     doubts += [_doubt_in_frequency(i, s.signal.centre_frequency) for i, s in enumerate(sources)]
     for doubt in filter(None, doubts):
-        warnings.warn(doubt, ClsimWarning, stacklevel=4)
+        warn(doubt)
 
 
 def _doubt_in_size(room: Room) -> str:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import warnings
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimWarning
+from clsim.errors import warn
 from clsim.files.atomic import safe_path
 from clsim.output.stores import consolidate, texts
 from clsim.study.member import PARTIAL, STORE, as_row, discard, in_one_line, root_attributes, row_of_group
@@ -84,7 +83,7 @@ class Index:
         row = row_of_group(group)
         if row is None or (self.rows[member.number].status == "failed" and isinstance(metrics_of(group), str)):
             message = f"member {member.number} is run again: what {group} holds is broken"
-            warnings.warn(message, ClsimWarning, stacklevel=2)
+            warn(message)
             discard(group)
             self.rows[member.number] = MemberRow(member.number, member.parameters)
         else:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import LONGEST
 
 if TYPE_CHECKING:
@@ -77,11 +76,9 @@ class Held:
             )
         asked = f", not the {asked_db:g} dB asked for" if not self.at_centre else ""
         less = f", or ask for response_error_db={math.ceil(reached)}" if not self.at_centre else ""
-        warnings.warn(
+        warn(
             f"source {self.source}: air, walls and beams are held within {reached:.0f} dB {where}{asked}: {cause}; "
-            f"{remedy}{less}",
-            ClsimWarning,
-            stacklevel=2,
+            f"{remedy}{less}"
         )
         return reached
 

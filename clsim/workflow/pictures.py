@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.errors import ClsimWarning
+from clsim.errors import warn
 from clsim.output.envelope_plot import envelope_spectrogram
 from clsim.output.plots import echogram_picture, history_picture, spectrogram_picture
 from clsim.workflow.console import progress
@@ -66,7 +65,7 @@ def draw_pictures(
                     _draw(kind, planned, times, store.row(results.folder, r), r, results.work / wanted)
                 except Exception as error:  # of whatever draws: the sound is there
                     problem = " ".join(str(error).split())[:300] or type(error).__name__
-                    warnings.warn(f"{wanted} could not be drawn: {problem}", ClsimWarning, stacklevel=2)
+                    warn(f"{wanted} could not be drawn: {problem}")
             advance(1)
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
@@ -122,7 +121,7 @@ def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathS
         raise InputError("paths.max_order", "must be smaller: there is not enough memory for so many paths") from error
     for i in np.setdiff1d(np.arange(len(file.scene.receivers)), paths.receiver):
         name = file.scene.receivers[i].name
-        warnings.warn(f"receivers[{i}]: no path reaches {name!r}; it will hear nothing", ClsimWarning, stacklevel=2)
+        warn(f"receivers[{i}]: no path reaches {name!r}; it will hear nothing")
     return paths
 
 

@@ -10,11 +10,10 @@ import json
 import os
 import re
 import shutil
-import warnings
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.files.atomic import is_temporary, locked, remove_leftovers, safe_path, temporary_path, to_disk
 from clsim.files.ownership import check_folder, refuse_inputs
 from clsim.output.record import RECORD, Fingerprint, Record, fingerprint, load_record, save_record
@@ -170,9 +169,7 @@ class ResultFolder:
         while os.path.lexists(kept):
             kept, number = target.with_name(f"{name}.changed-{number}"), number + 1
         target.rename(kept)
-        warnings.warn(
-            f"{target} was changed since it was written: it is kept as {kept.name}", ClsimWarning, stacklevel=2
-        )
+        warn(f"{target} was changed since it was written: it is kept as {kept.name}")
 
     def _still_replaced(self, finished: bool) -> tuple[tuple[str, Fingerprint], ...]:
         """Take earlier results out of the folder that this run does not make; return those that it will yet make."""

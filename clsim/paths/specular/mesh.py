@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import as_count, read_only
-from clsim.errors import ClsimWarning, DeviceError, InputError
+from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
@@ -151,11 +150,7 @@ class MeshSearch:
             return False
         else:
             reason = "rays are shot, as asked"
-        warnings.warn(
-            f"{reason}: paths by small walls can be missed; lower max_order for a search that misses none",
-            ClsimWarning,
-            stacklevel=4,
-        )
+        warn(f"{reason}: paths by small walls can be missed; lower max_order for a search that misses none")
         return True
 
     def _heard(self, query: VisibilityQuery, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
@@ -245,7 +240,7 @@ def _searcher(query: VisibilityQuery, engine: str, device: str | None) -> Search
             if device is not None:
                 raise
             reason = "there is no OpenCL device"
-        warnings.warn(f"{reason}: paths are validated by NumPy, which is slow", ClsimWarning, stacklevel=5)
+        warn(f"{reason}: paths are validated by NumPy, which is slow")
     return partial(find_intervals, query)
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimError, ClsimWarning, DeviceError
+from clsim.errors import ClsimError, DeviceError, warn
 from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, upload, work
@@ -118,14 +117,14 @@ class OpenclEngine:
         for i, filters in enumerate(self._plan.source_filters):
             reached = 20.0 * math.log10(max(float(self._unheld[i]), 1e-15))
             if reached > filters.basis.asked_db + 1.0 > -math.inf:
-                _warn(
+                warn(
                     f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
                     f"{filters.basis.asked_db:g} dB asked for; ask for a smaller response_error_db"
                 )
             wrong, time = self._coarse[i]
             wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
             if wrong_db > self._plan.motion_error_db + 6.0:  # that of the delay filters
-                _warn(
+                warn(
                     f"source {i}: at about {time:.3f} s ends are so near and fast, or turn so sharply, that even the "
                     f"shortest blocks are wrong by {wrong_db:.0f} dB of what is heard; sample faster, or keep off"
                 )
@@ -360,10 +359,6 @@ class Run:
             self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._functions,
             polynomials=nodes.polynomials, slots=self._batch.count,
         )  # fmt: skip
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, ClsimWarning, stacklevel=4)
 
 
 def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimWarning
+from clsim.errors import warn
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,10 +61,8 @@ def within_half_turn(angles: Floats, values: NDArray[Any], unit: str) -> tuple[F
         apart = float(np.abs(values[pairs[:, 0]] - values[~kept][pairs[:, 1]]).max())
         most = float(np.abs(values).max()) or 1.0
         difference = f" within {apart:.3g} dB" if unit else f" within {apart / most:.2g} of the largest value"
-    warnings.warn(
+    warn(
         f"angles_degrees: go from {angles[0]:.6g}° to {angles[-1]:.6g}°; what lies beyond 0° and 180° is left out, for "
-        f"the angles on the other side are there{difference and ', and the same'}{difference}",
-        ClsimWarning,
-        stacklevel=4,
+        f"the angles on the other side are there{difference and ', and the same'}{difference}"
     )
     return np.clip(angles[kept], 0.0, 180.0), values[kept]

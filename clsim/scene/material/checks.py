@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import cmath
 import math
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import Floats, as_floats, as_number, read_only
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -69,11 +68,9 @@ def check_clear_phase(frequencies: Floats, factors: NDArray[Any]) -> None:
     turn[np.minimum(magnitude[1:], magnitude[:-1]) < _FAINT * magnitude.max()] = 0.0  # through zero any turn is fair
     for i in np.flatnonzero(turn > _UNCLEAR)[:1]:
         f = frequencies
-        warnings.warn(
+        warn(
             f"factors: the phase turns by {turn[i]:.2f} rad from {f[i]:g} to {f[i + 1]:g} Hz, one way or the other; "
-            "give frequencies closer together, or take away the delay",
-            ClsimWarning,
-            stacklevel=3,
+            "give frequencies closer together, or take away the delay"
         )
 
 
@@ -107,9 +104,7 @@ def warn_of_noise(samples: Floats, name: str) -> None:
     error = rms * math.sqrt(len(samples))
     if error > _NOISE:
         called = f" of {name!r}" if name else ""
-        warnings.warn(
+        warn(
             f"samples: the last tenth of the impulse response{called} still holds {rms:.2g} rms, which over "
-            f"{len(samples)} samples makes factors uncertain by some {error:.2g}; cut it or fade it out",
-            ClsimWarning,
-            stacklevel=3,
+            f"{len(samples)} samples makes factors uncertain by some {error:.2g}; cut it or fade it out"
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from clsim.acoustics.reflection import coherent_share
 from clsim.arrays import Floats, as_number
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -225,7 +224,7 @@ class ReflectingSurface:
                 f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it",
             )
         text = f"the material {self._called} covers {low:.6g} to {high:.6g} Hz; {self.model.beyond}"
-        warnings.warn(text, ClsimWarning, stacklevel=3)
+        warn(text)
 
     @property
     def _called(self) -> str:

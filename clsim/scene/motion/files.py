@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from decimal import Decimal, DecimalException
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import FARTHEST
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.scene.motion.checks import LONGEST
 
@@ -334,12 +333,10 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
         )
     made_up = float(steps[wide].sum())
     if made_up > _LONGEST_INVENTED:
-        warnings.warn(
+        warn(
             f'{poses.file}: repair=("gaps",) makes up {made_up:.4g} s of motion, the most of it '
             f"{steps.max():.4g} s before line {poses.lines[int(np.argmax(steps)) + 1]}; "
-            "leave that part out, or measure it again",
-            ClsimWarning,
-            stacklevel=2,
+            "leave that part out, or measure it again"
         )
     gaps = "1 gap" if len(wide) == 1 else f"{len(wide)} gaps"
     note = (

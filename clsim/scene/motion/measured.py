@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from clsim.arrays import Floats, as_number, read_only
-from clsim.errors import ClsimWarning, InputError
+from clsim.errors import InputError, warn
 from clsim.numerics.quaternions import rotate
 from clsim.scene.motion.curves import Piecewise, spline_through
 from clsim.scene.motion.smoothing import smooth_by_cross_validation, smooth_by_residual
@@ -96,7 +95,7 @@ def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: 
             f"Not smoothed: noise of the positions makes the speed noisy, by {1e3 * speed:.2g} mm/s rms "
             f"along the noisiest axis, which is about {doppler:.2g} Hz of Doppler noise at 40 kHz."
         )
-        warnings.warn(f"trajectory: {note}", ClsimWarning, stacklevel=3)
+        warn(f"trajectory: {note}")
         return Fit(spline_through(times, place(positions), "not-a-knot"), None, (note,))
     try:
         if smooth is True:
@@ -151,9 +150,7 @@ def _warn_if_rough(curve: Piecewise, times: Floats) -> None:
     acceleration = np.linalg.norm(curve.polynomial(times, nu=2), axis=1)
     i = int(np.argmax(acceleration))
     if acceleration[i] > _ROUGH:
-        warnings.warn(
+        warn(
             f"trajectory: accelerates by {acceleration[i]:.3g} m/s² at {times[i]:.6g} s, more than "
-            f"{_ROUGH:g}: the noise may not be white (dropouts, filters); smooth=<metres> smooths more",
-            ClsimWarning,
-            stacklevel=4,
+            f"{_ROUGH:g}: the noise may not be white (dropouts, filters); smooth=<metres> smooths more"
         )
