@@ -44,7 +44,7 @@ class Material(ReflectingSurface):
 
     Parameters
     ----------
-    model : ConstantFactor, AbsorptionTable, FactorTable, ImpedanceTable, MeasuredEcho, SolidWall or PorousLayer
+    model : SurfaceModel
         What gives the reflection factor.
     name : str
         What to call it.

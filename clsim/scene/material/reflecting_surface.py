@@ -5,23 +5,68 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
 from clsim.acoustics.reflection import coherent_share
 from clsim.arrays import Floats, as_number
 from clsim.errors import ClsimWarning, InputError
-from clsim.scene.material.physical import PorousLayer, SolidWall
-from clsim.scene.material.tabulated import AbsorptionTable, ConstantFactor, FactorTable, ImpedanceTable, MeasuredEcho
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-Model = ConstantFactor | AbsorptionTable | FactorTable | ImpedanceTable | MeasuredEcho | SolidWall | PorousLayer
-
 _FREQUENCIES = 1e-6, 1e9  # Hz, between which no formula overflows
 _ROUNDING = 1e-9  # by which a cosine may exceed 1, and a frequency the ends of a table
+
+
+@runtime_checkable
+class SurfaceModel(Protocol):
+    """What gives a reflection factor; a model of one's own is a frozen class with all of this."""
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether factors have a phase."""
+        ...
+
+    @property
+    def depends_on_angle(self) -> bool:
+        """Whether factors depend on the angle of incidence."""
+        ...
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies (low, high) in Hz that are covered; ``(0, inf)`` if all."""
+        ...
+
+    @property
+    def beyond(self) -> str:
+        """What is said of frequencies outside the band, where the nearest end is taken; empty if they are refused."""
+        ...
+
+    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return factors.
+
+        Parameters
+        ----------
+        frequency : ndarray (...)
+            Hz, within the band.
+        cosine : ndarray (...)
+            Of the angle of incidence; broadcasts against `frequency`.
+        speed_of_sound : float
+            In the air, m/s.
+
+        Returns
+        -------
+        ndarray
+            Float64, or complex128 if `is_complex`: of the shape to which the arguments broadcast, or, where
+            nothing depends on the angle, of that of `frequency`.
+        """
+        ...
+
+    def describe(self) -> str:
+        """Return what it is, in a few words."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +75,7 @@ class ReflectingSurface:
 
     Parameters
     ----------
-    model : ConstantFactor, AbsorptionTable, FactorTable, ImpedanceTable, MeasuredEcho, SolidWall or PorousLayer
+    model : SurfaceModel
         What gives the reflection factor.
     name : str
         What to call it.
@@ -38,13 +83,13 @@ class ReflectingSurface:
         Root mean square of the wall's heights, m: see `rough`.
     """
 
-    model: Model
+    model: SurfaceModel
     name: str = ""
     roughness: float = 0.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.model, Model):
-            raise InputError("model", f"must be made by a constructor of Material, but is {self.model!r:.80}")
+        if not isinstance(self.model, SurfaceModel):
+            raise InputError("model", f"must have what a SurfaceModel has, but is {self.model!r:.80}")
         if not isinstance(self.name, str):
             raise InputError("name", f"must be a text, but is {self.name!r:.80}")
         rms = as_number("roughness", self.roughness, at_least=0.0, at_most=0.1, unit="m")

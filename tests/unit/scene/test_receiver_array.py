@@ -7,9 +7,8 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.commands import outputs
-from clsim.commands import run as run_command
 from clsim.scene_file import load_scene
+from clsim.workflow import outputs, pictures
 
 SCENE = """
 format = 1
@@ -121,7 +120,7 @@ def test_a_run_tells_the_truth_about_all_and_draws_some(
     scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert outputs.MOST_DRAWN == 16
-    for module in (outputs, run_command):
+    for module in (outputs, pictures):
         monkeypatch.setattr(module, "MOST_DRAWN", 2)  # each takes half a second
     out = tmp_path / "out"
     assert main(["run", str(scene), "-o", str(out)]) == 0

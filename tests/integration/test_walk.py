@@ -1,0 +1,75 @@
+"""The way through the files of the package from a call to the first kernel: short, and never back."""
+
+import traceback
+from itertools import groupby
+from pathlib import Path
+
+import pytest
+
+import clsim
+from clsim.cli import main
+from clsim.opencl.launch import Launch
+
+PACKAGE = Path(clsim.__file__).parent
+SCENE = """
+format = 1
+room = { kind = "shoebox", size = [4.0, 3.0, 2.5], walls = { reflection = 0.9 } }
+[[sources]]
+name = "robot"
+signal = { kind = "tone", frequency = 40e3, duration = 0.01, sampling_rate = 192e3, fade = 1e-3 }
+trajectory = { kind = "line", start = [1, 1, 1], end = [1.1, 1, 1], duration = 0.1 }
+[[receivers]]
+name = "ceiling"
+trajectory = { kind = "fixed", position = [2, 2, 2] }
+[paths]
+max_order = 1
+[render]
+sampling_rate = 192e3
+"""
+
+
+class Launched(BaseException):
+    """What is raised in place of the first launch."""
+
+
+@pytest.fixture(autouse=True)
+def stop_at_the_first_kernel(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise Launched
+
+    monkeypatch.setattr(Launch, "__call__", stop)
+
+
+def passed(caught: BaseException) -> list[str]:
+    """Return the files of the package on the stack, in the order in which they were entered."""
+    frames = traceback.extract_tb(caught.__traceback__)
+    files = [Path(frame.filename) for frame in frames]
+    inside = [str(file.relative_to(PACKAGE)) for file in files if file.is_relative_to(PACKAGE)]
+    return [file for file, _ in groupby(inside)] + ["opencl/launch.py"]
+
+
+def check(walk: list[str]) -> None:
+    assert len(walk) < 12, walk
+    assert len(set(walk)) == len(walk), walk
+    document = (PACKAGE.parent / "docs" / "architecture.md").read_text("utf-8")
+    places = [document.find(f"`{file}`") for file in walk]
+    assert min(places) > 0, f"docs/architecture.md does not name {walk[places.index(min(places))]}"
+
+
+def test_from_render(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
+    file = clsim.load_scene(tmp_path / "scene.toml")
+    with pytest.raises(Launched) as caught:
+        clsim.render(clsim.find_paths(file.scene, 1), 192e3)
+    walk = passed(caught.value)
+    assert walk[:2] == ["render/options.py", "render/render.py"]
+    check(walk)
+
+
+def test_from_the_command_line(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
+    with pytest.raises(Launched) as caught:
+        main(["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), "--no-plots"])
+    walk = passed(caught.value)
+    assert walk[:2] == ["cli.py", "commands/run.py"]
+    check(walk)
