@@ -47,7 +47,8 @@ def plan(order: int = 2, signal: clsim.Signal | None = None, **options) -> Plan:
     if options.pop("partly", False):
         k = np.arange(len(paths))
         start, end = np.where(k % 3 == 1, 0.04 + 7.3e-3 * k, -np.inf), np.where(k % 3 == 2, 0.06 + 8.7e-3 * k, np.inf)
-        paths = dataclasses.replace(paths, start=start, end=end)
+        images = dataclasses.replace(paths.families[0], start=start, end=end)
+        paths = dataclasses.replace(paths, families=(images,))
     return plan_render(
         paths, RATE, **{"duration": SAMPLES / 6e3, "response_error_db": -110.0, "baseband": BAND} | options
     )

@@ -127,7 +127,8 @@ def test_what_is_at_rest() -> None:
         assert bool(plan_render(paths, RATE).static_pairs.groups) == resting, name
     scene = still()
     paths = clsim.find_paths(scene, 1)
-    half = replace(paths, end=np.where(np.arange(len(paths)) == 3, 0.02, np.inf))  # one path ends
+    images = replace(paths.families[0], end=np.where(np.arange(len(paths)) == 3, 0.02, np.inf))  # one path ends
+    half = replace(paths, families=(images,))
     assert not plan_render(half, RATE).static_pairs.groups
     for options in (
         {"convolve_static": False}, {"engine": "reference"}, {"interpolator": clsim.Lagrange(12)},

@@ -207,7 +207,8 @@ def test_what_is_not_known_and_not_heard_is_refused() -> None:
         clsim.impulse_responses(clsim.find_paths(scene, 1), RATE)
     scene = fixed()
     paths = clsim.find_paths(scene, 1)
-    later = replace(paths, start=np.full(len(paths), 0.5), end=np.full(len(paths), np.inf))
+    images = replace(paths.families[0], start=np.full(len(paths), 0.5), end=np.full(len(paths), np.inf))
+    later = replace(paths, families=(images,))
     with pytest.raises(clsim.InputError, match=r"^paths: must hold paths that are heard at 0\.2 s, but hold none"):
         clsim.impulse_responses(later, RATE, at=0.2)
     assert np.any(clsim.impulse_responses(later, RATE, at=0.5).samples)

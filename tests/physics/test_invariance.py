@@ -196,10 +196,10 @@ def test_company_changes_nothing(engine: str, rng) -> None:
         tones_alone = all(isinstance(source.signal.waveform, Tone) for source in some)
         return checked(made, list(range(len(listening))) if tones_alone else [])
 
-    together = render(receivers)
+    together = render(sources, receivers)
     assert together.shape[0] == 3
     for row, receiver in zip(together, receivers, strict=True):
-        alone = sum(render([receiver])[0] for source in sources)
+        alone = sum(render([source], [receiver])[0] for source in sources)
         # Filters are designed for the fastest receiver of the scene: within twice their -90 dB.
         assert difference_db(row, alone) < -84.0
 

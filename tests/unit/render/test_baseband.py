@@ -85,7 +85,8 @@ def test_transitions_shorter_than_samples_are_told() -> None:
     import dataclasses
 
     paths = clsim.find_paths(one, 1)
-    paths = dataclasses.replace(paths, end=np.full(len(paths), 0.03))
+    images = dataclasses.replace(paths.families[0], end=np.full(len(paths), 0.03))
+    paths = dataclasses.replace(paths, families=(images,))
     with pytest.warns(clsim.ClsimWarning, match="transition: paths begin and end within 2.6 samples"):
         clsim.plan_render(paths, RATE, baseband=(40e3, 1e3))
 
