@@ -119,8 +119,11 @@ class SceneResponse:
 
 def is_complex(scene: Scene) -> bool:
     """Return whether any wall or directivity of a scene has a phase."""
-    beams = [*(source.directivity for source in scene.sources), *(receiver.directivity for receiver in scene.receivers)]
-    return any(m.is_complex for m in scene.room.faces.materials) or any(beam.is_complex for beam in beams)
+    directivities = [
+        *(source.directivity for source in scene.sources),
+        *(receiver.directivity for receiver in scene.receivers),
+    ]
+    return any(m.is_complex for m in scene.room.faces.materials) or any(d.is_complex for d in directivities)
 
 
 def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]]) -> Floats:

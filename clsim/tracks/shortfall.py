@@ -77,32 +77,32 @@ class Held:
         asked = f", not the {asked_db:g} dB asked for" if not self.at_centre else ""
         less = f", or ask for response_error_db={math.ceil(reached)}" if not self.at_centre else ""
         warn(
-            f"source {self.source}: air, walls and beams are held within {reached:.0f} dB {where}{asked}: {cause}; "
-            f"{remedy}{less}"
+            f"source {self.source}: air, walls and directivities are held within {reached:.0f} dB {where}{asked}: "
+            f"{cause}; {remedy}{less}"
         )
         return reached
 
     def _cause(self, reached: float, filters: BandFilters | None) -> tuple[str, str]:
         """Return what keeps the error from being smaller, and what to do about it."""
         smooth = (
-            "smooth what walls and beams do over frequency (thin the rows of a table, shorten impulse responses), or "
-            "narrow the signal's band (fade it)"
+            "smooth what walls and directivities do over frequency (thin the rows of a table, shorten impulse responses), "
+            "or narrow the signal's band (fade it)"
         )
         if reached == self.resolved_db:
             longest = 1e3 * 2.0 * self.looked_at / (math.pi * (self.high - self.low))
             return (
-                f"{self.looked_at} frequencies do not resolve what walls and beams do (impulse responses longer than "
-                f"{longest:.3g} ms)"
+                f"{self.looked_at} frequencies do not resolve what walls and directivities do (impulse responses longer "
+                f"than {longest:.3g} ms)"
             ), smooth
         if filters is None or reached == self.functions_db:
-            return f"walls and beams ask for more than {self.functions} functions of frequency", smooth
+            return f"walls and directivities ask for more than {self.functions} functions of frequency", smooth
         if filters.worst <= _NEAR_ZERO * self.sampling_rate / LONGEST:
             return (
-                f"walls or beams have a phase at {filters.worst:.0f} Hz, so near to 0 Hz that no filter of up to "
-                f"{LONGEST} taps has it, and the signal sounds there, as one does that begins or ends abruptly"
+                f"walls or directivities have a phase at {filters.worst:.0f} Hz, so near to 0 Hz that no filter of up "
+                f"to {LONGEST} taps has it, and the signal sounds there, as one does that begins or ends abruptly"
             ), "fade the signal or narrow its band"
         longest = 1e3 * LONGEST / self.sampling_rate
         return (
-            f"no filter of up to {LONGEST} taps ({longest:.0f} ms) does what walls and beams do at "
+            f"no filter of up to {LONGEST} taps ({longest:.0f} ms) does what walls and directivities do at "
             f"{filters.worst:.0f} Hz"
         ), smooth

@@ -122,7 +122,7 @@ def test_responses_that_nothing_holds_are_told() -> None:
     engine.warn()  # says nothing: warnings are errors
     engine.note(0, 1e-3)
     with pytest.warns(
-        clsim.ClsimWarning, match=r"source 0: air, walls and beams were held within -60.0 dB, not the -90 dB"
+        clsim.ClsimWarning, match=r"source 0: air, walls and directivities were held within -60.0 dB, not the -90 dB"
     ):
         engine.warn()
 

@@ -42,7 +42,7 @@ def free_field(signal: clsim.Signal, way: clsim.Trajectory, **receiver) -> clsim
 
 
 def room_scene(phased: bool, **receiver) -> clsim.Scene:
-    """Return a room with walls and beams by frequency, both ends moving; with phases, and walls by angle."""
+    """Return a room with walls and directivities by frequency, both ends moving; with phases, and walls by angle."""
     wall = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
     walls = [wall, *(clsim.Material.from_reflection(f) for f in (-0.8, 0.7, 0.9, 0.6, 0.8))]
     if phased:

@@ -1,4 +1,4 @@
-"""Walls and beams with phases, angles and no symmetry, against sums over the spectrum and against mirrored geometry."""
+"""Walls and directivities with phases, angles and no symmetry, against sums over the spectrum and against mirrored geometry."""
 
 import numpy as np
 import pytest

@@ -22,8 +22,8 @@ from clsim.render.opencl.lookup_tables import (
     OMNI,
     SIDE,
     SPHERICAL,
-    beam_kind,
-    beam_table,
+    directivity_kind,
+    directivity_table,
     wall_table,
 )
 from clsim.render.plan import Plan, node_times
@@ -106,12 +106,12 @@ class DeviceTracks:
             _Surroundings(scene, i, filters.basis, self._upload) for i, filters in enumerate(plan.source_filters)
         ]
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
-        self._at_rest = {
+        self._static = {
             i: _receiver_at(r, np.zeros(1))
             for i, r in enumerate(scene.receivers)
             if math.isinf(r.trajectory.end) and r.electronics is None
         }
-        self._still = len(self._at_rest) == len(scene.receivers)
+        self._all_static = len(self._static) == len(scene.receivers)
         for i, around in enumerate(self._surroundings):
             mine = [pair for pair in tracks.pair_paths if pair.family is family and pair.source == i]
             around.most_bounces(family.walls[pair.rows] for pair in mine)
@@ -224,7 +224,7 @@ class DeviceTracks:
         return {
             "KNOT_COLUMNS": CUBIC_COLUMNS * (3 if sideways else 2),
             "RETARDED": int(self._tracks.motion == "retarded"),
-            "STATIC_RECEIVERS": int(self._still),
+            "STATIC_RECEIVERS": int(self._all_static),
         }
 
     def _constants(self, source: int, block: int) -> dict[str, Any]:
@@ -260,10 +260,10 @@ class DeviceTracks:
 
         Where all receivers are at rest, a single node is enough.
         """
-        times = times[:1] if self._still else times
+        times = times[:1] if self._all_static else times
         out = np.empty((len(batch.groups), len(times)), dtype=RECEIVER_NODE)
         for i, r in enumerate(batch.receiver):
-            out[i] = self._at_rest[r] if r in self._at_rest else _receiver_at(self._tracks.scene.receivers[r], times)
+            out[i] = self._static[r] if r in self._static else _receiver_at(self._tracks.scene.receivers[r], times)
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:
@@ -303,7 +303,7 @@ NODE_PROGRAMS = {"images": DeviceTracks}  # what makes the nodes of kinds of pat
 
 
 class _Surroundings:
-    """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``response.h``."""
+    """Air, walls and directivities at the nodes of one source's basis, as the device takes them; see ``response.h``."""
 
     def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
         c = scene.air.speed_of_sound
@@ -315,13 +315,16 @@ class _Surroundings:
             "functions": basis.functions, "weight": basis.weight, "strengths": np.pad(basis.strengths, (0, padding)),
         }  # fmt: skip
         self.basis = {name: put(column.astype(np.float32)) for name, column in columns.items()}
-        beams = [r.directivity for r in scene.receivers]
-        self.source_kind, self.receiver_kind = beam_kind([scene.sources[source].directivity]), beam_kind(beams)
-        source_beam = beam_table(scene.sources[source].directivity, self.source_kind, basis.nodes, c, self.parts)
-        kinds = list(dict.fromkeys(beams))
-        tables = [beam_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
+        directivities = [r.directivity for r in scene.receivers]
+        self.source_kind, self.receiver_kind = (
+            directivity_kind([scene.sources[source].directivity]),
+            directivity_kind(directivities),
+        )
+        source_beam = directivity_table(scene.sources[source].directivity, self.source_kind, basis.nodes, c, self.parts)
+        kinds = list(dict.fromkeys(directivities))
+        tables = [directivity_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
         bands = len(tables[0]) // min(self.count, VECTOR)
-        self.directivity_of = np.array([kinds.index(b) * bands for b in beams], dtype=np.int32)
+        self.directivity_of = np.array([kinds.index(b) * bands for b in directivities], dtype=np.int32)
         materials, angular = scene.room.faces.materials, self._responses.angular
         different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
         kind = {key: i for i, key in enumerate(different)}

@@ -118,7 +118,7 @@ class OpenclEngine:
             reached = 20.0 * math.log10(max(float(self._unheld[i]), 1e-15))
             if reached > filters.basis.asked_db + 1.0 > -math.inf:
                 warn(
-                    f"source {i}: air, walls and beams were held within {reached:.1f} dB, not the "
+                    f"source {i}: air, walls and directivities were held within {reached:.1f} dB, not the "
                     f"{filters.basis.asked_db:g} dB asked for; ask for a smaller response_error_db"
                 )
             wrong, time = self._coarse[i]

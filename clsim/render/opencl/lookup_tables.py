@@ -1,4 +1,4 @@
-"""Walls and beams as tables that a device looks up: cubics over an angle, B-splines over a sphere."""
+"""Walls and directivities as tables that a device looks up: cubics over an angle, B-splines over a sphere."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _MARGIN = 14  # points beyond an edge that the spline is made of, where 0.27 ** 
 OMNI, AXIAL, SPHERICAL = range(3)  # kinds of tables of directivities: none, by angle to an axis, by direction
 
 
-def beam_kind(directivities: Sequence[Directivity]) -> int:
+def directivity_kind(directivities: Sequence[Directivity]) -> int:
     """Return the kind of table that holds all of some directivities."""
     if not all(isinstance(d, AxisymmetricDirectivity) for d in directivities):
         return SPHERICAL
     return OMNI if all(isinstance(d, Omni) for d in directivities) else AXIAL
 
 
-def beam_table(
+def directivity_table(
     directivity: Directivity, kind: int, frequencies: Floats, speed_of_sound: float, parts: int
 ) -> NDArray[np.float32]:
     """Return the table of a directivity, flat; see ``response.h`` for its layout.
