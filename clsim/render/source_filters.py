@@ -182,7 +182,8 @@ class SourceFilters:
         rows, most = int(self.rows[-1]), len(self.bank.taps)
         return (
             f"{len(basis)} functions of frequency, taken at {len(basis.nodes)} frequencies, carry air, walls and "
-            f"directivities within {basis.error_db:.1f} dB ({rows} branch signals, {rows / most:.1f} times the work of one function)"
+            f"directivities within {basis.error_db:.1f} dB ({rows} branch signals, {rows / most:.1f} times the work of "
+            "one function)"
         )
 
 

@@ -85,14 +85,14 @@ class Held:
     def _cause(self, reached: float, filters: BandFilters | None) -> tuple[str, str]:
         """Return what keeps the error from being smaller, and what to do about it."""
         smooth = (
-            "smooth what walls and directivities do over frequency (thin the rows of a table, shorten impulse responses), "
-            "or narrow the signal's band (fade it)"
+            "smooth what walls and directivities do over frequency (thin the rows of a table, shorten impulse "
+            "responses), or narrow the signal's band (fade it)"
         )
         if reached == self.resolved_db:
             longest = 1e3 * 2.0 * self.looked_at / (math.pi * (self.high - self.low))
             return (
-                f"{self.looked_at} frequencies do not resolve what walls and directivities do (impulse responses longer "
-                f"than {longest:.3g} ms)"
+                f"{self.looked_at} frequencies do not resolve what walls and directivities do (impulse "
+                f"responses longer than {longest:.3g} ms)"
             ), smooth
         if filters is None or reached == self.functions_db:
             return f"walls and directivities ask for more than {self.functions} functions of frequency", smooth
