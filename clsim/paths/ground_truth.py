@@ -26,11 +26,13 @@ class DirectPath:
     ----------
     times : ndarray (T,)
         Times of reception, s.
-    delay, doppler_factor : ndarray
-        As in `PathTable`, but also where a wall is in the way.
-    line_of_sight : ndarray of bool
+    delay : ndarray (sources, receivers, T)
+        From emission to reception, s, also where a wall is in the way.
+    doppler_factor : ndarray (sources, receivers, T)
+        Received over emitted frequency, also where a wall is in the way.
+    line_of_sight : ndarray (sources, receivers, T) of bool
         Whether it is heard.
-    radial_speed : ndarray
+    radial_speed : ndarray (sources, receivers, T)
         Speed of sound times the change of the delay by time of reception, ``c (1 - doppler_factor)``, m/s; positive
         where they part.
     """
@@ -53,6 +55,16 @@ def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> Dire
         Times of reception, s, by the scene's clock.
     motion : {"retarded", "quasi-static"}
         As in `render`.
+
+    Returns
+    -------
+    DirectPath
+        Of every source and receiver.
+
+    Raises
+    ------
+    InputError
+        If times are no finite numbers (T,).
 
     Examples
     --------
