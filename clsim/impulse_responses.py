@@ -137,12 +137,12 @@ def impulse_responses(
     ------
     InputError
         If the instant lies outside a trajectory, no path is heard then, the band does not fit the sampling rate, or
-        walls or beams are not known over it.
+        walls or directivities are not known over it.
 
     Notes
     -----
     Each path is an impulse at its own delay, between samples, cut to the band, with the phases and magnitudes of air,
-    walls and beams at every frequency: its largest value lies at the delay. An arrival rings to either side
+    walls and directivities at every frequency: its largest value lies at the delay. An arrival rings to either side
     for 7 over the width in which the band falls, 1.5 ms at 192 kHz by default, within 5/7 of that below -100 dB.
 
     Examples

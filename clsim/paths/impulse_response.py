@@ -1,4 +1,4 @@
-"""The impulse response of paths that do not change: what air, walls and beams make of each, at its own delay."""
+"""The impulse response of paths that do not change: what air, walls and directivities make of each, at its delay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is emitted, and the filters for it: delays, and what air, walls and beams do over a signal's band."""
+"""What is emitted, and the filters for it: delays, and what air, walls and directivities do over a signal's band."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
-_MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, for which walls and beams need not be known
+_MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, where walls and directivities need not be known
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
 _WIDEST_OVERSAMPLED = 0.98  # the same where branch signals have twice the sampling rate
 _OVERSAMPLED_DB = -40.0  # of the signal's energy beyond that, up to which it is worth it
@@ -171,7 +171,7 @@ class SourceFilters:
         )
 
     def describe(self) -> str:
-        """Return how air, walls and beams are carried, and what it costs."""
+        """Return how air, walls and directivities are carried, and what it costs."""
         basis = self.basis
         if not math.isfinite(basis.asked_db):
             return f"air, walls and beams are those at {basis.nodes[0]:.6g} Hz"

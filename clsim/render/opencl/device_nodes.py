@@ -303,7 +303,7 @@ NODE_PROGRAMS = {"images": DeviceTracks}  # what makes the nodes of kinds of pat
 
 
 class _Surroundings:
-    """Air, walls and beams at the nodes of one source's basis, as the device takes them; see ``response.h``."""
+    """Air, walls and directivities at the nodes of one source's basis, as the device takes them; see ``response.h``."""
 
     def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
         c = scene.air.speed_of_sound

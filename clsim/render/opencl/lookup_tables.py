@@ -1,4 +1,4 @@
-"""Walls and beams as tables that a device looks up: cubics over an angle, B-splines over a sphere."""
+"""Walls and directivities as tables that a device looks up: cubics over an angle, B-splines over a sphere."""
 
 from __future__ import annotations
 
