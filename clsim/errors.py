@@ -37,7 +37,23 @@ class InputError(ClsimError, ValueError):
         return f"{self.field}: {self.problem}" if self.field else self.problem
 
     def within(self, parent: str) -> InputError:
-        """Return the same error seen from the value that holds the field, e.g. ``"sources[1]"``."""
+        """Return the same error seen from the value that holds the field.
+
+        Parameters
+        ----------
+        parent : str
+            Where that value stands, for example ``"sources[1]"``.
+
+        Returns
+        -------
+        InputError
+            To be raised by the caller; its field is ``parent.field``.
+
+        Examples
+        --------
+        >>> print(InputError("times", "must increase strictly").within("sources[1]"))
+        sources[1].times: must increase strictly
+        """
         joint = "" if self.field.startswith("[") or not self.field else "."
         return InputError(f"{parent}{joint}{self.field}", self.problem)
 

@@ -1,1 +1,1 @@
-"""Published formulae: arrays in, arrays out, one citation each."""
+"""Formulae: arrays in, arrays out; each cites its source or derives what it computes."""

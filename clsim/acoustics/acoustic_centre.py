@@ -40,9 +40,10 @@ def fit_delay(
 
     Notes
     -----
-    Weighted least squares on the phases of products of neighbours, ``conj(a) b``, in frequency and in direction, with
-    the products' magnitudes as weights: what is loud decides, and a zero between two lobes does not count. Neighbours
-    must differ by less than half a turn.
+    Our own derivation: with ``conj(a) b = |a b| exp(-2j pi scale (step @ t))`` for each pair of neighbours, t is linear
+    in their phases. Weighted least squares on the phases of products of neighbours, ``conj(a) b``, in frequency and in
+    direction, with the products' magnitudes as weights: what is loud decides, and a zero between two lobes does not
+    count. Neighbours must differ by less than half a turn.
 
     Examples
     --------

@@ -78,7 +78,7 @@ def vapour_fraction_giacomo(temperature_celsius: float, relative_humidity: float
     Notes
     -----
     ``h f p_sv / p`` with the enhancement factor ``f = 1.00062 + 3.14e-8 p + 5.6e-7 t²``: [Giacomo]_, as
-    [Cramer]_ uses it in his appendix. Valid from 0 to 30 °C and 60 to 110 kPa.
+    [Cramer]_ uses it in his appendix.
 
     Examples
     --------
@@ -117,7 +117,7 @@ def speed_of_sound_cramer(
 
     Notes
     -----
-    [Cramer]_, equation 15 with the coefficients of table III; valid from 0 to 30 °C, 75 to 102 kPa,
+    [Cramer]_, equation 15 with its coefficients for the speed of sound; valid from 0 to 30 °C, 75 to 102 kPa,
     vapour fractions to 0.06 and CO2 fractions to 0.01, with an uncertainty of 300 ppm.
 
     Examples
@@ -186,8 +186,7 @@ def vapour_percent_iso9613(temperature_celsius: float, relative_humidity: float,
     Notes
     -----
     ``h = h_r (p_sat / p_r) / (p_a / p_r)`` with
-    ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ annex B, equations B.1 to B.3;
-    from -20 to 50 °C.
+    ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ annex B.
 
     Examples
     --------

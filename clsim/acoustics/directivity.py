@@ -72,8 +72,8 @@ def first_order_gain(cosine: ArrayLike, weight: float) -> Floats:
 
     Notes
     -----
-    ``w + (1 - w) cos θ``: J. Eargle, "The Microphone Book", 2nd ed. 2004, chapter 5. For plane
-    waves on capsules much smaller than the wavelength.
+    ``w + (1 - w) cos θ``: J. Eargle, "The Microphone Book", 2nd ed. 2005, chapter 5,
+    "First-order directional microphones". For plane waves on capsules much smaller than the wavelength.
 
     Examples
     --------

@@ -92,9 +92,9 @@ def mismatch_reflection(density: float, sound_speed: float, speed_of_sound: floa
 
     Notes
     -----
-    ``R = (Z - ρ c) / (Z + ρ c)`` with ``Z`` the product of the solid's density and sound speed: L. E.
-    Kinsler, A. R. Frey, A. B. Coppens and J. V. Sanders, "Fundamentals of Acoustics", 4th ed. 2000, section 6.2. Normal
-    incidence on a half-space: no layers, no plate resonances, no coincidence.
+    ``R = (Z - ρ c) / (Z + ρ c)`` with ``Z`` the product of the solid's density and sound speed: L. E. Kinsler, A. R.
+    Frey, A. B. Coppens and J. V. Sanders, "Fundamentals of Acoustics", 4th ed. 2000, section 6.2 (one fluid on another;
+    section 6.6 for solids). Normal incidence on a half-space: no layers, no plate resonances, no coincidence.
 
     Examples
     --------
@@ -125,9 +125,10 @@ def boundary_layer_admittance(frequency: ArrayLike, cosine: ArrayLike, speed_of_
     Notes
     -----
     ``β = (1 + j) / 2 · k δ (sin² θ + (γ - 1) / sqrt(Pr))`` with the viscous depth ``δ = sqrt(2 ν / ω)``: the boundary
-    condition of M. Berggren, A. Bernland and D. Noreland, "Acoustic boundary layers as boundary conditions", J.
-    Comput. Phys. 371, 633-650, 2018, for a plane wave on a plane wall that stays at its temperature. Air of 20 °C. It
-    holds while ``k δ`` is far below 1 (0.008 at 40 kHz) and below cos θ.
+    condition of M. Berggren, A. Bernland and D. Noreland, "Acoustic boundary layers as boundary conditions", J. Comput.
+    Phys. 371, 633-650, 2018, for a plane wave on a plane wall that stays at its temperature; also A. D. Pierce,
+    "Acoustics", 1981, section 10-4, "Acoustic boundary-layer theory". Air of 20 °C. It holds while ``k δ`` is far below
+    1 (0.008 at 40 kHz) and below cos θ.
 
     Examples
     --------
@@ -196,7 +197,8 @@ def porous_medium(
     -----
     With ``X = f / σ`` in m³/kg, ``1 + 0.070 X^-0.632 - 0.107j X^-0.632`` and ``1 + 0.109 X^-0.618 - 0.160j X^-0.618``:
     Y. Miki, "Acoustical properties of porous materials - modifications of Delany-Bazley models", J. Acoust. Soc. Jpn.
-    (E) 11 (1), 19-24, 1990. Fitted to fibres of high porosity with X from 0.01 to 1.
+    (E) 11 (1), 19-24, 1990; both are equation 1 of the page "Delany-Bazley-Miki model" in L. Jaouen, "Acoustical Porous
+    Material Recipes", apmr.matelys.com, there by 1000 X. Fitted to fibres of high porosity with X from 0.01 to 1.
 
     Examples
     --------

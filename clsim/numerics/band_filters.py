@@ -77,10 +77,11 @@ def band_filters(
 
     Notes
     -----
-    Weighted least squares over all frequencies, of cosines for the real part and sines for the imaginary one: by
-    importance within the band, 1e-4 beyond it, where the values at the ends are continued, so that the filters are
-    small there too. A real filter has no phase at 0 Hz, so complex responses ask for a transition there, and for a
-    longer filter the nearer to 0 Hz the band begins.
+    Our own derivation: with taps about the middle one the response is ``sum_m even[m] cos(m w) + j odd[m] sin(m w)``,
+    linear in the coefficients, whose normal equations are solved. Weighted least squares over all frequencies, of
+    cosines for the real part and sines for the imaginary one: by importance within the band, 1e-4 beyond it, where the
+    values at the ends are continued, so that the filters are small there too. A real filter has no phase at 0 Hz, so
+    complex responses ask for a transition there, and for a longer filter the nearer to 0 Hz the band begins.
     """
     edges, count = 2.0 * math.pi * np.array([low, high]) / sampling_rate, len(importance)
     points = np.cos(math.pi * (np.arange(count) + 0.5) / count)

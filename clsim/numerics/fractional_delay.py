@@ -70,6 +70,10 @@ def lagrange_bank(order: int, length: int | None = None) -> Floats:
     -------
     ndarray (order + 1, length)
         Coefficient of ``mu**q`` of each tap.
+
+    Notes
+    -----
+    The products of `lagrange_taps` (Laakso et al. 1996, eq. 42), multiplied out.
     """
     middle = order / 2
     columns = []
@@ -98,10 +102,16 @@ def chebyshev_degree(cutoff: float, mu_max: float, error: float, importance: tup
     importance : tuple of float
         Of equal cells from 0 to the cutoff, at most 1.
 
+    Returns
+    -------
+    int
+        The degree, at most 40.
+
     Notes
     -----
-    ``exp(-j w mu) = sum_k (2 - [k=0]) (-j)^k J_k(w mu_max) T_k(mu / mu_max)`` (Jacobi-Anger), whose tail is at
-    most ``2 sum_{k > K} |J_k(w mu_max)|``.
+    ``exp(-j w mu) = sum_k (2 - [k=0]) (-j)^k J_k(w mu_max) T_k(mu / mu_max)``, the Jacobi-Anger expansion: F. W. J.
+    Olver et al., "NIST Handbook of Mathematical Functions", 2010, eq. 10.12.3; its tail is at most
+    ``2 sum_{k > K} |J_k(w mu_max)|``.
     """
     from scipy.special import jv
 
@@ -137,7 +147,8 @@ def chebyshev_bank(
 
     Notes
     -----
-    Branch k of the Chebyshev series has the response ``(2 - [k=0]) (-j)^k J_k(w mu_max)`` up to the cutoff and is
+    Branch k of the Chebyshev series (F. W. J. Olver et al., "NIST Handbook of Mathematical Functions", 2010, eq.
+    10.12.3, see `chebyshev_degree`) has the response ``(2 - [k=0]) (-j)^k J_k(w mu_max)`` up to the cutoff and is
     rolled off above it with a small weight, since odd branches would otherwise jump at Nyquist.
     """
     from scipy.special import jv
@@ -229,6 +240,11 @@ def bank_error(
         Largest ``|mu|``, samples.
     importance : tuple of float
         Of deviations in equal cells from 0 to the cutoff, at most 1.
+
+    Returns
+    -------
+    float
+        Largest magnitude of the deviation, times its importance.
     """
     w = np.linspace(0.0, cutoff, 256)
     mu = mu_max * np.cos(np.linspace(0.0, math.pi, 65))

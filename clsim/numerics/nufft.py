@@ -38,7 +38,9 @@ def delayed_sums(delays: Floats, gains: Floats, size: int) -> Complexes:
     -----
     A nonuniform Fourier transform: impulses are spread by a Kaiser-Bessel window over a grid twice as fine, which is
     transformed, and divided by the window's own transform (J. A. Fessler, B. P. Sutton, "Nonuniform fast Fourier
-    transforms using min-max interpolation", IEEE Trans. Signal Processing 51(2), 2003).
+    transforms using min-max interpolation", IEEE Trans. Signal Processing 51(2), 2003). The window's transform is that of
+    R. M. Lewitt, "Multidimensional digital image representations using generalized Kaiser-Bessel window functions", J.
+    Opt. Soc. Am. A 7 (10), 1834-1846, 1990, eq. A3, in one dimension.
 
     Examples
     --------
@@ -75,6 +77,11 @@ def band_taper(frequencies: Floats, low: float, high: float, below: float, above
     below, above : float
         Widths over which the weight falls below `low` and above `high`; where `below` is 0 it stays 1 down to 0.
 
+    Returns
+    -------
+    ndarray (n,)
+        Weight, 0 to 1.
+
     Notes
     -----
     The skirts are regularised incomplete beta functions, so that an arrival dies away fast; see `ringing`.
@@ -88,8 +95,20 @@ def band_taper(frequencies: Floats, low: float, high: float, below: float, above
 
 
 def ringing(below: float, above: float) -> float:
-    """Return how long an arrival rings to either side, s, for skirts of a band with widths in Hz; see `band_taper`.
+    """Return how long an arrival rings to either side, cut to a band with these skirts.
 
+    Parameters
+    ----------
+    below, above : float
+        Widths of the skirts of `band_taper`, Hz.
+
+    Returns
+    -------
+    float
+        Time, s.
+
+    Notes
+    -----
     Within 5 / 7 of that its skirts have fallen below -100 dB of its peak.
     """
     return _REACH / (min(below, above) if below > 0.0 else above)

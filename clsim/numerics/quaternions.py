@@ -68,8 +68,9 @@ def quaternion_from_direction(direction: ArrayLike) -> Floats:
 
     Notes
     -----
-    A turn by the elevation about y, then one by the azimuth about z: no roll. Straight up and down, where any
-    azimuth would do, it is 0.
+    Our own derivation: a turn by the elevation e about -y, ``(0, -sin e/2, 0, cos e/2)``, then one by the azimuth a
+    about z, ``(0, 0, sin a/2, cos a/2)``, multiplied out as the product of the second and the first: no roll. Straight
+    up and down, where any azimuth would do, it is 0.
 
     Examples
     --------

@@ -32,9 +32,10 @@ def resonance_response(frequency: ArrayLike, centre: float, width: float) -> NDA
 
     Notes
     -----
-    ``H = 1 / (1 + j Q (f/f0 - f0/f))``. Where ``|H| = 1/2``, ``Q |f/f0 - f0/f| = sqrt(3)``; these two frequencies have
-    the product f0² and the difference ``sqrt(3) f0 / Q``, so that ``Q = sqrt(3) f0 / width``. Oscillations decay as
-    ``exp(-pi f0 t / Q)``: with the time constant ``sqrt(3) / (pi width)``.
+    Our own derivation, from ``H = 1 / (1 + j Q (f/f0 - f0/f))``: where ``|H| = 1/2``, ``Q |f/f0 - f0/f| = sqrt(3)``;
+    these two frequencies have the product f0² and the difference ``sqrt(3) f0 / Q``, so that
+    ``Q = sqrt(3) f0 / width``. Oscillations decay as ``exp(-pi f0 t / Q)``: with the time constant
+    ``sqrt(3) / (pi width)``.
 
     Examples
     --------
@@ -49,14 +50,26 @@ def resonance_response(frequency: ArrayLike, centre: float, width: float) -> NDA
 
 
 def resonance_taps(centre: float, width: float, sampling_rate: float) -> Floats:
-    """Return the impulse response (n,) of `resonance_response` at a sampling rate, until it is -130 dB.
+    """Return the impulse response of `resonance_response` at a sampling rate, until it is -130 dB.
+
+    Parameters
+    ----------
+    centre, width : float
+        As in `resonance_response`, Hz.
+    sampling_rate : float
+        Hz.
+
+    Returns
+    -------
+    ndarray (n,)
+        Taps, from time 0.
 
     Notes
     -----
-    A recursive filter with the band-pass's poles, ``exp(s / sampling_rate)``, so that it rings exactly as long, and
-    five zeros: one at 0 Hz, and the others such that the complex response is right at both frequencies where its
-    magnitude is 1/2. With five samples in a period it is right within 0.7 dB and 8 degrees from 0.25 to 1.5 times the
-    centre, and within 2.5 dB below 0.95 of half the sampling rate.
+    Our own derivation: a recursive filter with the band-pass's poles, ``exp(s / sampling_rate)``, so that it rings
+    exactly as long, and five zeros: one at 0 Hz, and the others such that the complex response is right at both
+    frequencies where its magnitude is 1/2. With five samples in a period it is right within 0.7 dB and 8 degrees from
+    0.25 to 1.5 times the centre, and within 2.5 dB below 0.95 of half the sampling rate.
 
     Examples
     --------

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import as_floats
-from clsim.paths.arrivals import slices_of
+from clsim.arrays import as_choice, as_floats
+from clsim.paths.arrivals import MOTIONS, slices_of
 from clsim.paths.specular.family import SpecularPaths
 
 if TYPE_CHECKING:
@@ -26,11 +26,13 @@ class DirectPath:
     ----------
     times : ndarray (T,)
         Times of reception, s.
-    delay, doppler_factor : ndarray
-        As in `PathTable`, but also where a wall is in the way.
-    line_of_sight : ndarray of bool
+    delay : ndarray (sources, receivers, T)
+        From emission to reception, s, also where a wall is in the way.
+    doppler_factor : ndarray (sources, receivers, T)
+        Received over emitted frequency, also where a wall is in the way.
+    line_of_sight : ndarray (sources, receivers, T) of bool
         Whether it is heard.
-    radial_speed : ndarray
+    radial_speed : ndarray (sources, receivers, T)
         Speed of sound times the change of the delay by time of reception, ``c (1 - doppler_factor)``, m/s; positive
         where they part.
     """
@@ -54,6 +56,16 @@ def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> Dire
     motion : {"retarded", "quasi-static"}
         As in `render`.
 
+    Returns
+    -------
+    DirectPath
+        Of every source and receiver.
+
+    Raises
+    ------
+    InputError
+        If times are no finite numbers (T,), or the motion is no known word.
+
     Examples
     --------
     >>> import clsim
@@ -67,6 +79,7 @@ def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> Dire
     (array([3. , 3.5]), array([1., 1.]), array([ True,  True]))
     """
     times = as_floats("times", times, (None,))
+    as_choice("motion", motion, MOTIONS)
     scene = paths.scene
     shape = (len(scene.sources), len(scene.receivers), len(times))
     delay, rate, seen = np.empty(shape), np.empty(shape), np.zeros(shape, dtype=bool)

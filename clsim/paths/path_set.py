@@ -50,6 +50,11 @@ class PathSet:
         The objects of reflections, -1 elsewhere.
     object_names : tuple of str
         Of walls, and of what else paths meet.
+
+    Raises
+    ------
+    InputError
+        If there is no kind of paths, or one is of another scene.
     """
 
     scene: Scene
@@ -130,7 +135,18 @@ class PathSet:
             first += len(family)
 
     def heard_by(self, receiver: int) -> PathSet:
-        """Return the paths to one receiver."""
+        """Return the paths to one receiver.
+
+        Parameters
+        ----------
+        receiver : int
+            Index in the scene.
+
+        Returns
+        -------
+        PathSet
+            Of the same kinds, each with as many rows as it has paths to this receiver.
+        """
         return PathSet(self.scene, tuple(f.part(np.flatnonzero(f.receiver == receiver)) for f in self.families))
 
     def digest(self) -> str:

@@ -69,7 +69,18 @@ class PathTable:
         return np.where(self.interactions == SPECULAR, self.objects, -1)
 
     def name_way(self, path: int | np.integer[Any]) -> str:
-        """Return the names of the walls and other things that a path meets, or "direct"."""
+        """Return the names of the walls and other things that a path meets.
+
+        Parameters
+        ----------
+        path : int
+            Row of the table.
+
+        Returns
+        -------
+        str
+            Names from the source's side, joined by commas; "direct" if it meets nothing.
+        """
         return ", ".join(self.object_names[i] for i in self.objects[path] if i >= 0) or "direct"
 
     @property

@@ -30,9 +30,7 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
-_MAIN_SHARE = (
-    1e-4  # of a signal's energy at either end of its band, for which walls and directivities need not be known
-)
+_MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, where walls and directivities need not be known
 _WIDEST = 0.95  # of Nyquist, the widest band that a bank holds
 _WIDEST_OVERSAMPLED = 0.98  # the same where branch signals have twice the sampling rate
 _OVERSAMPLED_DB = -40.0  # of the signal's energy beyond that, up to which it is worth it

@@ -74,22 +74,93 @@ class Tracks(ABC):
     def evaluate(
         self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return delay (s) and its derivative (paths, times) and gains (K, paths, times) of a group or some rows."""
+        """Return delays, their derivatives and gains of a group of paths or some of them.
+
+        Parameters
+        ----------
+        group : int
+            Index of the source and receiver, in `groups`.
+        times : ndarray (T,)
+            Times of reception, s.
+        basis : Basis
+            K functions of frequency of which responses are sums.
+        rows : ndarray (P,) of int, optional
+            Paths of the group; all when left out.
+
+        Returns
+        -------
+        delay : ndarray (P, T)
+            From emission to reception, s.
+        rate : ndarray (P, T)
+            Its derivative by the time of reception, s/s.
+        gains : ndarray (K, P, T)
+            Received over emitted pressure, by functions of the basis.
+        """
 
     @abstractmethod
     def max_rate(self, source: int) -> float:
-        """Return a bound on how fast a delay of this source changes, s/s."""
+        """Return a bound on how fast delays change.
+
+        Parameters
+        ----------
+        source : int
+            Whose delays.
+
+        Returns
+        -------
+        float
+            Largest magnitude of a delay's derivative by the time of reception, s/s.
+        """
 
     @abstractmethod
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
-        """Return the largest speed of a source or its receivers, and what it would be at another `max_rate`, m/s."""
+        """Return the largest speed of a source or its receivers, and what it would be at another rate of delays.
+
+        Parameters
+        ----------
+        source : int
+            Which source.
+        max_rate : float
+            The other bound on how fast its delays change, s/s: without a unit.
+
+        Returns
+        -------
+        speed, speed_at_rate : float
+            Both in m/s.
+        """
 
     @abstractmethod
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
-        """Return bounds (paths,) on the delays of a group between two times of reception, s."""
+        """Return bounds on the delays of a group of paths.
+
+        Parameters
+        ----------
+        group : int
+            Index of the source and receiver, in `groups`.
+        start, end : float
+            Between which times of reception, s.
+
+        Returns
+        -------
+        low, high : ndarray (paths,)
+            Bounds of each path's delay, s.
+        """
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
-        """Return a bound on the delays, of one source or of all, between two times of reception, s; 0 without paths."""
+        """Return a bound on the delays of one source or of all.
+
+        Parameters
+        ----------
+        start, end : float
+            Between which times of reception, s.
+        source : int, optional
+            Whose delays; those of all when left out.
+
+        Returns
+        -------
+        float
+            Not below any delay, s; 0 without paths.
+        """
         groups = (i for i, group in enumerate(self.groups) if source in (None, group.source))
         return max((float(self.delay_range(i, start, end)[1].max()) for i in groups), default=0.0)
 
@@ -120,7 +191,7 @@ class Tracks(ABC):
         sources, receivers : array_like (P,) of int, optional
             Between which each path runs; all 0 when left out.
         transition : float
-            As in `render`.
+            Over which paths begin and end, s; 0 for at once.
 
         Returns
         -------
@@ -305,12 +376,17 @@ def track(
     amplitude : {"wave-equation", "static", "convective"}
         Exponent 1, 0 or 2 of ``1 / (1 - M)``.
     transition : float
-        As in `render`.
+        Over which paths begin and end, s; 0 for at once.
+
+    Returns
+    -------
+    SceneTracks
+        Computed when asked for.
 
     Raises
     ------
     InputError
-        If motion or amplitude are no known words, or the transition is out of bounds.
+        If paths are no PathSet, motion or amplitude are no known words, or the transition is out of bounds.
     """
     if not isinstance(paths, PathSet):
         raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")

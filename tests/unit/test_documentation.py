@@ -22,7 +22,7 @@ ROOT = Path(clsim.__file__).parents[1]
 # A unit, or that there is none.
 UNIT = re.compile(
     r"(?<![\w^])(m|mm|s|Hz|kHz|dB|dB/m|Pa|kPa|V|V/Pa|Pa/V|rad|rad/s|m/s|m/s²|m²|m³|°|°C|K|kg|kg/m³|kg/m²|%|ppm|MiB|GiB|bytes|N s/m⁴|Pa s/m²)(?![\w/])"
-    r"|degrees|per cent|samples?\b|frames|octaves?|unit vectors?|quaternions?|rows|1\.|[0-9] to [0-9]|[Ff]rom 0|from -1|[Ww]ithout (a )?unit|ratio|share|fraction|factors?|gains?|direction"
+    r"|degrees|per cent|samples?\b|frames|octaves?|[Uu]nit vectors?|quaternions?|rows|1\.|[0-9] to [0-9]|[Ff]rom 0|from -1|[Ww]ithout (a )?unit|ratio|share|fraction|factors?|[Gg]ains?|direction"
 )
 SHAPE = re.compile(r"\([^()]*\w*[^()]*,?[^()]*\)|scalar|sequence|one per|as many|broadcast|same shape|any shape")
 NUMBERS = re.compile(r"float|array|complex|Floats")
@@ -31,11 +31,22 @@ EQUATION = re.compile(
     r"|\bno\. ?\d|[Aa]nnex [A-Z]|§ ?\d|algorithm \d|his appendix"
 )
 SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
-# Functions of numerics that compute by no published formula: what a name says, or what is derived beside.
+# Functions that no publication holds, and why; what is derived is derived in their Notes.
 OWN = {
-    "band_taper", "bank_error", "largest_hole", "merged", "neighbours_on_sphere", "normalised", "ringing",
-    "same_hemisphere",
-}  # fmt: skip
+    "band_filters": "derived: least squares of a filter's real and imaginary part",
+    "band_taper": "a product of two functions of scipy",
+    "bank_error": "a maximum",
+    "fit_delay": "derived: least squares of phases of neighbours' products",
+    "largest_hole": "a maximum",
+    "merged": "a mean",
+    "neighbours_on_sphere": "a hull of scipy",
+    "normalised": "what the name says",
+    "quaternion_from_direction": "derived: a product of two turns",
+    "resonance_response": "derived: the quality from the width at -6 dB",
+    "resonance_taps": "derived: poles of the resonance, zeros by what is asked at two frequencies",
+    "ringing": "measured",
+    "same_hemisphere": "what the name says",
+}
 
 
 def sections(text: str) -> dict[str, str]:
@@ -91,7 +102,7 @@ def _methods(value: type) -> Iterator[tuple[str, Any]]:
 def raises(function: Callable[..., Any]) -> bool:
     """Return whether a function's own text raises, or has what is given checked."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
-    checks = {"check", "checked", "as_number", "as_count", "as_floats", "as_flag", "as_choice", "InputError"}
+    checks = {"check", "checked", "as_number", "as_count", "as_floats", "as_flag", "as_choice"}
     called = {ast.unparse(n.func).split(".")[-1] for n in ast.walk(tree) if isinstance(n, ast.Call)}
     return any(isinstance(n, ast.Raise) for n in ast.walk(tree)) or bool(called & checks)
 
@@ -104,7 +115,8 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         return
     if is_class and issubclass(value, Exception | Warning):
         return
-    arguments = [p for p in inspect.signature(value).parameters.values() if p.name not in ("self", "cls")]
+    signature = inspect.signature(value)
+    arguments = [p for n, p in signature.parameters.items() if n not in ("self", "cls") and not n.startswith("_")]
     described = parameters(told.get("Parameters", "") + (told.get("Attributes", "") if is_class else ""))
     for argument in arguments:
         kind, text = described.get(argument.name, (None, ""))
@@ -130,7 +142,7 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         ):
             yield f"{name}: no Raises"
         return
-    answer = inspect.signature(value).return_annotation
+    answer = signature.return_annotation
     is_property = not arguments and "property" in inspect.getsource(value).split("def ")[0]
     told_in_full = is_property or not arguments or str(answer) in (name.split(".")[0], "Self")  # by the first sentence
     if answer not in (None, "None") and not told_in_full and not {"Returns", "Yields"} & set(told):
@@ -192,21 +204,26 @@ def test_what_a_docstring_lacks_is_seen(cut: str, left: str, message: str, monke
 
 
 def formulae() -> Iterator[tuple[str, str]]:
-    """Yield the names and docstrings of functions that compute by formulae, with what their modules cite."""
+    """Yield the names of functions that compute by formulae, and their docstrings in one line."""
     for package in (clsim.acoustics, clsim.numerics):
         for found in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
             module = importlib.import_module(found.name)
             for name, value in vars(module).items():
-                public = inspect.isfunction(value) and value.__module__ == module.__name__ and not name.startswith("_")
-                if public and not (package is clsim.numerics and name in OWN):
-                    yield f"{found.name}.{name}", value.__doc__ or ""
+                if inspect.isfunction(value) and value.__module__ == module.__name__ and not name.startswith("_"):
+                    yield f"{found.name}.{name}", " ".join((value.__doc__ or "").split())
 
 
 def test_formulae_name_their_sources() -> None:
-    everything = list(formulae())
+    everything = dict(formulae())
+    names = {name.rpartition(".")[2]: name for name in everything}
+    none(f"{name}: no function" for name in OWN.keys() - names.keys())
+    derived = [names[name] for name, why in OWN.items() if why.startswith("derived")]
+    none(f"{name}: no derivation" for name in derived if "Our own derivation" not in everything[name])
+    for name in OWN:
+        del everything[names[name]]
     assert len(everything) > 20
-    found = [f"{name}: no source" for name, text in everything if not SOURCE.search(text)]
-    found += [f"{name}: no number of equation, section or table" for name, text in everything if SOURCE.search(text) and not EQUATION.search(text)]  # fmt: skip
+    found = [f"{name}: no source" for name, text in everything.items() if not SOURCE.search(text)]
+    found += [f"{name}: no number of equation, section or table" for name, text in everything.items() if SOURCE.search(text) and not EQUATION.search(text)]  # fmt: skip
     none(found)
 
 

@@ -177,7 +177,8 @@ class Material(ReflectingSurface):
         frequencies : array_like (n,)
             Positive and increasing, Hz.
         impedances : array_like (n,)
-            Specific impedances over that of air, ``Z / (ρ c)``, real or complex, with real parts of at least 0.
+            Specific impedances over that of air, ``Z / (ρ c)``, without a unit, real or complex, with real parts of at
+            least 0.
             Monotone cubics over the logarithm of frequency join real and imaginary parts.
         outside : {None, "hold"}
             What the impedance is outside the table: refused, or that at the nearest end.

@@ -185,7 +185,7 @@ class Motion:
         start, end : float
             First and last instant, s.
         rate : float
-            Instants per second, at least.
+            Instants per second, at least; above 0, Hz.
 
         Returns
         -------
@@ -195,7 +195,7 @@ class Motion:
         Raises
         ------
         InputError
-            If the range is not finite or ends before it starts.
+            If the range is not finite or ends before it starts, or the rate is not above 0.
 
         Examples
         --------

@@ -143,7 +143,7 @@ class Trajectory(Motion):
         duration : float
             s, above 0.
         axis : array_like (3,)
-            Direction about which it turns by the right-hand rule, of any length.
+            A direction about which it turns by the right-hand rule, of any length and without a unit.
         phase : float
             Angle at time 0, rad, from e1: the +x direction turned into the circle's plane (its projection),
             or +y where the axis lies along x. With the axis +z, phase 0 begins

@@ -52,13 +52,13 @@ class MeshRoom:
     materials : Material or sequence of Material
         One for all, or one per triangle; kept as one per triangle.
     flatness : float
-        Neighbours of one material whose corners lie this near to each other's planes are one wall, m.
+        Neighbours of one material whose corners lie this near to each other's planes are one wall, 0 to 10 m.
     labels : sequence of str, optional
         What each triangle belongs to; walls are called after it.
     notes : sequence of str
         What was repaired before.
     scale : float, optional
-        Metres per unit of the files that it is from; None without files, or where they differ.
+        Length of the unit of the files that it is from, m; None without files, or where they differ.
 
     Attributes
     ----------
@@ -74,7 +74,8 @@ class MeshRoom:
     Raises
     ------
     InputError
-        If there is no triangle with an area, an index is out of range, or a material is missing.
+        If there is no triangle with an area, an index is out of range, a material is missing, there is not one label
+        per triangle, or a value is out of bounds.
 
     Examples
     --------
@@ -139,14 +140,14 @@ class MeshRoom:
         path : path-like
             The file.
         scale : float
-            Metres per unit of the file: 0.001 for millimetres.
+            Length of the file's unit, m: 0.001 for millimetres.
         up : {"x", "y", "z"}
             Which axis of the file points up.
         materials : Material or mapping
             One for all walls, or materials by the file's own names (``usemtl`` groups of OBJ files), where
             ``"default"`` stands for those not named.
         flatness : float
-            As in `MeshRoom`; raise it for files with rounded coordinates.
+            As in `MeshRoom`, m; raise it for files with rounded coordinates.
 
         Returns
         -------
@@ -156,7 +157,8 @@ class MeshRoom:
         Raises
         ------
         InputError
-            If the file is no mesh, has no faces or NaN, or a group has no material; the message lists the groups.
+            If the file is no mesh, has no faces or NaN, a group has no material (the message lists the groups), or a
+            value is out of bounds.
         """
         from clsim.scene.room.mesh_files import read_mesh
 

@@ -440,6 +440,11 @@ class Signal:
         Signal
             The signal.
 
+        Raises
+        ------
+        InputError
+            If the samples are no finite numbers, louder than any sound, or not (n,), or the rate is out of bounds.
+
         Examples
         --------
         >>> Signal.from_array([0.0, 1.0, 0.0], 48e3).read(-1, 2)
