@@ -17,6 +17,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 import clsim
+from clsim.paths.specular.family import SpecularPaths
 
 pra = pytest.importorskip("pyroomacoustics", reason="pyroomacoustics is not installed")
 
@@ -94,7 +95,9 @@ def their_shoebox() -> Any:
 
 
 def image_places(paths: clsim.PathSet, source: Any) -> np.ndarray:
-    return np.asarray(paths.image_matrix @ np.asarray(source) + paths.image_offset)
+    (images,) = paths.families
+    assert isinstance(images, SpecularPaths)
+    return np.asarray(images.image_matrix @ np.asarray(source) + images.image_offset)
 
 
 def rounding_of_images(order: int, farthest: float) -> float:

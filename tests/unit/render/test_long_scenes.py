@@ -13,6 +13,7 @@ import pytest
 import clsim
 from clsim.cli import main
 from clsim.commands import run as run_command
+from clsim.paths.path_set import PathSet
 from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.render.memory import within_memory
 from clsim.render.planning import plan_render
@@ -242,7 +243,7 @@ def test_a_path_table_is_made_in_pieces() -> None:
 
 
 def test_no_table_is_made_that_nobody_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_command, "path_table", lambda *_: pytest.fail("a table was made"))
+    monkeypatch.setattr(PathSet, "table", lambda *_: pytest.fail("a table was made"))
     monkeypatch.setattr(run_command, "run_identity", lambda *_: {})
     monkeypatch.setattr(run_command, "render_sound", lambda *_: [])
     (tmp_path / "scene.toml").write_text(SCENE.replace("1e6", "0.01"))
