@@ -19,7 +19,7 @@ from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -146,6 +146,23 @@ class Tracks(ABC):
             Bounds of each path's delay, s.
         """
 
+    def delay_ranges(self, groups: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
+        """Return bounds on the delays of some groups of paths.
+
+        Parameters
+        ----------
+        groups : sequence of int
+            Indices of source and receiver, in `groups`.
+        start, end : float
+            Between which times of reception, s.
+
+        Returns
+        -------
+        list of (low, high)
+            As of `delay_range`, s.
+        """
+        return [self.delay_range(group, start, end) for group in groups]
+
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return a bound on the delays of one source or of all.
 
@@ -259,9 +276,10 @@ class SceneTracks(Tracks):
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
         fastest, source_speed = 0.0, float(self.speeds.source[source])
-        for receiver, speed in zip(self.scene.receivers, self.speeds.receiver.tolist(), strict=True):
+        clock_rates = (receiver.clock_rate for receiver in self.scene.receivers)
+        for speed, clock_rate in set(zip(self.speeds.receiver.tolist(), clock_rates, strict=True)):
             rate = max(family.max_rate(source_speed, speed) for family in self.paths.families)
-            fastest = max(fastest, rate * receiver.clock_rate + abs(receiver.clock_rate - 1.0))
+            fastest = max(fastest, rate * clock_rate + abs(clock_rate - 1.0))
         return fastest
 
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
@@ -272,24 +290,35 @@ class SceneTracks(Tracks):
 
     def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return the bounds of the kind of paths, by the receiver's clock."""
-        pair, clock_times = self.pair_paths[group], np.array([start, end])
-        clock_error = self.scene.receivers[pair.receiver].clock_error(clock_times)
-        first, last = (clock_times + clock_error).tolist()
-        low, high = pair.family.delay_bounds(pair.rows, first, last, self.speeds)
-        return low - clock_error.max(), high - clock_error.min()
+        return self.delay_ranges([group], start, end)[0]
+
+    def delay_ranges(self, groups: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
+        """Return the bounds of very many groups at once."""
+        bounds: dict[int, tuple[Floats, Floats]] = {}
+        for batch, low, high in self._bounds(groups, start, end):
+            last = 0
+            for group in batch:
+                first, last = last, last + len(self.groups[group])
+                bounds[group] = low[first:last], high[first:last]
+        return [bounds[group] for group in groups]
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return the largest of the bounds of `delay_range`, of very many groups at once."""
-        clock_times, longest = np.array([start, end]), 0.0
+        groups = [i for i, pair in enumerate(self.pair_paths) if source in (None, pair.source)]
+        return max((float(high.max()) for _, _, high in self._bounds(groups, start, end)), default=0.0)
+
+    def _bounds(self, groups: Sequence[int], start: float, end: float) -> Iterator[tuple[list[int], Floats, Floats]]:
+        """Yield some groups, and bounds of the delays of all their paths, one group's after the other's."""
+        clock_times = np.array([start, end])
         clock_error = np.stack([r.clock_error(clock_times) for r in self.scene.receivers])
         first, last = (clock_times + clock_error).T
-        mine = [pair for pair in self.pair_paths if source in (None, pair.source)]
+        least, most = clock_error.min(axis=1), clock_error.max(axis=1)
         for family in self.paths.families:
-            for rows in _batches([pair.index for pair in mine if pair.family is family]):
+            for batch in _batches(self.pair_paths, [i for i in groups if self.pair_paths[i].family is family]):
+                rows = np.concatenate([self.pair_paths[i].index for i in batch])
                 r = family.receiver[rows]
-                high = family.delay_bounds(rows, first[r], last[r], self.speeds)[1]
-                longest = max(longest, float((high - clock_error.min(axis=1)[r]).max()))
-        return longest
+                low, high = family.delay_bounds(rows, first[r], last[r], self.speeds)
+                yield batch, low - most[r], high - least[r]
 
     def last_time(self) -> float:
         """Return the end of the first moving receiver's trajectory, or infinity."""
@@ -422,18 +451,18 @@ def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:
     return 0.0 if trajectory.is_static else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
 
 
-def _batches(groups: list[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
-    """Yield the rows of neighbouring groups together, a bounded number or those of one group."""
-    batch: list[NDArray[np.int64]] = []
+def _batches(pairs: Sequence[PairPaths], groups: list[int]) -> Iterator[list[int]]:
+    """Yield neighbouring groups together whose paths are a bounded number, or one group."""
+    batch: list[int] = []
     count = 0
-    for rows in groups:
-        if batch and count + len(rows) > _TOGETHER:
-            yield np.concatenate(batch)
+    for group in groups:
+        if batch and count + len(pairs[group]) > _TOGETHER:
+            yield batch
             batch, count = [], 0
-        batch.append(rows)
-        count += len(rows)
-    if count:
-        yield np.concatenate(batch)
+        batch.append(group)
+        count += len(pairs[group])
+    if batch:
+        yield batch
 
 
 def _clock_time(receiver: Receiver, times: Floats) -> Floats:

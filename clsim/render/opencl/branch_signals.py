@@ -86,14 +86,15 @@ class BranchSignals:
 
     def _active(self, source: int, start: int, length: int) -> list[ActivePaths]:
         """Return the paths of a source that are heard within a chunk."""
-        plan, found = self._plan, []
-        for i, group in enumerate(plan.tracks.groups):
-            if group.source == source and i not in plan.static_pairs.groups:
-                rate = plan.sampling_rate
-                # Nodes lie up to a block before and two after what is rendered.
-                begin, end = start - plan.blocks[0], start + length + 2 * plan.blocks[0]
-                low, high = plan.tracks.delay_range(i, begin / rate, end / rate)
-                found.append(ActivePaths(i, np.arange(len(group)), low, high).during(plan, start, start + length))
+        plan, rate, groups = self._plan, self._plan.sampling_rate, self._plan.tracks.groups
+        mine = [i for i, g in enumerate(groups) if g.source == source and i not in plan.static_pairs.groups]
+        # Nodes lie up to a block before and two after what is rendered.
+        begin, end = start - plan.blocks[0], start + length + 2 * plan.blocks[0]
+        bounds = plan.tracks.delay_ranges(mine, begin / rate, end / rate)
+        found = [
+            ActivePaths(i, np.arange(len(groups[i])), *of_group).during(plan, start, start + length)
+            for i, of_group in zip(mine, bounds, strict=True)
+        ]
         return [group for group in found if len(group.rows)]
 
     def _feed(self, source: int, start: int, length: int) -> Feed | None:
