@@ -160,6 +160,7 @@ def loaded(browser: Any, page: Path) -> Iterator[Any]:
     tab.goto(page.as_uri())
     tab.wait_for_function("window.clsim && clsim.ready.then(() => true)")
     yield tab
+    tab.close()  # else it goes on drawing
     assert [w for w in wrong if not w.startswith(("data:", "blob:"))] == []
 
 
