@@ -272,8 +272,6 @@ Instant = Any  # a time, or times (P,), s
 
 def ends_at(ends: Sequence[Source] | Sequence[Receiver], which: NDArray[np.int32], times: Instant) -> Floats:
     """Return the positions (P, 3) of sources or receivers (P,) at a time, or at times (P,), m."""
-    if np.ndim(times) == 0 and len(which) and np.all(which == which[0]):  # those of one pair
-        return np.repeat(ends[which[0]].trajectory.position(np.array([times])), len(which), axis=0)
     out = np.empty((len(which), 3))
     new = np.ones(len(which), dtype=bool)  # neighbours that are the same are looked at once
     new[1:] = which[1:] != which[:-1]

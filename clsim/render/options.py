@@ -181,12 +181,16 @@ def keywords_of(
         def call(paths: PathSet, *args: P.args, **kwargs: P.kwargs) -> T:
             if not isinstance(paths, PathSet):
                 raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
+            try:
+                signature.bind(paths, *args, **kwargs)
+            except TypeError as error:  # in the words of the function that was called
+                raise TypeError(f"{function.__name__}() {error}") from None
             return function(paths, make(*args, **kwargs))
 
         own, options = inspect.signature(function), inspect.signature(make)
-        parameters = [own.parameters["paths"], *options.parameters.values()]
+        signature = own.replace(parameters=[own.parameters["paths"], *options.parameters.values()])
         functools.update_wrapper(call, function)
-        vars(call)["__signature__"] = own.replace(parameters=parameters)
+        vars(call)["__signature__"] = signature
         call.__doc__ = with_options_listed(function.__doc__)
         return call
 

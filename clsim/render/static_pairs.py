@@ -45,8 +45,8 @@ def find_static_pairs(tracks: Tracks, options: RenderOptions) -> StaticPairs:
     scene, found = of_scene.scene, []
     for i, group in enumerate(tracks.groups):
         source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
-        at_rest = _is_static(source) and _is_static(receiver) and not of_scene.pair_paths[i].family.moves
-        if at_rest and receiver.clock_rate == 1.0 and group.always_heard:
+        static = _is_static(source) and _is_static(receiver) and not of_scene.pair_paths[i].family.moves
+        if static and receiver.clock_rate == 1.0 and group.always_heard:
             found.append(i)
     return StaticPairs(frozenset(found))
 

@@ -91,3 +91,14 @@ def test_tracks_have_some_options_already() -> None:
         clsim.render_tracks(signals, tracks, 16e3, sped=1)
     with pytest.raises(clsim.InputError, match=r"starts: must be one per signal, 1, but are 2"):
         clsim.render_tracks(signals, tracks, 16e3, starts=[0.0, 1.0])
+
+
+def test_a_call_that_is_wrong_is_told_in_its_own_words() -> None:
+    paths = clsim.find_paths(scene(), 0)
+    for function in (clsim.render, clsim.plan_render):
+        with pytest.raises(
+            TypeError, match=rf"^{function.__name__}\(\) got an unexpected keyword argument 'tranition'"
+        ):
+            function(paths, 16e3, tranition=0)
+        with pytest.raises(TypeError, match=rf"^{function.__name__}\(\) missing a required argument: 'sampling_rate'"):
+            function(paths)
