@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _BLOCKS_IN_SEGMENT = 12  # of the longest; all others go into it a whole number of times, too
 SUBBLOCK = 8  # samples, the unit of blocks and of what is silent
 WIDEST_SUBBLOCK = 16  # samples that share the whole part of a delay at most
-_WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
-_CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
+WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
+CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
 _LONGEST, _SHORTEST = 50e-3, 0.5e-3  # s, of blocks
 _DRIFT = 24.0  # cycles of the carrier by which a delay may change in a block: float32 terms are right to -110 dB
 _REFUSED_DB, _LOUD_DB = -40.0, -60.0  # shares of a signal's energy outside the band
@@ -74,10 +74,10 @@ def as_baseband(value: object, rate: float) -> Baseband:
             f"must be at most {most:g} Hz, for the band to lie between half the carrier of {carrier:g} Hz and half the "
             f"sampling rate of {rate:g} Hz, but is {bandwidth:g} Hz",
         )
-    least = bandwidth / _WIDEST
+    least = bandwidth / WIDEST
     if len(value) == 3 and value[2] is not None:
         return Baseband(carrier, bandwidth, _given_rate(value[2], rate, least))
-    return Baseband(carrier, bandwidth, rate / _decimation(rate, max(least, carrier / _CYCLES)))
+    return Baseband(carrier, bandwidth, rate / _decimation(rate, max(least, carrier / CYCLES)))
 
 
 def _given_rate(value: object, rate: float, least: float) -> float:
@@ -198,4 +198,9 @@ def segmented(tracks: Tracks, sampling_rate: float, carrier: float, max_rate: fl
             f"which aliases; {_RAMP / sampling_rate:.2g} s or more does not"
         )
     blocks = blocks_of(sampling_rate, carrier, max_rate)
-    return _BLOCKS_IN_SEGMENT * blocks[0], blocks
+    return segment_of(blocks), blocks
+
+
+def segment_of(blocks: tuple[int, ...]) -> int:
+    """Return the length of segments of blocks of these lengths, samples."""
+    return _BLOCKS_IN_SEGMENT * blocks[0]

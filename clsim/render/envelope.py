@@ -15,7 +15,6 @@ from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.source_filters import SourceFilters, basis_of
-from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.render.options import RenderOptions
+    from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
     from clsim.scene.signal.signal import Signal
     from clsim.tracks.tracks import Tracks
 
@@ -161,6 +161,7 @@ def design_envelope(
     index: int,
     signal: Signal,
     start: float,
+    sound: ShortTimeSpectra,
     tracks: Tracks,
     options: RenderOptions,
     *,
@@ -171,9 +172,8 @@ def design_envelope(
 
     Parameters
     ----------
-    index, signal, start, tracks, options, until, static
-        As of `design_source_filters`; the options' interpolator is `Bandlimited`, and their sampling rate that of the
-        sound of which the envelope is made.
+    index, signal, start, sound, tracks, options, until, static
+        As of `design_source_filters`; the options' interpolator is `Bandlimited`.
 
     Raises
     ------
@@ -181,13 +181,54 @@ def design_envelope(
         If the signal does not lie in the band, or as in `design_source_filters`.
     """
     assert options.baseband is not None
+    baseband = Baseband(*options.baseband)
+    half, removed_db = half_band(index, signal, signal.energy_spectrum(), baseband, tracks.max_rate(index))
+    carrier, _, rate = baseband
+    # What would be folded onto what is held, or is the image of the carrier.
+    stop = min(rate or 0.0, 2.0 * carrier) - half
+    low_pass = low_pass_between(half, stop, signal.sampling_rate, -options.interpolator.error_db + _MARGIN_DB)
+    return envelope_filters(
+        index, signal, start, sound, tracks, options, half, low_pass, removed_db, until=until, static=static
+    )
+
+
+def envelope_filters(
+    index: int,
+    signal: Signal,
+    start: float,
+    sound: ShortTimeSpectra,
+    tracks: Tracks,
+    options: RenderOptions,
+    half: float,
+    low_pass: Floats,
+    removed_db: float,
+    *,
+    until: float,
+    static: bool = False,
+) -> EnvelopeFilters:
+    """Return the filters for the envelope of a source's signal through a low-pass about the options' carrier.
+
+    Parameters
+    ----------
+    index, signal, start, sound, tracks, options, until, static
+        As of `design_source_filters`; the options' interpolator is `Bandlimited`.
+    half : float
+        Frequencies off the carrier that are held, Hz.
+    low_pass : ndarray (n,)
+        Without delay, of odd length, at the signal's sampling rate.
+    removed_db : float
+        Share of the signal's energy outside, dB.
+
+    Raises
+    ------
+    InputError
+        As in `design_source_filters`.
+    """
+    assert options.baseband is not None
     baseband, interpolator = Baseband(*options.baseband), options.interpolator
     assert isinstance(interpolator, Bandlimited)  # as the options have checked
-    sampling_rate = options.sampling_rate
-    signal, max_rate = signal.at_rate(sampling_rate), tracks.max_rate(index)
-    half, removed_db = half_band(index, signal, signal.energy_spectrum(), baseband, max_rate)
+    sampling_rate, max_rate = signal.sampling_rate, tracks.max_rate(index)
     low, high = baseband.carrier - half, baseband.carrier + half
-    sound = ShortTimeSpectra.of(signal)
     basis = basis_of(index, signal, sound, tracks, options, (low, high), until, sampling_rate, static=static)
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
@@ -200,7 +241,7 @@ def design_envelope(
         banks.append(Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, reached))
     every = round(sampling_rate / rate)
     mixer, plain = (
-        _mixer(sampling_rate, every, baseband.carrier, half, filters, interpolator.error_db)
+        _mixer(sampling_rate, every, baseband.carrier, low_pass, filters)
         for filters in (basis.filters, np.ones((1, 1)))
     )
     highest = baseband.carrier + 0.5 * baseband.bandwidth
@@ -210,20 +251,23 @@ def design_envelope(
     )  # fmt: skip
 
 
-def _mixer(rate: float, every: int, carrier: float, half: float, filters: Floats, error_db: float) -> Mixer:
-    """Return the mixer from sound at a rate, Hz, with filters (K, L) of odd length about their middle tap.
+def low_pass_between(passed: float, stopped: float, rate: float, ripple_db: float) -> Floats:
+    """Return a low-pass without delay, of odd length, from frequencies that are passed to those stopped, Hz.
 
-    A low-pass by the window method (Kaiser) that passes `half` Hz and stops what would be folded onto them, or is the
-    image of the carrier; the window makes both ripples equal.
+    By the window method (Kaiser), which makes both ripples equal, so many dB below 1.
     """
     from scipy.signal import firwin, kaiserord
 
-    stop = min(rate / every, 2.0 * carrier) - half
-    length, beta = kaiserord(-error_db + _MARGIN_DB, (stop - half) / (0.5 * rate))
+    length, beta = kaiserord(ripple_db, (stopped - passed) / (0.5 * rate))
     length += 1 - length % 2
+    return np.asarray(firwin(length, 0.5 * (stopped + passed), window=("kaiser", beta), fs=rate))
+
+
+def _mixer(rate: float, every: int, carrier: float, low_pass: Floats, filters: Floats) -> Mixer:
+    """Return the mixer from sound at a rate, Hz, with filters (K, L) of odd length about their middle tap."""
+    length = len(low_pass)
     # Twice, for half of a real signal is on the carrier's negative side.
-    low_pass = 2.0 * firwin(length, 0.5 * (stop + half), window=("kaiser", beta), fs=rate)
-    mixed = low_pass * np.exp(-2j * math.pi * (carrier / rate) * (np.arange(length) - length // 2))
+    mixed = 2.0 * low_pass * np.exp(-2j * math.pi * (carrier / rate) * (np.arange(length) - length // 2))
     taps = np.stack([np.convolve(f[::-1], mixed) for f in filters])
     most = taps.shape[1] // 2
     half_length = most // every + 1

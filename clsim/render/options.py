@@ -73,6 +73,10 @@ class RenderOptions:
     convolve_static : bool
         Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
         instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
+    narrowband : bool, optional
+        Whether what a source emits in a narrow band is rendered as complex envelope at a low rate, several times
+        faster, and only the rest of it (onsets, ends) at the recording's; where the scene allows it, with the OpenCL
+        engine and a `Bandlimited` interpolator. Left out: where an estimate says that it pays.
 
     Raises
     ------
@@ -104,6 +108,7 @@ class RenderOptions:
     duration: float | None = None
     chunk: int | None = None
     convolve_static: bool = True
+    narrowband: bool | None = None
 
     def __post_init__(self) -> None:
         rate = as_number("sampling_rate", self.sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
@@ -121,7 +126,11 @@ class RenderOptions:
             ),
             "convolve_static": as_flag("convolve_static", self.convolve_static),
         }
+        if self.narrowband is not None:
+            checked["narrowband"] = as_flag("narrowband", self.narrowband)
         if self.baseband is not None:
+            if self.narrowband:
+                raise InputError("narrowband", "must not be True in baseband, which is narrow as a whole")
             checked["baseband"] = as_baseband(self.baseband, rate)
             if not isinstance(self.interpolator, Bandlimited):
                 raise InputError("interpolator", f"must be Bandlimited in baseband, but is {self.interpolator!r:.80}")

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from clsim.arrays import Floats
+    from clsim.numerics.upsampling import Upsampler
     from clsim.render.contributions import Contribution
     from clsim.render.options import RenderOptions
     from clsim.render.source_filters import SourceFilters
@@ -53,6 +54,10 @@ class Plan:
         Samples in a block, divisors of a segment, tried in this order.
     left_out : str
         What of the scene is not in the tracks, in words; "" for nothing.
+    narrow_parts : tuple of NarrowPart
+        What of the sources' signals is rendered as complex envelope, and not by their filters.
+    not_narrow : tuple of str
+        Why some have none although it would pay, a sentence each.
     contributions : tuple of Contribution
         What adds to the pressure at the receivers, in this order.
     builders : sequence of callable
@@ -69,6 +74,8 @@ class Plan:
     segment: int
     blocks: tuple[int, ...]
     left_out: str
+    narrow_parts: tuple[NarrowPart, ...]
+    not_narrow: tuple[str, ...]
     builders: InitVar[Sequence[Callable[[Plan], Contribution | None]]]
     contributions: tuple[Contribution, ...] = field(init=False)
 
@@ -159,7 +166,7 @@ class Plan:
     @property
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
-        return int(sum(self._memory().values()))
+        return int(sum(self._memory().values())) + sum(part.plan.memory_bytes for part in self.narrow_parts)
 
     @property
     def largest_field(self) -> str:
@@ -220,6 +227,7 @@ class Plan:
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",
             *([self.left_out] if self.left_out else []),
+            *self.not_narrow,
         ]
         if self.baseband is not None:
             lines[1] += f"; complex envelopes of {self.baseband.bandwidth:g} Hz about {self.baseband.carrier:g} Hz"
@@ -231,6 +239,25 @@ class Plan:
                 what = "ideal" if r.electronics is None else r.electronics.describe(r.unit)
                 lines.append(f"receiver {i}: recorded in {r.unit}{name}; {what}")
         return lines
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NarrowPart:
+    """What some sources emit about one carrier, rendered as complex envelope and made sound for each receiver.
+
+    Attributes
+    ----------
+    plan : Plan
+        Of the envelopes.
+    sources : tuple of int
+        Which sources.
+    upsampler : Upsampler
+        Makes sound of what is received.
+    """
+
+    plan: Plan
+    sources: tuple[int, ...]
+    upsampler: Upsampler
 
 
 def max_rate(tracks: Tracks) -> float:

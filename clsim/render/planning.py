@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
 from clsim.errors import InputError
-from clsim.render.baseband import check_ends, segmented
+from clsim.numerics.upsampling import Upsampler
+from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.envelope import design_envelope
+from clsim.render.narrow_band import NarrowFilters, design_split
+from clsim.render.narrow_choice import chosen_band
+from clsim.render.narrow_part import narrow_parts, samples_needed
 from clsim.render.options import RenderOptions, keywords_of
 from clsim.render.path_sum import path_sum
-from clsim.render.plan import BLOCKS, SEGMENT, Plan, max_rate
+from clsim.render.plan import BLOCKS, SEGMENT, NarrowPart, Plan, max_rate
 from clsim.render.source_filters import SourceFilters, design_source_filters
 from clsim.render.static_convolution import static_convolution
 from clsim.render.static_pairs import StaticPairs, find_static_pairs
+from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 from clsim.tracks.pruning import pruned
 from clsim.tracks.tracks import track
 
@@ -29,7 +35,7 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import SceneTracks, Tracks
 
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
-BUILDERS: list[Callable[[Plan], Contribution | None]] = [path_sum, static_convolution]
+BUILDERS: list[Callable[[Plan], Contribution | None]] = [path_sum, narrow_parts, static_convolution]
 
 _PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
 _LONG_CHUNK = 48  # segments, beyond which a chunk gains nothing
@@ -91,10 +97,14 @@ def plan_tracks(
     heard_at = rate if options.baseband is None else options.baseband[2] or rate
     samples = _samples(emissions, tracks, heard_at, options.duration, ringing)
     pairs = find_static_pairs(tracks, options)
-    filters = _source_filters(emissions, tracks, pairs, options, samples / heard_at)
+    filters, narrow, not_narrow = _source_filters(emissions, tracks, pairs, options, samples / heard_at)
     segment, blocks = _blocks(tracks, options, heard_at)
     chunk = _chunk(tracks, options, samples, heard_at, segment)
-    return Plan(options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, left_out, BUILDERS)
+    parts = tuple(_narrow_part(carrier, narrow, tracks, options, samples) for carrier in _carriers(narrow))
+    return Plan(
+        options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, left_out, parts, not_narrow,
+        BUILDERS,
+    )  # fmt: skip
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:
@@ -141,15 +151,54 @@ def _samples(
 
 def _source_filters(
     emissions: Sequence[tuple[Signal, float]], tracks: Tracks, pairs: StaticPairs, options: RenderOptions, until: float
-) -> tuple[SourceFilters, ...]:
-    """Return what each source emits, and its filters, for a run that ends at `until`, s."""
+) -> tuple[tuple[SourceFilters, ...], dict[int, NarrowFilters], tuple[str, ...]]:
+    """Return what each source emits, and its filters, for a run that ends at `until`, s.
+
+    Also the filters of narrow parts by source, and why there are not more.
+    """
     design = design_source_filters if options.baseband is None else design_envelope
+    made: list[SourceFilters] = []
+    parts, told = {}, []
     # Matrices are small: threads of the linear algebra would wait for each other, the longer the busier the machine.
     with threadpool_limits(1, "blas"):
-        return tuple(
-            design(i, signal, start, tracks, options, until=until, static=pairs.holds(tracks, i))
-            for i, (signal, start) in enumerate(emissions)
-        )
+        for i, (emitted, start) in enumerate(emissions):
+            signal = emitted.at_rate(options.sampling_rate)
+            sound = ShortTimeSpectra.of(signal)
+            narrow, why = chosen_band(i, signal, start, sound, tracks, pairs, options, until)
+            told += [why] if why else []
+            if narrow is None:
+                static = pairs.holds(tracks, i)
+                made.append(design(i, signal, start, sound, tracks, options, until=until, static=static))
+            else:
+                rest, parts[i] = design_split(i, signal, start, sound, tracks, options, narrow, until=until)
+                made.append(rest)
+    return tuple(made), parts, tuple(told)
+
+
+def _carriers(narrow: dict[int, NarrowFilters]) -> list[tuple[float, float]]:
+    """Return the carriers and sampling rates of envelopes, Hz, each once."""
+    return list(dict.fromkeys((filters.carrier, filters.rate) for filters in narrow.values()))
+
+
+def _narrow_part(
+    carrier: tuple[float, float], narrow: dict[int, NarrowFilters], tracks: Tracks, options: RenderOptions, samples: int
+) -> NarrowPart:
+    """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
+    mine = {i: filters for i, filters in narrow.items() if (filters.carrier, filters.rate) == carrier}
+    # Others have no paths in it; what stands for their filters is not looked at.
+    first = next(iter(mine.values()))
+    filters = tuple(mine.get(i, first) for i in range(tracks.source_count))
+    band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
+    upsampler = Upsampler.about(carrier[0], options.sampling_rate, first.mixer.every, 0.5 * band.bandwidth)
+    within = replace(options, baseband=band, narrowband=None, chunk=None)
+    others = frozenset(i for i, pair in enumerate(tracks.pairs) if pair.source not in mine)
+    blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
+    count, segment = samples_needed(samples, upsampler), segment_of(blocks)
+    chunk = _chunk(tracks, within, count, carrier[1], segment)
+    plan = Plan(
+        within, tracks, StaticPairs(others), filters, carrier[1], count, chunk, segment, blocks, "", (), (), [path_sum]
+    )  # fmt: skip
+    return NarrowPart(plan, tuple(mine), upsampler)
 
 
 def _blocks(tracks: Tracks, options: RenderOptions, rate: float) -> tuple[int, tuple[int, ...]]:

@@ -13,7 +13,7 @@ import numpy as np
 from clsim.errors import InputError, warn
 from clsim.paths.coverage import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
-from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_above, shares
+from clsim.scene.signal.occupied_bandwidth import CELLS, share_above, shares
 from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import band_of
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.impulse_response import ImpulseResponse
     from clsim.render.options import RenderOptions
+    from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
     from clsim.scene.signal.signal import Signal
     from clsim.tracks.tracks import Tracks
 
@@ -106,6 +107,11 @@ class SourceFilters:
         return -(-(self.filter_half + self.bank.half_length) // self.oversampling)
 
     @property
+    def unheld_db(self) -> float:
+        """What the functions of frequency do not hold of what is heard, dB, from which on engines tell it."""
+        return self.basis.asked_db + 1.0
+
+    @property
     def rows(self) -> NDArray[Any]:
         """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
         return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
@@ -129,14 +135,18 @@ class SourceFilters:
 
         What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
         """
-        return _filtered(self._read, self.filters, first, last)
+        return filtered(self._read, self.filters, first, last)
+
+    def sounding(self, first: int, last: int) -> Floats:
+        """Return samples `first` to `last` of what is rendered path by path: the signal."""
+        return self.signal.read(first, last)
 
     def _read(self, first: int, last: int) -> Floats:
-        """Return samples at `rate` of the signal, zero between its own."""
+        """Return samples at `rate` of what is rendered path by path, zero between its own."""
         if self.oversampling == 1:
-            return self.signal.read(first, last)
+            return self.sounding(first, last)
         before, times = first // self.oversampling, self.oversampling
-        own = self.signal.read(before, -(-last // times))
+        own = self.sounding(before, -(-last // times))
         return np.kron(own, np.eye(1, times)[0])[first - times * before :][: last - first]
 
     def carrier_phase(self, delay_samples: Floats) -> Floats | Complexes | float:
@@ -150,7 +160,7 @@ class SourceFilters:
 
     def emitted(self, first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last` of what impulse responses are convolved with."""
-        places, values = _filtered(self.signal.read, self.band_limit[None], first, last)
+        places, values = filtered(self.signal.read, self.band_limit[None], first, last)
         out = np.zeros(last - first)
         out[places] = values[0]
         return out
@@ -189,22 +199,25 @@ def design_source_filters(
     index: int,
     signal: Signal,
     start: float,
+    sound: ShortTimeSpectra,
     tracks: Tracks,
     options: RenderOptions,
     *,
     until: float,
     static: bool = False,
 ) -> SourceFilters:
-    """Return a source's signal at the sampling rate, with filters for its band and for how its paths move.
+    """Return a source's signal, with filters for its band and for how its paths move.
 
     Parameters
     ----------
     index : int
         Of the source.
     signal : Signal
-        What it emits.
+        What it emits, at the sampling rate.
     start : float
         Time at which that begins, s.
+    sound : ShortTimeSpectra
+        Of what is rendered of it.
     tracks : Tracks
         Its paths.
     options : RenderOptions
@@ -220,8 +233,6 @@ def design_source_filters(
         If a wall or a directivity is not known over the signal's band, or asks for too many functions.
     """
     sampling_rate, interpolator, max_rate = options.sampling_rate, options.interpolator, tracks.max_rate(index)
-    signal = signal.at_rate(sampling_rate)
-    sound = ShortTimeSpectra.of(signal)
     times = _oversampling(sound, interpolator, max_rate, sampling_rate)
     high, removed_db, limit = _band(index, signal, sound, interpolator, tracks, times)
     rate = times * sampling_rate
@@ -366,8 +377,8 @@ def basis_of(
     return flat_basis(signal.centre_frequency)
 
 
-def _filtered(
-    read: Callable[[int, int], Floats], filters: Floats, first: int, last: int
+def filtered(
+    read: Callable[[int, int], NDArray[Any]], filters: NDArray[Any], first: int, last: int
 ) -> tuple[NDArray[np.int64], Floats]:
     """Return where a signal through filters sounds from `first` to `last`, from there on (n,), and what (K, n).
 

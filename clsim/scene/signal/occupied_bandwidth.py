@@ -27,10 +27,13 @@ class ShortTimeSpectra:
         Evenly spaced from 0 to half the sampling rate, Hz.
     energy : ndarray (W, F)
         See `Signal.short_time_spectra`.
+    weights : ndarray (W,)
+        Windows for which each stands.
     """
 
     frequencies: Floats
     energy: Floats
+    weights: Floats
 
     @classmethod
     def of(cls, signal: Signal) -> ShortTimeSpectra:

@@ -121,8 +121,8 @@ class Signal:
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         return frequencies, energy / length
 
-    def short_time_spectra(self) -> tuple[Floats, Floats]:
-        """Return frequencies (F,) in Hz and the energy (W, F) at each in windows of some 40 ms.
+    def short_time_spectra(self) -> tuple[Floats, Floats, Floats]:
+        """Return frequencies (F,) in Hz, the energy (W, F) at each in windows of some 40 ms, and their weights (W,).
 
         Hann windows with half overlap, picked as by `energy_spectrum`; silent ones are left out. Energies are relative
         to that of the window or its neighbour on either side, whichever is most, so that the end of a sound is seen
@@ -130,27 +130,28 @@ class Signal:
 
         Returns
         -------
-        frequencies, energy : ndarray (F,), (W, F)
-            Hz, and Pa² times samples.
+        frequencies, energy, weights : ndarray (F,), (W, F), (W,)
+            Hz, Pa² times samples, and windows for which each stands.
         """
         length = 2 ** int(np.clip(round(math.log2(_WINDOW * self.sampling_rate)), 6, 14))
         hop, window = length // 2, _hann(length)
-        found, levels = [], []
-        for k in _picked_segments(self.count, hop)[0]:
+        found, levels, weights = [], [], []
+        for k, share in zip(*_picked_segments(self.count, hop), strict=True):
             around = self.read((int(k) - 1) * hop, (int(k) + 1) * hop + length)
             if not np.any(around[hop:-hop]):
                 continue
             spectrum = np.abs(np.fft.rfft(around[hop:-hop] * window)) ** 2
             spectrum[1:-1] *= 2.0
             found.append(spectrum)
+            weights.append(share)
             levels.append(
                 max(float(np.sum((around[i : i + length] * window) ** 2)) for i in (0, hop, 2 * hop)) * length
             )
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         if not found:
-            return frequencies, np.zeros((0, hop + 1))
+            return frequencies, np.zeros((0, hop + 1)), np.zeros(0)
         level = np.maximum(levels, _QUIET_WINDOW * max(levels))
-        return frequencies, np.array(found) / level[:, None]
+        return frequencies, np.array(found) / level[:, None], np.array(weights)
 
     def band(self) -> tuple[float, float]:
         """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz.

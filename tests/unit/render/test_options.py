@@ -63,6 +63,8 @@ def test_all_are_checked_and_converted_once() -> None:
         ({"duration": 0.0}, "duration: must be above 0 s, but is 0 s"),
         ({"chunk": 0}, "chunk: must be at least 1, but is 0"),
         ({"convolve_static": 1}, "convolve_static: must be True or False, but is 1"),
+        ({"narrowband": "yes"}, "narrowband: must be True or False, but is 'yes'"),
+        ({"narrowband": True, "baseband": (4e3, 1e3)}, "narrowband: must not be True in baseband"),
     ],
 )
 def test_errors_name_option_rule_and_value(wrong: dict, message: str) -> None:

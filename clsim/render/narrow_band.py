@@ -1,0 +1,180 @@
+"""A narrow part of what a source emits, and the rest: one band-pass splits them, and their sum is the signal."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.render.envelope import EnvelopeFilters, envelope_filters, low_pass_between
+from clsim.render.opencl.activity import CELL
+from clsim.render.source_filters import SourceFilters, design_source_filters, filtered
+from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.render.baseband import Baseband
+    from clsim.render.options import RenderOptions
+    from clsim.scene.signal.signal import Signal
+    from clsim.tracks.tracks import Tracks
+
+MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
+_RIPPLE_DB = 15.0  # the same of the band-pass: what it leaves of a steady tone is silence
+_LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
+_SILENT = 1e-9  # energy of the rest in a window relative to the whole, below which nothing is designed for it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NarrowBand:
+    """A band about a carrier, and the band-pass that takes it out of a signal.
+
+    Attributes
+    ----------
+    baseband : Baseband
+        In which what is received of it is rendered, with its sampling rate.
+    flat : float
+        Frequencies off the carrier that are passed as they are, Hz.
+    half : float
+        Frequencies off the carrier from which on nothing is passed, Hz.
+    low_pass : ndarray (n,)
+        The band-pass about 0 Hz, without delay, of odd length, at the signal's sampling rate.
+    silence : float
+        Level relative to what sounds within some 40 ms, below which the rest is silent.
+    """
+
+    baseband: Baseband
+    flat: float
+    half: float
+    low_pass: Floats
+    silence: float
+
+    @classmethod
+    def designed(cls, baseband: Baseband, flat: float, half: float, rate: float, error_db: float) -> NarrowBand:
+        """Return a band at a sampling rate, Hz, for an error asked of all that is rendered."""
+        low_pass = low_pass_between(flat, half, rate, MARGIN_DB + _RIPPLE_DB - error_db)
+        return cls(baseband, flat, half, low_pass, 10 ** ((error_db - MARGIN_DB) / 20))
+
+    @property
+    def reach(self) -> int:
+        """Samples by which the band-pass looks to either side."""
+        return len(self.low_pass) // 2
+
+    def rest(self, signal: Signal, first: int, last: int) -> Floats:
+        """Return samples `first` to `last` of what is left of a signal, exactly zero where that is silent.
+
+        Notes
+        -----
+        Silence is looked for in cells of 16 samples, relative to the level of what sounds within 20 to 40 ms.
+        """
+        begin, end = first // CELL * CELL, -(-last // CELL) * CELL
+        window = math.ceil(max(_LEVEL_TIME * signal.sampling_rate, self.reach) / CELL) * CELL
+        before, after = begin // window - 1, -(-end // window) + 1
+        offset = before * window
+        whole, left = signal.read(offset, after * window), np.zeros(end - begin)
+        single = whole.astype(np.float32)  # rounds at -140 dB
+        places, passed = filtered(lambda a, b: single[a - offset : b - offset], self._band_pass(signal), begin, end)
+        left[places] = whole[begin - offset :][places] - passed[0]
+        level = np.sqrt(np.mean(whole.reshape(after - before, window) ** 2, axis=1))
+        around = np.max([level[:-2], level[1:-1], level[2:]], axis=0)
+        of_cell = around[np.arange(begin, end, CELL) // window - before - 1]
+        cells = left.reshape(-1, CELL)
+        cells[np.abs(cells).max(axis=1) <= self.silence * of_cell] = 0.0
+        return left[first - begin : last - begin]
+
+    def rest_of(self, sound: ShortTimeSpectra) -> ShortTimeSpectra:
+        """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""
+        away = np.abs(sound.frequencies - self.baseband.carrier)
+        left, bins = np.where(away <= self.flat, 0.0, 1.0), np.flatnonzero((away > self.flat) & (away < self.half))
+        rate = 2.0 * float(sound.frequencies[-1])
+        turns = np.outer(away[bins] * (2.0 * math.pi / rate), np.arange(-self.reach, self.reach + 1))
+        left[bins] = 1.0 - np.cos(turns) @ self.low_pass
+        energy = sound.energy * left**2
+        loud = energy.sum(axis=1) > _SILENT
+        return ShortTimeSpectra(sound.frequencies, energy[loud], sound.weights[loud])
+
+    def _band_pass(self, signal: Signal) -> NDArray[Any]:
+        """Return the band-pass, (1, n) float32."""
+        step = 2.0 * math.pi * self.baseband.carrier / signal.sampling_rate
+        taps = 2.0 * self.low_pass * np.cos(step * np.arange(-self.reach, self.reach + 1))
+        return np.asarray(taps[None], dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestFilters(SourceFilters):
+    """Filters for what a narrow part leaves of a source's signal; pairs at rest are convolved with all of it.
+
+    Attributes
+    ----------
+    narrow : NarrowBand
+        What is left out.
+    """
+
+    narrow: NarrowBand
+
+    @property
+    def filter_half(self) -> int:
+        """Samples by which what is heard is longer than the signal to either side, without the delay filters."""
+        return int(self.filters.shape[1] // 2) + self.oversampling * (self.narrow.reach + CELL)
+
+    @property
+    def unheld_db(self) -> float:
+        """Nothing is told: engines see how much of the rest is held, not how loud it is beside the narrow part."""
+        return math.inf
+
+    def sounding(self, first: int, last: int) -> Floats:
+        """Return samples `first` to `last` of the rest."""
+        return self.narrow.rest(self.signal, first, last)
+
+    def digest(self) -> str:
+        """Return a text that changes with any tap."""
+        return SourceFilters.digest(self) + hashlib.sha256(self.narrow.low_pass.tobytes()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NarrowFilters(EnvelopeFilters):
+    """Filters for the envelope of a narrow part."""
+
+    @property
+    def filter_half(self) -> int:
+        """Samples of the envelope by which it is longer than the signal to either side, without the delay filters."""
+        return self.mixer.half_length
+
+
+def design_split(
+    index: int,
+    signal: Signal,
+    start: float,
+    sound: ShortTimeSpectra,
+    tracks: Tracks,
+    options: RenderOptions,
+    narrow: NarrowBand,
+    *,
+    until: float,
+) -> tuple[RestFilters, NarrowFilters]:
+    """Return the filters for what a narrow part leaves of a source's signal, and for that part.
+
+    Parameters
+    ----------
+    index, signal, start, sound, tracks, options, until
+        As of `design_source_filters`.
+    narrow : NarrowBand
+        The narrow part.
+
+    Raises
+    ------
+    InputError
+        As in `design_source_filters`.
+    """
+    left = narrow.rest_of(sound)
+    rest = design_source_filters(index, signal, start, left, tracks, options, until=until)
+    within = replace(options, baseband=narrow.baseband, narrowband=None)
+    part = envelope_filters(
+        index, signal, start, sound, tracks, within, narrow.half, narrow.low_pass, -math.inf, until=until
+    )
+    columns, parts = ({f.name: getattr(made, f.name) for f in fields(made)} for made in (rest, part))
+    return RestFilters(**columns, narrow=narrow), NarrowFilters(**parts)

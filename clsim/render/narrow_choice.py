@@ -1,0 +1,209 @@
+"""Whether what a source emits is split into a narrow part and a rest: where that pays, and where it is right."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.errors import DeviceError
+from clsim.opencl.device import find_device
+from clsim.render.baseband import CYCLES, WIDEST, Baseband
+from clsim.render.interpolator import Bandlimited
+from clsim.render.narrow_band import MARGIN_DB, NarrowBand
+from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
+from clsim.tracks.basis import flat_basis
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from clsim.arrays import Floats
+    from clsim.render.options import RenderOptions
+    from clsim.render.static_pairs import StaticPairs
+    from clsim.scene.signal.signal import Signal
+    from clsim.tracks.tracks import SceneTracks, Tracks
+
+_SHARES = (1e-3, 1e-6, 1e-9)  # of the energy to either side of what is passed as it is
+_SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
+_BINS = 10.0  # of short-time spectra: what a tone spreads in them
+_LEAST_EVERY = 8  # samples of the sound in one of the envelope
+# Processor time, ns: of a path in a sample of the sound, plainly, in a rest that sounds, and in nodes of envelopes; of
+# a path in a sample of the envelope; of upsampling and of splitting a sample; of planning twice.
+_PLAIN, _REST, _NODES, _ENVELOPE = 1.2, 4.0, 0.25, 6.0
+_UPSAMPLED, _SPLIT, _PLANNED = 10.0, 60.0, 5e8
+_ON_GPU = 50.0  # times as fast is a GPU, for which the host upsamples as fast as for any other
+_WINDOWS, _ENDS = 48, 4  # of short-time spectra that are looked at, and of these at either end
+_SOUNDING = 0.5  # of a window in which the rest is loud
+_COARSE, _FINE = 0.02, 5e-4  # s between places at which ends are looked at
+_LOOKED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
+_STRETCH = 0.02  # s
+_BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
+
+
+def chosen_band(
+    index: int,
+    signal: Signal,
+    start: float,
+    sound: ShortTimeSpectra,
+    tracks: Tracks,
+    pairs: StaticPairs,
+    options: RenderOptions,
+    until: float,
+) -> tuple[NarrowBand | None, str]:
+    """Return the band of a source's signal that is rendered as complex envelope, or None, and why none in spite of all.
+
+    Parameters
+    ----------
+    index : int
+        Of the source.
+    signal : Signal
+        What it emits, at the sampling rate.
+    start : float
+        Time at which that begins, s.
+    sound : ShortTimeSpectra
+        Of it.
+    tracks : Tracks
+        Its paths.
+    pairs : StaticPairs
+        Those that are convolved.
+    options : RenderOptions
+        What is asked.
+    until : float
+        End of the run, s.
+    """
+    of_scene = tracks.of_scene
+    asked = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
+    mine = [i for i, pair in enumerate(tracks.pairs) if pair.source == index and i not in pairs.indices]
+    usable = asked and isinstance(options.interpolator, Bandlimited) and mine and len(sound.energy)
+    if not usable or of_scene is None:
+        return None, ""
+    rate, error_db = signal.sampling_rate, options.interpolator.error_db
+    samples = min(signal.duration, until) * rate
+    path_samples = sum(len(tracks.pairs[i]) for i in mine) * samples / (_ON_GPU if _on_gpu(options) else 1.0)
+    # By so much a path must be faster in a sample, ns.
+    least = -math.inf if options.narrowband else (_PLANNED + samples * (_SPLIT + _UPSAMPLED * len(mine))) / path_samples
+    if least > _PLAIN:
+        return None, ""
+    some = _some(sound)
+    bands = dict.fromkeys(_bands(signal, sound, tracks.max_rate(index)))
+    designed = [NarrowBand.designed(*band, rate, error_db) for band in bands]
+    work = [_work(band, some, rate) for band in designed]
+    if not work or _PLAIN - min(work) < least:
+        return None, ""
+    narrow = designed[int(np.argmin(work))]
+    why = _obstacle(index, of_scene, mine, narrow, (start, start + signal.duration, until))
+    return (None, f"source {index}: rendered as a whole, without a narrow part: {why}") if why else (narrow, "")
+
+
+def _bands(signal: Signal, sound: ShortTimeSpectra, max_rate: float) -> Iterator[tuple[Baseband, float, float]]:
+    """Yield bands that may hold most of a sound, with the ends of what is passed as it is, and at all, Hz."""
+    rate, spectrum = signal.sampling_rate, (sound.frequencies, sound.weights @ sound.energy)
+    for share in _SHARES:
+        low, high = shares(spectrum, share)
+        spread, carrier = _BINS * float(sound.frequencies[1]), float(round(0.5 * (low + high)))
+        if abs(signal.centre_frequency - carrier) < spread:
+            carrier = signal.centre_frequency
+        for skirt in _SKIRTS:
+            flat = 0.5 * (high - low) + spread
+            half = flat + skirt
+            # All that is emitted is received within this.
+            width = 2.0 * (half * (1.0 + max_rate) + carrier * max_rate)
+            every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
+            if every >= _LEAST_EVERY and width <= min(carrier, rate - 2.0 * carrier):
+                yield Baseband(carrier, width, rate / every), flat, half
+
+
+def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
+    """Return some of the windows of a sound, those at its ends and others between."""
+    count = len(sound.energy)
+    if count <= _WINDOWS:
+        return sound
+    ends = np.r_[:_ENDS, count - _ENDS : count]
+    inner = np.linspace(_ENDS, count - _ENDS - 1, _WINDOWS - 2 * _ENDS).astype(np.int64)
+    weights = np.full(len(inner), sound.weights[_ENDS : count - _ENDS].sum() / len(inner))
+    rows = np.concatenate([ends, inner])
+    return ShortTimeSpectra(sound.frequencies, sound.energy[rows], np.concatenate([sound.weights[ends], weights]))
+
+
+def _work(narrow: NarrowBand, sound: ShortTimeSpectra, rate: float) -> float:
+    """Return the processor time for a path in a sample of the sound as envelope and rest, ns."""
+    loud = float(narrow.rest_of(sound).weights.sum() / sound.weights.sum())
+    return _NODES + _ENVELOPE * (narrow.baseband.sampling_rate or rate) / rate + _REST * _SOUNDING * loud
+
+
+def _on_gpu(options: RenderOptions) -> bool:
+    try:
+        return find_device(options.device)[0].kind == "GPU"
+    except DeviceError:  # told when it is needed
+        return False
+
+
+def _obstacle(
+    index: int, tracks: SceneTracks, mine: list[int], narrow: NarrowBand, span: tuple[float, float, float]
+) -> str:
+    """Return why envelopes at a low rate would not do; "" if they would.
+
+    The span is when the signal begins and ends and when the run ends, s.
+    """
+    scene = tracks.scene
+    if not all(tracks.pairs[i].always_heard for i in mine):
+        return "paths begin and end"
+    receivers = sorted({tracks.pairs[i].receiver for i in mine})
+    ends = [("the source", scene.sources[index].trajectory)]
+    ends += [(f"receiver {i}", scene.receivers[i].trajectory) for i in receivers]
+    for what, trajectory in ends:
+        if len(trajectory.breaks):
+            return f"the velocity of {what} jumps"
+    # Passing an end at a distance d with a speed v spreads a tone by its Doppler shift D and beyond, at an offset f, by
+    # exp(-2 pi sqrt(f^2 - D^2) d / v): the phase k sqrt(d^2 + v^2 t^2) has branch points at +-j d / v.
+    skirt, carrier = narrow.half - narrow.flat, narrow.baseband.carrier
+    shift, speed = carrier * tracks.max_rate(index), tracks.fastest(index, tracks.max_rate(index))[0]
+    needed = -math.log(narrow.silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
+    for i in receivers:
+        speeds = float(tracks.speeds.source[index] + tracks.speeds.receiver[i])
+        if speeds > 0.0 and _nearest(tracks, index, i, span[2], needed * speeds, speeds) < needed * speeds:
+            return f"receiver {i} is passed so near, at up to {speed:.3g} m/s, that its sound is not narrow"
+    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > narrow.silence:
+        return "ends move so quickly that what is heard is not narrow"
+    return ""
+
+
+def _nearest(tracks: SceneTracks, source: int, receiver: int, until: float, limit: float, speed: float) -> float:
+    """Return a bound of the distance of a source from a receiver, m, good where it is below a limit; speed in m/s.
+
+    Sound that is heard until the end was emitted before.
+    """
+    ends = tracks.scene.sources[source].trajectory, tracks.scene.receivers[receiver].trajectory
+
+    def apart(times: Floats) -> Floats:
+        return np.asarray(np.linalg.norm(ends[0].position(times) - ends[1].position(times), axis=-1))
+
+    times = np.arange(0.0, until + _COARSE, _COARSE)
+    bound = apart(times) - 0.5 * speed * _COARSE
+    near = times[bound < limit]
+    if not len(near):
+        return float(bound.min())
+    within = np.arange(-0.5 * _COARSE, 0.5 * _COARSE + _FINE, _FINE)
+    return float(apart((near[:, None] + within).ravel()).min()) - 0.5 * speed * _FINE
+
+
+def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
+    """Return how loud a tone at the carrier becomes beyond what the envelope has room for, relative to it, by a sample.
+
+    Looked at are some paths in some stretches of the run in which the signal is heard.
+    """
+    carrier, max_rate = narrow.baseband.carrier, tracks.max_rate(tracks.pairs[pair].source)
+    rate = 2.0 * (narrow.baseband.sampling_rate or 0.0)
+    count, rng = math.ceil(_STRETCH * rate), np.random.default_rng(pair)
+    rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
+    window, worst = np.kaiser(count, _BETA), 0.0
+    outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > carrier * max_rate + narrow.half - narrow.flat
+    for begin in rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2]):
+        times = begin + np.arange(count) / rate
+        delay, _, gain = tracks.evaluate(pair, times, flat_basis(carrier), rows)
+        heard = (begin - delay[:, 0] >= span[0] - _STRETCH) & (times[-1] - delay[:, -1] <= span[1] + _STRETCH)
+        spectrum = np.fft.fft((gain[0] * np.exp(-2j * math.pi * carrier * delay) * window)[heard], axis=1)
+        level = np.maximum(np.linalg.norm(spectrum, axis=1), 1e-300)
+        worst = max(worst, float((np.linalg.norm(spectrum[:, outside], axis=1) / level).max(initial=0.0)))
+    return worst * 10 ** (-MARGIN_DB / 20)

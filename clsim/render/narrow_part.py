@@ -1,0 +1,142 @@
+"""The contribution of narrow parts: complex envelopes at a low rate, made sound once for each receiver."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from clsim.render.contributions import Stateless
+from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.path_sum import PathSum
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes
+    from clsim.numerics.upsampling import Upsampler
+    from clsim.render.plan import NarrowPart, Plan
+
+_AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
+
+
+def narrow_parts(plan: Plan) -> NarrowParts | None:
+    """Return the contribution of a plan's narrow parts; None if there are none."""
+    return NarrowParts(plan.narrow_parts) if plan.narrow_parts else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NarrowParts:
+    """What is rendered as envelope and made sound.
+
+    Attributes
+    ----------
+    parts : tuple of NarrowPart
+        One for each carrier.
+    """
+
+    parts: tuple[NarrowPart, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of its kind."""
+        return "narrow parts"
+
+    def describe(self) -> list[str]:
+        """Return how each is rendered, some lines."""
+        return [line for part in self.parts for line in _described(part)]
+
+    def digest(self) -> str:
+        """Return a text that changes with what is asked of them and with any tap."""
+        found = hashlib.sha256()
+        for part in self.parts:
+            found.update(repr((part.plan.baseband, part.sources)).encode() + part.upsampler.taps.tobytes())
+            found.update(PathSum(part.plan).digest().encode())
+        return found.hexdigest()
+
+    def begin(self) -> _Adding:
+        """Return what adds them."""
+        return _Adding(self.parts)
+
+
+def _described(part: NarrowPart) -> list[str]:
+    baseband, summed, lines = part.plan.baseband, PathSum(part.plan), []
+    assert baseband is not None
+    for i in part.sources:
+        filters, here = part.plan.source_filters[i], f"source {i}, narrow part"
+        reach = (filters.half_length + part.upsampler.reach) / part.plan.sampling_rate
+        lines += [
+            f"{here}: rendered as complex envelope of {baseband.bandwidth:.0f} Hz about {baseband.carrier:g} Hz at "
+            f"{part.plan.sampling_rate:.6g} Hz; it sounds up to {1e3 * reach:.3g} ms before an arrival",
+            f"{here}: {filters.describe_filters()}",
+            f"{here}: {filters.describe()}",
+            f"{here}: all of it together within {summed.promised_db(i):.0f} dB of what is heard in some 40 ms",
+        ]
+    return lines
+
+
+class _Adding(Stateless):
+    """Adds all narrow parts."""
+
+    def __init__(self, parts: tuple[NarrowPart, ...]) -> None:
+        self._parts = [_Upsampled(part) for part in parts]
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        # Matrices are small: threads of the linear algebra would wait for each other and for the device.
+        with threadpool_limits(1, "blas"):
+            for part in self._parts:
+                part.add(pressure, start)
+
+    def warn(self) -> None:
+        """Warn of what the engines could not hold as well as asked."""
+        for part in self._parts:
+            part.warn()
+
+
+class _Upsampled:
+    """Envelopes of one narrow part, chunk by chunk of their own, and the sound that is made of them."""
+
+    def __init__(self, part: NarrowPart) -> None:
+        self._plan, self._upsampler = part.plan, part.upsampler
+        self._engine: BasebandEngine | None = None
+        self._chunks: dict[int, Complexes] = {}
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add the sound from sample `start` on to the pressure (receivers, n), Pa."""
+        every, reach = self._upsampler.every, self._upsampler.reach
+        stop = start + pressure.shape[1]
+        first, last = start // every, -(-stop // every)
+        envelopes = self._envelopes(first + 1 - reach, last + reach)
+        for row, envelope in zip(pressure, envelopes, strict=True):
+            if np.any(envelope):
+                row += self._upsampler(envelope, first)[start - first * every : stop - first * every]
+
+    def warn(self) -> None:
+        """Warn of what the engine could not hold as well as asked."""
+        if self._engine is not None:
+            self._engine.warn()
+
+    def _envelopes(self, first: int, last: int) -> Complexes:
+        """Return samples `first` to `last` of the envelopes, (receivers, n)."""
+        size = self._plan.chunk
+        wanted = range((first + _AHEAD) // size, (last - 1 + _AHEAD) // size + 1)
+        self._chunks = {k: self._chunks[k] if k in self._chunks else self._rendered(k) for k in wanted}
+        begin = wanted[0] * size - _AHEAD
+        return np.concatenate([self._chunks[k] for k in wanted], axis=1)[:, first - begin : last - begin]
+
+    def _rendered(self, chunk: int) -> Complexes:
+        """Return a chunk of envelopes; whichever asks for it, from whatever beginning, it is the same."""
+        if self._engine is None:
+            self._engine = BasebandEngine(self._plan)
+        start = chunk * self._plan.chunk - _AHEAD
+        return self._engine.render(start, min(start + self._plan.chunk, self._plan.samples))
+
+
+def samples_needed(samples: int, upsampler: Upsampler) -> int:
+    """Return how many samples of the envelope so many of the sound are made of."""
+    return math.ceil(samples / upsampler.every) + upsampler.reach

@@ -1,0 +1,242 @@
+"""Narrow parts and rests: against the oracle, against the plain way, and where neither may be heard."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import default_oracle as oracle
+import numpy as np
+import pytest
+from default_cases import Case, abrupt_tones, circles, measured
+
+import clsim
+from clsim.render.narrow_band import NarrowFilters, RestFilters
+from clsim.render.plan import Plan
+from clsim.render.render import record
+
+RATE = 192e3
+PROMISED_DB = -85.0
+NARROW: dict[str, Any] = {"narrowband": True}
+pytestmark = [
+    pytest.mark.usefixtures("device"),
+    pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning"),  # signals that begin at once
+]
+
+
+def moving(signal: clsim.Signal, name: str, order: int) -> Case:
+    """Return a scene whose ends sway at up to 10 m/s each."""
+    case = abrupt_tones()[3]
+    return replace(case, name=name, signals=(signal,), rate=RATE, room=replace(case.room, order=order))
+
+
+CASES = [
+    replace(circles()[0], options=NARROW, samples=1500), replace(circles()[1], options=NARROW, samples=800),
+    moving(clsim.Signal.tone(40e3, 0.08, RATE), "abrupt", 3),
+    moving(clsim.Signal.tone(40e3, 0.08, RATE, fade=0.01), "faded", 3),
+    moving(clsim.Signal.chirp(39e3, 41e3, 0.08, RATE), "chirp", 3),
+    moving(clsim.Signal.chirp(39e3, 41e3, 0.08, RATE, window="tukey"), "faded chirp, order 10", 10),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in CASES])
+def test_the_sum_is_what_the_oracle_hears(case: Case) -> None:
+    case = replace(case, options=NARROW | {"duration": min(case.duration, 0.1)}, samples=min(case.samples, 700))
+    assert case.plan().narrow_parts
+    assert measured(case).error_db <= PROMISED_DB
+
+
+def scene(*signals: clsim.Signal, duration: float = 0.3, **receiver: Any) -> clsim.Scene:
+    """Return a room with walls and beams by frequency: sources on circles, a moving receiver and one at rest."""
+    walls = clsim.Material.from_reflection(0.9)
+    soft = clsim.Material.from_absorption([20e3, 40e3, 60e3, 80e3], [0.1, 0.2, 0.35, 0.5])
+    room = clsim.Shoebox((6.0, 5.0, 3.0), {"default": walls, "z_min": soft})
+    beam = clsim.Piston(0.004)
+    sources = [
+        clsim.Source(
+            f"s{i}", signal, clsim.Trajectory.circle((2.5, 2.5, 1.4), 0.8 + 0.3 * i, 1.0, duration), beam,
+            aim=(1.0, 0.0, 0.3), start=0.01 * i,
+        )
+        for i, signal in enumerate(signals)
+    ]  # fmt: skip
+    ways = clsim.Trajectory.line((4.0, 1.0, 2.0), (4.0, 1.0 + 5.0 * duration, 2.0), duration), (4.5, 4.0, 2.5)
+    ears = [
+        clsim.Receiver("moving", ways[0], **receiver),
+        clsim.Receiver("at rest", clsim.Trajectory.fixed(ways[1]), beam, aim=(-1.0, 0.0, 0.0)),
+    ]
+    return clsim.Scene(room, clsim.Air(), sources, ears)
+
+
+def planned(one: clsim.Scene, order: int = 2, **options: Any) -> Plan:
+    return clsim.plan_render(clsim.find_paths(one, order), RATE, **NARROW | options)
+
+
+def sound(plan: Plan) -> np.ndarray:
+    return record(plan).samples.astype(np.float64)
+
+
+def apart_db(one: np.ndarray, other: np.ndarray) -> float:
+    return float(20.0 * np.log10(np.linalg.norm(one - other) / np.linalg.norm(other)))
+
+
+TONE = clsim.Signal.tone(40e3, 0.2, RATE)
+ELECTRONICS = clsim.Electronics(clock_ppm=40.0, clock_offset=1e-3, high_cut=70e3, gain_db=20.0)
+
+
+@pytest.mark.parametrize(
+    ("one", "options", "parts"),
+    [
+        pytest.param(scene(TONE), {}, [(0,)], id="walls and beams by frequency"),
+        pytest.param(scene(TONE), {"responses": "centre"}, [(0,)], id="responses at the centre"),
+        pytest.param(scene(TONE, transducer=clsim.Transducer.named("MA40S4R"), electronics=ELECTRONICS), {}, [(0,)],
+                     id="transducer, electronics, clock"),
+        pytest.param(scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.2, RATE), TONE), {}, [(0, 2)],
+                     id="two narrow sources and a wide one"),
+        pytest.param(scene(TONE, clsim.Signal.tone(25e3, 0.15, RATE)), {}, [(0,), (1,)], id="two carriers"),
+        pytest.param(scene(clsim.Signal.pulses(clsim.Signal.tone(40e3, 0.03, RATE), 0.07, 3)), {}, [(0,)],
+                     id="bursts with pauses"),
+        pytest.param(scene(TONE), {"motion": "quasi-static"}, [(0,)], id="quasi-static"),
+        pytest.param(scene(TONE), {"prune_below_db": -60.0}, [(0,)], id="pruned"),
+        pytest.param(scene(clsim.Signal.tone(15e3, 0.2, 48e3)), {}, [(0,)], id="brought to the sampling rate"),
+    ],
+)  # fmt: skip
+def test_it_is_what_the_plain_way_gives(one: clsim.Scene, options: dict[str, Any], parts: list[tuple[int, ...]]) -> None:
+    plan = planned(one, **options)
+    assert [part.sources for part in plan.narrow_parts] == parts
+    assert apart_db(sound(plan), sound(planned(one, narrowband=False, **options))) <= PROMISED_DB
+
+
+def test_pairs_at_rest_are_convolved_with_all_of_the_signal() -> None:
+    walls, still = clsim.Material.from_reflection(0.8), clsim.Trajectory.fixed((1.0, 2.0, 1.0))
+    ears = [
+        clsim.Receiver("moving", clsim.Trajectory.line((4.0, 3.0, 1.0), (4.0, 2.0, 1.0), 0.2)),
+        clsim.Receiver("at rest", clsim.Trajectory.fixed((4.0, 2.0, 2.0))),
+    ]
+    one = clsim.Scene(clsim.Shoebox((6.0, 5.0, 3.0), walls), clsim.Air(), [clsim.Source("s", TONE, still)], ears)
+    plan = planned(one)
+    assert plan.narrow_parts
+    assert len(plan.static_pairs.indices) == 1
+    whole = sound(planned(one, narrowband=False))
+    np.testing.assert_array_equal(sound(plan)[1], whole[1])
+    assert apart_db(sound(plan), whole) <= PROMISED_DB
+
+
+@pytest.mark.parametrize("start", [0.0, 0.05])
+def test_nothing_is_heard_before_an_arrival_less_the_stated_reach(start: float) -> None:
+    walls, way = clsim.Material.from_reflection(0.8), clsim.Trajectory.line((1.0, 2.0, 1.0), (2.0, 2.0, 1.0), 0.2)
+    far = clsim.Receiver("far", clsim.Trajectory.fixed((12.0, 2.0, 1.5)))
+    source = clsim.Source("s", clsim.Signal.tone(40e3, 0.1, RATE), way, start=start)
+    plan = planned(clsim.Scene(clsim.Shoebox((13.0, 4.0, 3.0), walls), clsim.Air(), [source], [far]))
+    got = sound(plan)[0]
+    (part,), (rest,) = plan.narrow_parts, plan.source_filters
+    filters = part.plan.source_filters[0]
+    assert isinstance(rest, RestFilters)
+    assert isinstance(filters, NarrowFilters)
+    reach = max(rest.half_length, (filters.half_length + part.upsampler.reach) * part.upsampler.every)
+    told = [line for line in plan.describe() if "before an arrival" in line]
+    assert any(f"{1e3 * reach / RATE:.3g} ms before an arrival" in line for line in told)
+    c = clsim.Air().speed_of_sound
+    arrival = (start + math.dist((1.0, 2.0, 1.0), (12.0, 2.0, 1.5)) / c) * RATE - 0.25 * RATE * start
+    silent = max(math.floor(arrival) - reach, 0)
+    assert silent > 2000
+    assert not np.any(got[:silent])
+    assert np.abs(got[: math.floor(arrival) - 200]).max() < 1e-4 * np.abs(got).max()  # the skirts take each other away
+
+
+def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
+    one = scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.2, RATE, window="tukey"))
+    plan = planned(one, chunk=18432)
+    whole = sound(plan).astype(np.float32)
+    later = [piece for _, piece in clsim.render_chunks(plan, first=2 * 18432)]
+    np.testing.assert_array_equal(np.concatenate(later, axis=1), whole[:, 2 * 18432 :])
+    assert apart_db(sound(planned(one)), whole) < -125.0
+
+
+def test_rest_and_narrow_part_add_up_to_the_signal() -> None:
+    plan = planned(scene(clsim.Signal.tone(40e3, 1.0, RATE), duration=1.0))
+    (rest,), filters = plan.source_filters, plan.narrow_parts[0].plan.source_filters[0]
+    assert isinstance(rest, RestFilters)
+    assert isinstance(filters, NarrowFilters)
+    left, upsampler = rest.sounding(-4000, 196_000), plan.narrow_parts[0].upsampler
+    assert np.mean(left != 0.0) < 0.03  # but for onset and end there is silence
+    whole = rest.signal.read(-4000, 196_000)
+    narrow = np.zeros(200_000)
+    every, reach = upsampler.every, upsampler.reach
+    first, last = -(4000 // every), 196_000 // every
+    made = upsampler(filters.emitted(first + 1 - reach, last + reach), first)
+    begin = 4000 + first * every
+    narrow[begin : begin + len(made)] = made
+    inside = slice(begin, begin + len(made))
+    assert apart_db((narrow + left)[inside], whole[inside]) < -95.0
+    pieces = np.concatenate([rest.sounding(a, a + 10_000) for a in range(-4000, 196_000, 10_000)])
+    np.testing.assert_allclose(pieces, left, atol=2e-5)  # cells at the verge of silence may differ
+
+
+def shaken(frequency: float, amplitude: float) -> clsim.Trajectory:
+    def position(t: np.ndarray) -> np.ndarray:
+        return np.array([2.0, 2.0, 1.0]) + amplitude * np.sin(2 * np.pi * frequency * t)[:, None] * np.ones(3)
+
+    return clsim.Trajectory.sampled(position, 0.2, 50 * frequency)
+
+
+BOX = clsim.Shoebox((6.0, 5.0, 3.0), clsim.Material.from_reflection(0.8))
+LEGS = clsim.Trajectory.waypoints([0.0, 0.1, 0.2], [(1, 1, 1), (1.2, 1, 1), (1.2, 1.3, 1)], smooth=False)
+NEAR = clsim.Trajectory.line((3.0, 2.0, 1.0), (5.0, 2.0, 1.0), 0.2)
+
+
+@pytest.mark.parametrize(
+    ("way", "why"),
+    [
+        pytest.param(LEGS, "the velocity of the source jumps", id="legs"),
+        pytest.param(NEAR, "receiver 0 is passed so near, at up to 10.2 m/s", id="near"),
+        pytest.param(shaken(800.0, 2e-4), "ends move so quickly", id="shaken"),
+    ],
+)
+def test_where_envelopes_would_not_do_the_plain_way_is_taken_and_told(way: clsim.Trajectory, why: str) -> None:
+    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((4.0, 2.012, 1.0)))]
+    one = clsim.Scene(BOX, clsim.Air(), [clsim.Source("s", clsim.Signal.tone(40e3, 0.2, RATE), way)], ears)
+    plan = planned(one, order=1)
+    assert not plan.narrow_parts
+    (told,) = [line for line in plan.describe() if "without a narrow part" in line]
+    assert why in told
+    np.testing.assert_array_equal(sound(plan), sound(planned(one, order=1, narrowband=False)))
+
+
+def test_slow_shaking_is_narrow() -> None:
+    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((4.0, 2.5, 1.0)))]
+    one = clsim.Scene(BOX, clsim.Air(), [clsim.Source("s", TONE, shaken(25.0, 1e-3))], ears)
+    assert planned(one, order=1).narrow_parts
+
+
+def test_paths_that_begin_and_end_are_rendered_plainly() -> None:
+    paths = clsim.find_paths(scene(TONE), 1)
+    tracks = clsim.track(paths)
+    family = paths.families[0]
+    heard = replace(family, start=np.where(np.arange(len(family.start)) == 3, 0.1, family.start))
+    plan = clsim.plan_render(replace(paths, families=(heard,)), RATE, **NARROW)
+    assert len(tracks.pairs) == len(plan.tracks.pairs)
+    assert not plan.narrow_parts
+    assert any(line.endswith("paths begin and end") for line in plan.describe())
+
+
+@pytest.mark.parametrize(
+    "options", [{"interpolator": clsim.Lagrange(12)}, {"engine": "reference"}, {"narrowband": None}, {"narrowband": False}]
+)
+def test_other_engines_filters_and_few_paths_take_the_plain_way(options: dict[str, Any]) -> None:
+    plan = planned(scene(clsim.Signal.tone(40e3, 0.02, RATE), duration=0.03), order=0, **options)
+    assert not plan.narrow_parts
+    assert not plan.not_narrow
+
+
+def test_tracks_from_elsewhere_take_the_plain_way() -> None:
+    tracks = clsim.Tracks.from_samples([0.0, 0.1], [[0.010, 0.011]], [[0.3, 0.3]])
+    tone = clsim.Signal.tone(40e3, 0.05, RATE)
+    made, plain = (clsim.render_tracks([tone], tracks, RATE, narrowband=choice).samples for choice in (True, False))
+    np.testing.assert_array_equal(made, plain)
+
+
+def test_the_oracle_sees_a_wrong_carrier(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes out a tenth of a turn late is far from what is right: the bounds above can fail."""
+    case = replace(CASES[2], options=NARROW | {"duration": 0.08}, samples=400)
+    late = measured(case, lambda pressure: np.roll(pressure, 1, axis=1))
+    assert late.error_db > -20.0
+    assert oracle.QUIET_DB < 0.0
