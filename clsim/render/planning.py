@@ -100,7 +100,7 @@ def plan_tracks(
     filters, narrow, not_narrow = _source_filters(emissions, tracks, pairs, options, samples / heard_at)
     segment, blocks = _blocks(tracks, options, heard_at)
     chunk = _chunk(tracks, options, samples, heard_at, segment)
-    parts = tuple(_narrow_part(carrier, narrow, tracks, options, samples) for carrier in _carriers(narrow))
+    parts = tuple(_narrow_part(carrier, narrow, tracks, pairs, options, samples) for carrier in _carriers(narrow))
     return Plan(
         options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, left_out, parts, not_narrow,
         BUILDERS,
@@ -181,7 +181,12 @@ def _carriers(narrow: dict[int, NarrowFilters]) -> list[tuple[float, float]]:
 
 
 def _narrow_part(
-    carrier: tuple[float, float], narrow: dict[int, NarrowFilters], tracks: Tracks, options: RenderOptions, samples: int
+    carrier: tuple[float, float],
+    narrow: dict[int, NarrowFilters],
+    tracks: Tracks,
+    pairs: StaticPairs,
+    options: RenderOptions,
+    samples: int,
 ) -> NarrowPart:
     """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
     mine = {i: filters for i, filters in narrow.items() if (filters.carrier, filters.rate) == carrier}
@@ -191,7 +196,7 @@ def _narrow_part(
     band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
     upsampler = Upsampler.about(carrier[0], options.sampling_rate, first.mixer.every, 0.5 * band.bandwidth)
     within = replace(options, baseband=band, narrowband=None, chunk=None)
-    others = frozenset(i for i, pair in enumerate(tracks.pairs) if pair.source not in mine)
+    others = pairs.indices | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
     blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
     count, segment = samples_needed(samples, upsampler), segment_of(blocks)
     chunk = _chunk(tracks, within, count, carrier[1], segment)

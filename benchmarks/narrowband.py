@@ -1,0 +1,88 @@
+"""Narrow part and rest against the plain way: processor time of whole calls, planning included, in turn, in one run.
+
+Kernels are built by a first call of each that is not counted. `apart` compares both with a rendering at -110 dB, over the
+first tenth of a second. Of signals for which the default call takes the plain way the ratio shows what looking costs.
+"""
+
+import argparse
+import math
+import statistics
+import time
+import warnings
+
+import numpy as np
+
+import clsim
+from clsim.render.planning import plan_render
+from clsim.render.render import record
+
+RATE = 192e3
+SIGNALS = {
+    "40 kHz tone, abrupt ends": lambda d: clsim.Signal.tone(40e3, d, RATE),
+    "40 kHz beacon, 10 ms fades": lambda d: clsim.Signal.tone(40e3, d, RATE, fade=0.01),
+    "39 to 41 kHz chirp": lambda d: clsim.Signal.chirp(39e3, 41e3, d, RATE, window="tukey"),
+    "20 to 80 kHz chirp": lambda d: clsim.Signal.chirp(20e3, 80e3, d, RATE, window="tukey"),
+    "noise, 30 to 50 kHz": lambda d: clsim.Signal.noise(d, RATE, 1, (30e3, 50e3)),
+    "1 ms pulses, 10 a second": lambda d: clsim.Signal.pulses(
+        clsim.Signal.tone(40e3, 1e-3, RATE, fade=2e-4), 0.1, round(10 * d)
+    ),
+}
+
+
+def found(signal: clsim.Signal, duration: float, order: int) -> clsim.PathSet:
+    """Return the paths of a source at 6.28 m/s on a circle of 1 m, in a box."""
+    way = clsim.Trajectory.circle((4.0, 3.0, 1.5), 1.0, 1.0, duration)
+    room, ear = clsim.Shoebox((8.0, 6.0, 3.0), clsim.Material.from_reflection(0.9)), clsim.Trajectory.fixed((1, 1, 2.9))
+    scene = clsim.Scene(room, clsim.Air(), [clsim.Source("s", signal, way)], [clsim.Receiver("r", ear)])
+    return clsim.find_paths(scene, order)
+
+
+def timed(paths: clsim.PathSet, duration: float, **options: object) -> tuple[float, np.ndarray, int]:
+    """Return the processor time of a call, s, the samples (n,), and how many narrow parts there were."""
+    begun = time.process_time()
+    plan = plan_render(paths, RATE, duration=duration, **options)
+    samples = record(plan).samples[0]
+    return time.process_time() - begun, samples.astype(float), len(plan.narrow_parts)
+
+
+def apart_db(got: np.ndarray, wanted: np.ndarray) -> float:
+    """Return how far samples lie apart, dB."""
+    got = got[: len(wanted)]
+    return 20.0 * math.log10(max(np.linalg.norm(got - wanted) / np.linalg.norm(wanted), 1e-15))
+
+
+def row(name: str, duration: float, order: int, repeat: int) -> str:
+    """Return a signal's row of the table."""
+    paths = found(SIGNALS[name](duration), duration, order)
+    ways: tuple[dict[str, object], ...] = ({"narrowband": False}, {})
+    first = [timed(paths, duration, **way) for way in ways]
+    spent: list[list[float]] = [[], []]
+    for i in range(repeat):
+        for k in (i % 2, 1 - i % 2):
+            spent[k].append(timed(paths, duration, **ways[k])[0])
+    fine = {"interpolator": clsim.Bandlimited(-110.0), "response_error_db": -110.0, "narrowband": False}
+    wanted = timed(paths, min(0.1, duration), **fine)[1]
+    ratios = [f(spent[0]) / f(spent[1]) for f in (min, statistics.median)]
+    errors = [apart_db(made, wanted) for _, made, _ in first]
+    return (
+        f"| {name} | {'narrow and rest' if first[1][2] else 'plain'} | {min(spent[0]):.2f} s | {min(spent[1]):.2f} s | "
+        f"{ratios[0]:.2f} | {ratios[1]:.2f} | {errors[0]:.0f} dB | {errors[1]:.0f} dB |"
+    )
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--duration", type=float, default=10.0, metavar="SECONDS", help="of each signal (default: 10)")
+    parser.add_argument("--order", type=int, default=10, help="of reflections (default: 10)")
+    parser.add_argument("--repeat", type=int, default=3, metavar="N", help="counted calls of each (default: 3)")
+    parser.add_argument("--only", nargs="+", choices=SIGNALS, default=SIGNALS, metavar="NAME", help="some signals")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    print("| signal | taken | plain | default | ratio: least | median | plain: apart | default |\n" + "|---" * 8 + "|")
+    for name in options.only:
+        print(row(name, options.duration, options.order, options.repeat), flush=True)
+
+
+if __name__ == "__main__":
+    main()

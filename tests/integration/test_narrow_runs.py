@@ -1,0 +1,102 @@
+"""Runs of scenes with a narrow part: gone on with bit for bit, and alike in every store."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+import clsim
+from clsim.cli import main
+from clsim.render import planning
+from clsim.render.contributions import Stateless
+from clsim.workflow import checkpoint
+
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [4.0, 3.0, 2.5]
+walls = { reflection = 0.9 }
+[[sources]]
+name = "beacon"
+signal = { kind = "tone", frequency = 40e3, duration = 0.25, sampling_rate = 192e3 }
+trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 0.5 }
+[[receivers]]
+name = "ear"
+trajectory = { kind = "fixed", position = [3.0, 1.5, 2.0] }
+electronics = { clock_ppm = 50.0, high_cut = 80e3, gain_db = 20.0 }
+[paths]
+max_order = 1
+[render]
+sampling_rate = 192e3
+chunk = 18432
+narrowband = true
+"""
+pytestmark = [
+    pytest.mark.usefixtures("device"),
+    pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning"),  # the tone begins at once
+]
+
+
+@dataclass(frozen=True)
+class Failing(Stateless):
+    """Adds nothing, and fails at a sample."""
+
+    at: int
+    name: str = "failing"
+
+    def describe(self) -> list[str]:
+        return []
+
+    def digest(self) -> str:
+        return ""
+
+    def begin(self) -> "Failing":
+        return self
+
+    def add(self, pressure: np.ndarray, start: int) -> None:
+        if start == self.at:
+            raise clsim.DeviceError("the device is lost")
+
+
+def run(folder: Path, out: str, *more: str) -> int:
+    return main(["run", str(folder / "scene.toml"), "-o", str(folder / out), "--no-plots", "--table", "none", *more])
+
+
+def test_a_run_goes_on_bit_for_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where it was stopped lies within a chunk of the envelopes, which are of another length."""
+    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
+    (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
+    fails = [-1]
+    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
+    assert run(tmp_path, "whole") == 0
+    fails[0] = 2 * 18432
+    assert run(tmp_path, "out") == 2
+    assert "the device is lost" in capsys.readouterr().err
+    fails[0] = -1
+    assert run(tmp_path, "out", "--resume") == 0
+    got, wanted = (soundfile.read(tmp_path / folder / "ear.wav", dtype="float32")[0] for folder in ("out", "whole"))
+    np.testing.assert_array_equal(got, wanted)
+    assert np.any(wanted)
+
+
+def test_check_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
+    assert main(["check", str(tmp_path / "scene.toml")]) == 0
+    assert "source 0, narrow part: rendered as complex envelope of " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("kind", "name"), [("zarr", "recording.zarr"), ("hdf5", "recording.h5")])
+def test_stores_hold_the_same(kind: str, name: str, tmp_path: Path) -> None:
+    pytest.importorskip("xarray")
+    pytest.importorskip({"zarr": "zarr", "hdf5": "h5netcdf"}[kind])
+    (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
+    for out, store in (("wav", "wav"), (kind, kind)):
+        assert run(tmp_path, out, "--store", store) == 0
+    wanted = soundfile.read(tmp_path / "wav" / "ear.wav", dtype="float32")[0]
+    with clsim.open_store(tmp_path / kind / name) as stored:
+        np.testing.assert_array_equal(np.asarray(stored["sound"][0]), wanted)
