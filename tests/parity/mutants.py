@@ -25,6 +25,9 @@ _TOKEN = re.compile(
     r"|(?P<word>[A-Za-z_]\w*|\d[\w.]*)|(?P<operator>\+\+|--|&&|\|\||->|<<|>>|[-+*/%&|^<>=!]=|[^\s\\])|(?P<end>(?<!\\)\n)",
     re.MULTILINE,
 )  # fmt: skip
+_CHOICE = """size_t __attribute__((overloadable, const)) get_global_offset(uint);
+#define MUTANT(number) (get_global_offset(2) == number)
+"""
 _OPEN, _CLOSE = dict(zip("([{", ")]}", strict=True)), set(")]}")
 _ASSIGN = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^="}
 _HEADS = {"if", "for", "while"}
@@ -69,7 +72,7 @@ class Mutants:
                 changes += [(*region, number) for region in regions]
             else:
                 self._alone[name] = self._text.replace(old, new)
-        self._together = "#define MUTANT(number) (get_global_offset(2) == number)\n" + _joined(self._text, changes)
+        self._together = _CHOICE + _joined(self._text, changes)
         self.chosen: str | None = None
 
     def __iter__(self) -> Iterator[str]:
@@ -86,7 +89,7 @@ class Mutants:
         def source(program: str) -> str:
             if program != self.program:
                 return original(program)
-            return self._alone[self.chosen] if self.chosen in self._alone else self._together
+            return self._alone.get(self.chosen or "", self._together)
 
         def launched(kernel: Any, trial: Any) -> Any:
             return tried(kernel if kernel.function_name != self.program else _Chosen(self, kernel), trial)
@@ -133,7 +136,11 @@ def _edits(text: str, start: int, end: int, new: str) -> Iterator[tuple[int, int
     for kind, a, b, c, d in same.get_opcodes():
         if kind != "equal":
             at = before[a].start() if a < len(before) else end - start
-            yield start + at, start + (before[b - 1].end() if b > a else at), new[after[c].start() : after[d - 1].end()] + " " if d > c else ""
+            yield (
+                start + at,
+                start + (before[b - 1].end() if b > a else at),
+                new[after[c].start() : after[d - 1].end()] + " " if d > c else "",
+            )
 
 
 def _is_word(pair: str) -> bool:
@@ -164,7 +171,9 @@ def _expression(
     """Return the smallest expression, by its places in the text, that holds a part of it and is one when edited, too."""
     first = bisect(tokens, start, key=lambda t: t.end)  # tokens that the part touches: none for what is put between two
     last = bisect(tokens, end - 1, key=lambda t: t.start) if end > start else first
-    while 0 <= first and last <= len(tokens) and not {t.text.lstrip(" \t")[0] for t in tokens[first:last]} & set(";{}#"):
+    while (
+        first >= 0 and last <= len(tokens) and not {t.text.lstrip(" \t")[0] for t in tokens[first:last]} & set(";{}#")
+    ):
         a, b = _left(tokens, first), _right(tokens, last)
         region = tokens[a].start, tokens[b - 1].end
         (opened, closed, parted), became = _balance(tokens[a:b]), _balance(_tokens(_edited(text, *region, edits)))
@@ -189,7 +198,12 @@ def _left(tokens: list[_Token], i: int) -> int:
     """Return the first token of what reaches up to token `i`: back to a bracket, a separator or an assignment."""
     while i > 0:
         text = tokens[i - 1].text
-        if text in _OPEN or text in _ASSIGN or text in {",", ";", "}", "return", "else", "\n"} or text.lstrip().startswith("#"):
+        if (
+            text in _OPEN
+            or text in _ASSIGN
+            or text in {",", ";", "}", "return", "else", "\n"}
+            or text.lstrip().startswith("#")
+        ):
             break
         if text in _CLOSE:
             depth, j = 1, i - 1

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mutants import Mutants
 from made_responses import POROUS, ROUGH, Lopsided, OffCentre
+from mutants import Mutants
 from scipy.spatial.transform import Rotation, Slerp
 
 import clsim
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine
+from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 from clsim.render.reference import ReferenceEngine
 
@@ -94,12 +95,15 @@ def _near() -> PathSet:
 
 
 @pytest.fixture(scope="module")
-def difference_db() -> Callable[..., float]:
+def difference_db(once) -> Callable[..., float]:
     """Return what renders a scene by OpenCL, as the kernels are now, and compares it with the reference."""
-    plans = {kind: _plan(kind) for kind in KINDS}
-    wanted = {kind: ReferenceEngine(plan).render(FIRST, LAST)[0] for kind, plan in plans.items()}
+    plans: dict[str, Plan] = {}
+    wanted: dict[str, np.ndarray] = {}
 
     def compare(kind: str, layout: Layout | None = None) -> float:
+        if kind not in plans:
+            plan = plans[kind] = _plan(kind)
+            wanted[kind] = once(f"mutants, {kind}", lambda: ReferenceEngine(plan).render(FIRST, LAST)[0])
         engine = OpenclEngine(plans[kind], layout)
         engine.skips_silence = False  # what it changes is in test_silence.py
         try:
@@ -114,7 +118,7 @@ def difference_db() -> Callable[..., float]:
     return compare
 
 
-def _plan(kind: str):
+def _plan(kind: str) -> Plan:
     paths = _paths(kind)
     filters = clsim.Bandlimited(-100.0)  # blocks are 6 dB better
     return plan_render(

@@ -65,17 +65,17 @@ def candidates(room, source, receivers, order) -> list[Candidates]:
 
 
 CASES = scenes()
-WANTED: dict[str, list[tuple[Candidates, Intervals]]] = {}
 
 
 @pytest.fixture(scope="module")
-def wanted() -> dict[str, list[tuple[Candidates, Intervals]]]:
+def wanted(once) -> dict[str, list[tuple[Candidates, Intervals]]]:
     """Return what the NumPy twin finds."""
-    for name, case in CASES.items():
-        if name not in WANTED:
-            asked = query(*case)
-            WANTED[name] = [(c, find_intervals(asked, c.sequence[c.row], c.receiver)) for c in candidates(*case)]
-    return WANTED
+    return once("path search", lambda: {name: found_on_host(case) for name, case in CASES.items()})
+
+
+def found_on_host(case) -> list[tuple[Candidates, Intervals]]:
+    asked = query(*case)
+    return [(c, find_intervals(asked, c.sequence[c.row], c.receiver)) for c in candidates(*case)]
 
 
 def same(got: Intervals, twin: Intervals) -> bool:
@@ -184,15 +184,16 @@ MUTANTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("part", range(4))
-def test_mutants_are_caught(part: int, wanted, monkeypatch: pytest.MonkeyPatch) -> None:
-    mutants = Mutants("intervals", dict(list(MUTANTS.items())[part::4]))
+def test_mutants_are_caught(wanted, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Paths of the highest order in all scenes but one, whose order no other has: an order is a program to be built.
+    fewer = {name: parts[-1:] for name, parts in wanted.items() if name != "pillar"}
+    mutants = Mutants("intervals", MUTANTS)
     mutants.play(monkeypatch)
-    assert agree(wanted), "none of them is chosen"
+    assert agree(fewer), "none of them is chosen"
     unseen = []
     for name in mutants:
         try:
-            if agree(wanted):
+            if agree(fewer):
                 unseen.append(name)
         except clsim.ClsimError:  # the search did not end
             pass
