@@ -127,6 +127,7 @@ def _plan(kind: str) -> Plan:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", [None, GPU_LAYOUT])
 @pytest.mark.parametrize("kind", KINDS)
 def test_kernels_as_they_are_pass(difference_db, kind: str, layout: Layout | None) -> None:
@@ -229,6 +230,7 @@ def _grouped() -> dict[tuple[str, str], dict[str, tuple[str, str]]]:
 GROUPED = _grouped()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "program"), GROUPED)
 def test_mutants_are_caught(kind: str, program: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
     mutants = Mutants(program, GROUPED[kind, program])
