@@ -217,6 +217,11 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
+def test_a_mutant_of_what_is_not_there_is_an_error() -> None:
+    with pytest.raises(ValueError, match=r"not exactly once in its text is what the mutants \['lost'\] change"):
+        Mutants("render", {"kept": MUTANTS["a branch skipped"][1:], "lost": ("no such words", "")})
+
+
 def _grouped() -> dict[tuple[str, str], dict[str, tuple[str, str]]]:
     """Return the mutants by scene and program."""
     grouped: dict[tuple[str, str], dict[str, tuple[str, str]]] = {}
