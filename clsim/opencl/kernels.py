@@ -131,14 +131,16 @@ PROGRAMS = {
         {
             "emitted": _in("float", "rows of emitted samples"),
             "first_emitted": _INT,
-            "taps": _in("float", "rows, TAPS"),
+            "taps": _in("float", "rows, tap_count"),
+            "tap_count": _INT,
             "width": _INT,
             "stride": _INT,
             "first_row": _INT,
             "rows": _out("float", "rows, stride"),
+            "sparse": _INT,
             "following": _in("int", "cells"),
         },
-        frozenset({"LANES", "VECTORS", "TAPS", "OVERSAMPLING", "SPARSE", "CELL"}),
+        frozenset({"LANES", "VECTORS", "OVERSAMPLING", "CELL"}),
     ),
     "coarse_delays": Program(
         (*_PROPAGATION, "nodes/image.h", "nodes/coarse_delays.cl"),
