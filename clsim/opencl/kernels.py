@@ -284,9 +284,10 @@ PROGRAMS = {
         ),
         {
             **_BRANCHES,
-            "first_row": _INT,
+            "first_row": _in("int", "functions + 1"),
             "functions": _INT,
             "first_function": _INT,
+            "functions_here": _INT,
             **_BLOCKS,
             "first_slot": _in("int", "receivers + 1"),
             "block_subblocks": _INT,
@@ -297,7 +298,7 @@ PROGRAMS = {
         frozenset(
             {
                 "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
-                "DELAY_TERMS", "FUNCTIONS", "EACH_FUNCTION", "MOST_ROWS",
+                "DELAY_TERMS", "FUNCTIONS", "ROWS",
             }
         ),
     ),
