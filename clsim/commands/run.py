@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.commands.arguments import add_render_option, add_scene, as_path
+from clsim.cluster.workers import Workers, check_packages
+from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
 from clsim.errors import InputError, warn
 from clsim.files.atomic import safe_path
 from clsim.output.stores import STORES, check_store
@@ -56,12 +57,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)")
     parser.add_argument("--no-plots", action="store_true", help="draw no pictures")
+    parser.add_argument(
+        "--workers", type=as_whole, metavar="N", help="processes of this machine that render (default: this one)"
+    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers render instead")
     for name, text in _OVERRIDES.items():
         add_render_option(parser, name, text)
 
 
 def execute(options: argparse.Namespace) -> int:
     """Render a scene file into a folder; return the exit status."""
+    workers = _workers(options)
     file = load_scene(options.scene)
     check_store(options.store, [receiver.name for receiver in file.scene.receivers])
     outputs = RunOutputs.of(file, options.store, options.table, pictures=not options.no_plots)
@@ -71,7 +77,7 @@ def execute(options: argparse.Namespace) -> int:
     )
     given = {name: getattr(options, name) for name in _OVERRIDES if getattr(options, name) is not None}
     with results.held():
-        made = _fill(results, outputs, file.with_render(**given), options)
+        made = _fill(results, outputs, file.with_render(**given), options, workers)
     if not made:
         print(f"clsim: nothing was missing: all results in {options.output} are as they were written", file=sys.stderr)
     for path in made or [options.output / COMPLETED]:
@@ -79,7 +85,29 @@ def execute(options: argparse.Namespace) -> int:
     return 0
 
 
-def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: argparse.Namespace) -> list[Path]:
+def _workers(options: argparse.Namespace) -> Workers | None:
+    """Return who renders, None for this process, once it is sure that they can be reached and can write the store."""
+    if options.workers is None and options.scheduler is None:
+        return None
+    workers = Workers(options.workers, options.scheduler)
+    field = "--scheduler" if options.scheduler else "--workers"
+    by_regions = [name for name, store in STORES.items() if store.by_regions]
+    if options.store not in by_regions:
+        raise InputError(
+            "--store", f"must be {' or '.join(by_regions)} for {field}, written by regions, but is {options.store}"
+        )
+    check_packages(field, "a run on workers")
+    workers.check_reach()
+    return workers
+
+
+def _fill(
+    results: ResultFolder,
+    outputs: RunOutputs,
+    file: SceneFile,
+    options: argparse.Namespace,
+    workers: Workers | None,
+) -> list[Path]:
     """Make what is missing in a folder; return its paths. Sound is moved there first: what fails later costs none."""
     planned = plan_scene(file, progress)
     paths, plan = planned.paths, planned.plan
@@ -88,8 +116,9 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
     sound = planned.stored_sound(results.folder)
     store = STORES[options.store](results.work, sound, outputs.receivers)
     results.begin(identity)
-    with within_memory(plan.largest_field, "rendering", plan.memory_bytes):
-        made = render_sound(results, plan, store, identity)
+    processes = 1 if workers is None else workers.count()
+    with within_memory(plan.largest_field, "rendering", processes * plan.memory_bytes):
+        made = render_sound(results, plan, store, identity, workers)
     changing = bool((paths.start > times[0]).any() or (paths.end <= times[-1]).any())
     missing = [name for name in outputs.beside_sound(changing) if not results.is_whole(name)]
     if outputs.table in missing:

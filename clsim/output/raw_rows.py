@@ -59,15 +59,15 @@ class RawRows:
                     ) from error
             os.truncate(number, max(size, os.fstat(number).st_size))
 
-    def write(self, start: int, samples: NDArray[Any]) -> None:
-        """Write samples (rows, n) of all rows from sample `start` on.
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write samples (n_rows, n) of rows from `first` and from sample `start` on.
 
         Raises
         ------
         OSError
             If they cannot be written; it names the file.
         """
-        for (path, begin), row in zip(self._places, samples, strict=True):
+        for (path, begin), row in zip(self._places[first : first + len(samples)], samples, strict=True):
             left = memoryview(np.ascontiguousarray(row, dtype=self._type).tobytes())
             at = begin + self._type.itemsize * start
             try:

@@ -10,7 +10,6 @@ import os
 import shutil
 import sys
 import time
-import traceback
 import uuid
 import warnings
 from functools import lru_cache
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.errors import ClsimWarning, DeviceError, InputError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, consolidate, texts
 from clsim.study.file import TAKEN, Member, Study
@@ -28,6 +27,7 @@ from clsim.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from clsim.cluster.dispatch import Call, Row
     from clsim.paths.ground_truth import DirectPath
     from clsim.paths.path_table import PathTable
     from clsim.recording import Recording
@@ -39,6 +39,43 @@ _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 PARTIAL = ".partial"
 DONE = ("finished", "failed")
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+class MemberTasks:
+    """The members of a study, as workers do them.
+
+    Parameters
+    ----------
+    study : Study
+        Which.
+    folder : Path
+        Where its results go.
+    """
+
+    kind, several = "member", True
+
+    def __init__(self, study: Study, folder: Path) -> None:
+        render = study.content.get("render", {})
+        self.needs_device = render.get("engine", "opencl") == "opencl"
+        self._folder, self._device = folder, render.get("device")
+
+    def check(self) -> Call:
+        """Return a call of `check_worker`."""
+        return check_worker, (str(self._folder), self.needs_device, self._device)
+
+    def call(self, number: int) -> Call:
+        """Return a call of `run_member`."""
+        return run_member, (str(self._folder), number)
+
+    def found(self, number: int) -> Row | None:
+        """Return the row of a member whose group is in the store."""
+        return row_of_group(self._folder / STORE / f"m{number:06d}")
+
+    def failed(self, number: int, error: BaseException) -> Row:
+        """Return the row of a member whose call raised an error; a full disk stops all of them."""
+        if is_disk_full(error):
+            raise error
+        return {"member": number, "status": "failed", "error": in_one_line(error), "seconds": 0.0}
 
 
 def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
@@ -134,16 +171,6 @@ def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[s
 def is_disk_full(error: BaseException) -> bool:
     """Return whether an error is one that all other members would meet, too."""
     return isinstance(error, OSError) and error.errno in _DISK_FULL
-
-
-def in_one_line(error: BaseException) -> str:
-    """Return an error in a line; for one that clsim did not expect, with its place."""
-    text = " ".join(str(error).split())[:500]
-    if isinstance(error, ClsimError):
-        return text
-    last = traceback.extract_tb(error.__traceback__)[-1:]
-    place = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in last)
-    return f"{type(error).__name__}: {text}{place}"
 
 
 def _settings(folder: str) -> Study:

@@ -16,7 +16,7 @@ import pytest
 from made_studies import ENVIRONMENT, METRICS, index, runs, write, write_scene
 
 from clsim.cli import main
-from clsim.study import dispatch
+from clsim.cluster import dispatch
 
 psutil = pytest.importorskip("psutil")  # comes with distributed
 pytest.importorskip("distributed")
