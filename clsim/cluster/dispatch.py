@@ -50,6 +50,9 @@ class Tasks(Protocol):
     def failed(self, number: int, error: BaseException) -> Row:
         """Return the row of a task that raised an error, or raise it."""
 
+    def over(self) -> Call | None:
+        """Take note that nothing more is wanted; return what workers are to be asked, and waited for, if anything."""
+
 
 class Team(Protocol):
     """Processes that do tasks."""

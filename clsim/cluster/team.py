@@ -6,7 +6,7 @@ import os
 import queue
 import sys
 import uuid
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from clsim.cluster.dispatch import WorkersLostError
@@ -103,6 +103,15 @@ class DaskTeam:
         self._futures.pop(number).release()
         return number, row
 
+    def end(self) -> None:
+        """Want nothing more at all, and wait for workers that have to be waited for."""
+        for future in self._futures.values():
+            future.cancel()
+        asked = self._tasks.over()
+        if asked is not None:
+            function, arguments = asked
+            self._client.run(function, *arguments, workers=sorted(self._known), on_error="ignore")
+
 
 @contextmanager
 def _scheduler_there() -> Iterator[None]:
@@ -156,7 +165,12 @@ def remote_team(scheduler: str, tasks: Tasks) -> Iterator[DaskTeam]:
         If it cannot be reached.
     """
     with _quiet(), _client(scheduler) as client:
-        yield DaskTeam(client, tasks, [])
+        team = DaskTeam(client, tasks, [])
+        try:
+            yield team
+        finally:
+            with suppress(OSError, RuntimeError, ValueError):  # the scheduler may be lost
+                team.end()
 
 
 def check_reach(scheduler: str) -> None:

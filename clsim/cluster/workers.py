@@ -10,7 +10,7 @@ from clsim.cluster.dispatch import WorkersLostError
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Generator, Sequence
 
     from clsim.cluster.dispatch import Dispatch, Row, Tasks
 
@@ -73,7 +73,7 @@ class Workers:
         """Return these, but no more processes of this machine than there is work for."""
         return self if self.scheduler else Workers(max(1, min(self.count(), number)))
 
-    def rows(self, dispatch: Dispatch, tasks: Tasks, devices: Sequence[str]) -> Iterator[tuple[int, Row]]:
+    def rows(self, dispatch: Dispatch, tasks: Tasks, devices: Sequence[str]) -> Generator[tuple[int, Row], None, None]:
         """Have tasks done; yield number and row of each. If all processes of this machine are lost, start new ones.
 
         Parameters

@@ -77,6 +77,9 @@ class MemberTasks:
             raise error
         return {"member": number, "status": "failed", "error": in_one_line(error), "seconds": 0.0}
 
+    def over(self) -> None:
+        """Let workers be: a group appears whole or not at all."""
+
 
 def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
     """Compute a member and write its group into the study's store; return its row of the index.

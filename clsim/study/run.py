@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import shutil
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -198,7 +198,10 @@ def _run(tasks: MemberTasks, dispatch: Dispatch, index: Index, workers: Workers,
     if not dispatch.left:
         return
     devices = local_devices() if tasks.needs_device and workers.scheduler is None else []
-    with progress("members", dispatch.left) as advance:
-        for number, row in workers.at_most(dispatch.left).rows(dispatch, tasks, devices):
+    with (
+        progress("members", dispatch.left) as advance,
+        closing(workers.at_most(dispatch.left).rows(dispatch, tasks, devices)) as rows,
+    ):
+        for number, row in rows:
             index.add({"member": number} | row)
             advance(1.0)

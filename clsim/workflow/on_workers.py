@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 from clsim.cluster.dispatch import Dispatch
@@ -10,7 +11,7 @@ from clsim.errors import ClsimError, warn
 from clsim.files.atomic import remove_leftovers
 from clsim.render.receiver_chain import ReceiverChain
 from clsim.render.rendering import PressureSum
-from clsim.workflow.pieces import Handed, Piece, PlanFile, check_worker, device_of, do_piece, versions
+from clsim.workflow.pieces import Handed, Piece, PlanFile, check_worker, device_of, do_piece, idle, versions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,24 +67,30 @@ def render_on_workers(
     pieces = Pieces(handed, PlanFile.write(folder, handed), *begun)
     dispatch, told = Dispatch(pieces.todo()), set[str]()
     try:
-        for number, row in workers.at_most(pieces.count).rows(dispatch, pieces, _devices(workers, plan)):
-            if row["status"] == "failed":
-                piece = pieces.piece(number)
-                raise ClsimError(f"samples {piece.first} to {piece.last} were not rendered: {row['error']}")
-            for text in row["warnings"]:
-                without_numbers = re.sub(r"[\d.]+", "", text)
-                if without_numbers not in told:  # each piece has its own: the first stands for all
-                    told.add(without_numbers)
-                    warn(text)
-            for ready in pieces.settle(number, row["state"]):
-                dispatch.add(ready)
-            advance(pieces.rendered(number))
-            note(*pieces.whole())
+        with closing(workers.at_most(pieces.count).rows(dispatch, pieces, _devices(workers, plan))) as rows:
+            for number, row in rows:
+                if row["status"] == "failed":
+                    piece = pieces.piece(number)
+                    raise ClsimError(f"samples {piece.first} to {piece.last} were not rendered: {row['error']}")
+                _tell(row["warnings"], told)
+                for ready in pieces.settle(number, row["state"]):
+                    dispatch.add(ready)
+                advance(pieces.rendered(number))
+                note(*pieces.whole())
     finally:
         pieces.file.remove()
     receivers = ReceiverChain(plan)
     receivers.restore(pieces.whole()[1])
     receivers.warn()
+
+
+def _tell(warnings: list[str], told: set[str]) -> None:
+    """Warn of what pieces warned of: each has its own numbers, and the first stands for all."""
+    for text in warnings:
+        without_numbers = re.sub(r"[\d.]+", "", text)
+        if without_numbers not in told:
+            told.add(without_numbers)
+            warn(text)
 
 
 def _devices(workers: Workers, plan: Plan) -> list[str]:
@@ -170,6 +177,11 @@ class Pieces:
     def failed(self, number: int, error: BaseException) -> Row:
         """Raise the error: no other worker would do better."""
         raise error
+
+    def over(self) -> Call:
+        """Have workers write nothing more; return a call that waits until they do not."""
+        self.file.remove()
+        return idle, ()
 
     def settle(self, number: int, state: State) -> list[int]:
         """Take a piece as done; return those that can be done now."""

@@ -9,6 +9,7 @@ so another batch would change it.
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import pickle
 import threading
@@ -224,6 +225,12 @@ def do_piece(plan: PlanFile, piece: Piece, state: State, device: str | None) -> 
     told = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
     seconds = time.process_time() - begun
     return {"status": "finished", "state": remembered, "warnings": told, "seconds": seconds}
+
+
+async def idle() -> None:
+    """Wait until this worker does no piece any more."""
+    while _busy.locked():
+        await asyncio.sleep(0.02)
 
 
 @lru_cache(maxsize=1)
