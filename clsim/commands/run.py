@@ -5,32 +5,26 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from clsim.cluster.workers import Workers, check_packages
 from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
-from clsim.errors import InputError, warn
+from clsim.errors import InputError
 from clsim.files.atomic import safe_path
 from clsim.output.stores import STORES, check_store
 from clsim.output.table import check_table, write_ground_truth, write_table
-from clsim.render.memory import within_memory
 from clsim.scene_file import load_scene
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
 from clsim.workflow.outputs import COMPLETED, GROUND_TRUTH, RunOutputs
 from clsim.workflow.pictures import draw_pictures
-from clsim.workflow.pipeline import input_files, plan_scene
+from clsim.workflow.pipeline import check_table_size, input_files, plan_scene, table_times
 from clsim.workflow.result_folder import ResultFolder
 
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from clsim.arrays import Floats
-    from clsim.render.plan import Plan
     from clsim.scene_file.scene import SceneFile
 
-_LARGEST_TABLE = 2_000_000  # paths times instants
 _OVERRIDES = {  # of the scene file's [render]
     "device": "OpenCL device, by id or part of its name (see `clsim devices`)",
     "engine": "instead of the scene file's",
@@ -111,14 +105,14 @@ def _fill(
     """Make what is missing in a folder; return its paths. Sound is moved there first: what fails later costs none."""
     planned = plan_scene(file, progress)
     paths, plan = planned.paths, planned.plan
-    times = _table_times(plan, options)
+    if options.table != "none":
+        check_table_size(plan, "--table", "must be none")
+    times = table_times(plan, options.table_rate, "--table-rate")
     identity = run_identity(planned) | {"options": {"store": options.store, "table_rate": options.table_rate}}
     sound = planned.stored_sound(results.folder)
     store = STORES[options.store](results.work, sound, outputs.receivers)
     results.begin(identity)
-    processes = 1 if workers is None else workers.count()
-    with within_memory(plan.largest_field, "rendering", processes * plan.memory_bytes):
-        made = render_sound(results, plan, store, identity, workers)
+    made = render_sound(results, plan, store, identity, workers)
     changing = bool((paths.start > times[0]).any() or (paths.end <= times[-1]).any())
     missing = [name for name in outputs.beside_sound(changing) if not results.is_whole(name)]
     if outputs.table in missing:
@@ -131,23 +125,3 @@ def _fill(
         with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(sound.scene, "utf-8")
     return made + results.take(missing, finished=True)
-
-
-def _table_times(plan: Plan, options: argparse.Namespace) -> Floats:
-    """Return the times of table and ground truth; fewer than asked where the table would grow beyond all use."""
-    rate = options.table_rate
-    if not 0.0 < rate <= plan.sampling_rate:
-        raise InputError("--table-rate", f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
-    if options.table != "none" and 2 * plan.path_count > _LARGEST_TABLE:
-        raise InputError(
-            "--table",
-            f"must be none for more than {_LARGEST_TABLE // 2} paths, but is {options.table} for {plan.path_count}",
-        )
-    count = int(plan.duration * rate) + 1
-    most = max(2, _LARGEST_TABLE // max(plan.path_count, 1))
-    if count > most:
-        warn(
-            f"--table-rate: {plan.path_count} paths at {rate:g} Hz are too much for one table; "
-            f"{most} instants are written, {most / plan.duration:.3g} a second"
-        )
-    return np.linspace(0.0, (count - 1) / rate, min(count, most))

@@ -83,9 +83,10 @@ def run_study(
     """
     check_packages("study", "a study")
     from clsim.cluster.dispatch import Dispatch
+    from clsim.study.content import metrics_function
     from clsim.study.file import DEFAULT_LIMIT, checked, load_study
     from clsim.study.index import Index, write_summary
-    from clsim.study.member import PARTIAL, STORE, MemberTasks, metrics_function
+    from clsim.study.member import PARTIAL, STORE, MemberTasks
 
     progress = progress or no_progress
     doing = Workers(workers, scheduler)

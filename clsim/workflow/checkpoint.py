@@ -9,12 +9,12 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
-from clsim.render.render import render_chunks
 from clsim.render.rendering import Rendering
 from clsim.scene_file.scene import referenced_files
 from clsim.workflow.console import progress
 from clsim.workflow.on_workers import render_on_workers
 from clsim.workflow.pieces import device_of, versions
+from clsim.workflow.streaming import render_into
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,17 +99,13 @@ def _render(
     rendering = Rendering(plan)
     if begun[0]:
         rendering.restore(begun[1])
-    store.open()
-    try:
-        for start, samples in render_chunks(plan, first=begun[0], rendering=rendering):
-            store.write(start, samples)
-            done = start + samples.shape[1]
-            if notes.due(done):
-                store.to_disk()
-                notes(done, rendering.state())
-            advance(samples.shape[1])
-    finally:
-        store.close()
+    before = begun[0]
+    for done in render_into([store], plan, rendering, before):
+        if notes.due(done):
+            store.to_disk()
+            notes(done, rendering.state())
+        advance(done - before)
+        before = done
 
 
 def run_identity(planned: PlannedScene) -> dict[str, Any]:

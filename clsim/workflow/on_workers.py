@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from clsim.cluster.dispatch import Dispatch
 from clsim.errors import ClsimError, warn
 from clsim.files.atomic import remove_leftovers
+from clsim.render.memory import within_memory
 from clsim.render.receiver_chain import ReceiverChain
 from clsim.render.rendering import PressureSum
 from clsim.workflow.pieces import Handed, Piece, PlanFile, check_worker, device_of, do_piece, idle, versions
@@ -62,8 +63,10 @@ def render_on_workers(
     ClsimError
         If a piece cannot be rendered, or workers are lost.
     """
-    handed = Handed.of(plan, store, _BLOCKS * (workers.count() or _UNKNOWN))
-    remove_leftovers(folder)
+    here = workers.count()
+    handed = Handed.of(plan, store, _BLOCKS * (here or _UNKNOWN))
+    with within_memory(plan.largest_field, f"rendering by {here} processes", here * plan.memory_bytes):
+        remove_leftovers(folder)
     pieces = Pieces(handed, PlanFile.write(folder, handed), *begun)
     dispatch, told = Dispatch(pieces.todo()), set[str]()
     try:
