@@ -47,6 +47,11 @@ class PressureSum:
             adding.add(pressure, start)
         return pressure
 
+    def until(self, last: int) -> None:
+        """Take note that for now no chunk from sample `last` on will be asked for."""
+        for adding in self._adding:
+            adding.until(last)
+
     def state(self) -> State:
         """Return all that is remembered of the chunks so far; nothing where each is for itself."""
         parts: State = {}

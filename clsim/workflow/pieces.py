@@ -270,6 +270,7 @@ class _Site:
             self._pressure = PressureSum(self._plan)
         if state:
             self._pressure.restore(state)
+        self._pressure.until(piece.last)
         for start in self._chunks(piece):
             pressure = self._pressure(start)
             for block in self.handed.blocks:

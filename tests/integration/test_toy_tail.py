@@ -80,6 +80,9 @@ class Ringing:
             rung, self.memory[i] = lfilter([LEVEL], [1.0, -pole], emitted, zi=self.memory[i])
             pressure += rung
 
+    def until(self, last: int) -> None:
+        pass
+
     def state(self) -> State:
         return {"memory": self.memory}
 
