@@ -15,7 +15,7 @@ from clsim.errors import ClsimError, DeviceError, InputError, in_one_line
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from clsim.cluster.dispatch import Row, Tasks
+    from clsim.cluster.dispatch import Call, Row, Tasks
 
 _REACH = 10  # s, for a scheduler to answer
 
@@ -54,8 +54,7 @@ class DaskTeam:
         with _scheduler_there():
             there = self._client.nthreads()
             new = sorted(there.keys() - self._known)
-            function, arguments = self._tasks.check()
-            answers = self._client.run(function, *arguments, workers=new, on_error="return") if new else {}
+            answers = self._ask(self._tasks.check(), new, "return") if new else {}
         for address, found in answers.items():
             if isinstance(found, ImportError) and found.name in (None, "clsim"):
                 raise InputError("--scheduler", f"its workers must have clsim installed, but: {found}")
@@ -109,8 +108,13 @@ class DaskTeam:
             future.cancel()
         asked = self._tasks.over()
         if asked is not None:
-            function, arguments = asked
-            self._client.run(function, *arguments, workers=sorted(self._known), on_error="ignore")
+            self._ask(asked, sorted(self._known), "ignore")
+
+    def _ask(self, call: Call, workers: list[str], on_error: str) -> dict[str, Any]:
+        """Return what workers answer to a call, by their addresses."""
+        function, arguments = call
+        answers: dict[str, Any] = self._client.run(function, *arguments, workers=workers, on_error=on_error)
+        return answers
 
 
 @contextmanager

@@ -115,6 +115,15 @@ def test_workers_killed_at_random_blame_nobody(seed: int) -> None:
     assert set(Counter(team.finished).values()) == {1}
 
 
+def test_what_becomes_ready_comes_before_what_waits() -> None:
+    team, dispatch = MadeTeam(1), Dispatch([0, 10, 20])
+    for number, _ in dispatch.rows(team, lambda number: None):
+        if number % 10 < 2:
+            dispatch.add(number + 1)
+    assert team.finished == [0, 1, 2, 10, 11, 12, 20, 21, 22]
+    assert dispatch.left == 0
+
+
 def test_what_was_stored_before_its_worker_died_is_done() -> None:
     team = MadeTeam(1, kills=lambda number, beside: team.stored.add(number) or number == 1)
     assert {row["status"] for row in run(team, 3).values()} == {"finished"}
