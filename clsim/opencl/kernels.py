@@ -111,6 +111,8 @@ _FADES = {
 }
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}
 
+DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
+
 PROGRAMS = {
     "emit": Program(
         ("render/emit.cl",),
@@ -129,14 +131,13 @@ PROGRAMS = {
         {
             "emitted": _in("float", "rows of emitted samples"),
             "first_emitted": _INT,
-            "taps": _in("float", "rows, TAPS"),
-            "width": _INT,
-            "stride": _INT,
-            "first_row": _INT,
+            "taps": _in("float", "rows, tap_count"),
+            "tap_count": _INT, "width": _INT, "stride": _INT, "first_row": _INT,
             "rows": _out("float", "rows, stride"),
+            "sparse": _INT,
             "following": _in("int", "cells"),
         },
-        frozenset({"LANES", "VECTORS", "TAPS", "OVERSAMPLING", "SPARSE", "CELL"}),
+        frozenset({"LANES", "VECTORS", "OVERSAMPLING", "CELL"}),
     ),
     "coarse_delays": Program(
         (*_PROPAGATION, "nodes/image.h", "nodes/coarse_delays.cl"),
@@ -280,9 +281,9 @@ PROGRAMS = {
         ),
         {
             **_BRANCHES,
-            "first_row": _INT,
+            "first_row": _in("int", "functions + 1"),
             "functions": _INT,
-            "first_function": _INT,
+            "first_function": _INT, "functions_here": _INT,
             **_BLOCKS,
             "first_slot": _in("int", "receivers + 1"),
             "block_subblocks": _INT,
@@ -293,7 +294,7 @@ PROGRAMS = {
         frozenset(
             {
                 "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
-                "DELAY_TERMS", "FUNCTIONS", "EACH_FUNCTION", "MOST_ROWS",
+                "DELAY_TERMS", "FUNCTIONS", "ROWS",
             }
         ),
     ),
@@ -344,6 +345,12 @@ def kernel_folder() -> Path:
         if exists:
             return folder
     raise ClsimError(f"no kernels beside {package}: install clsim again")
+
+
+@cache
+def declarations() -> str:
+    """Return what the kernels use of OpenCL C itself, to stand before a program whose compiler is told to read none."""
+    return (kernel_folder() / DECLARATIONS).read_text("utf-8")
 
 
 @cache

@@ -107,6 +107,13 @@ def plan_tracks(
     )  # fmt: skip
 
 
+def on_device(plan: Plan, device: str | None) -> Plan:
+    """Return a plan for a device of this machine; one that it names stays, and None is any."""
+    if device is None or plan.options.device is not None:
+        return plan
+    return replace(plan, options=replace(plan.options, device=device), builders=BUILDERS)
+
+
 def _check_receivers(scene: Scene, rate: float) -> float:
     """Check that transducers and electronics work at the sampling rate; return how long a receiver rings, s."""
     longest = 0
