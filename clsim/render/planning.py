@@ -111,7 +111,13 @@ def on_device(plan: Plan, device: str | None) -> Plan:
     """Return a plan for a device of this machine; one that it names stays, and None is any."""
     if device is None or plan.options.device is not None:
         return plan
-    return replace(plan, options=replace(plan.options, device=device), builders=BUILDERS)
+    options, parts = replace(plan.options, device=device), tuple(_part_on(device, part) for part in plan.narrow_parts)
+    return replace(plan, options=options, narrow_parts=parts, builders=BUILDERS)
+
+
+def _part_on(device: str, part: NarrowPart) -> NarrowPart:
+    options = replace(part.plan.options, device=device)
+    return replace(part, plan=replace(part.plan, options=options, builders=[path_sum]))
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:
