@@ -1,6 +1,7 @@
 """Narrow parts and rests: against the oracle, against the plain way, and where neither may be heard."""
 
 import math
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from default_cases import Case, abrupt_tones, circles, measured
 import clsim
 from clsim.render.narrow_band import NarrowFilters, RestFilters
 from clsim.render.plan import Plan
+from clsim.render.planning import on_device
 from clsim.render.render import record
 
 RATE = 192e3
@@ -238,3 +240,10 @@ def test_the_oracle_sees_a_wrong_carrier(monkeypatch: pytest.MonkeyPatch) -> Non
     late = measured(case, lambda pressure: np.roll(pressure, 1, axis=1))
     assert late.error_db > -20.0
     assert oracle.QUIET_DB < 0.0
+
+
+def test_a_plan_for_another_device_takes_its_narrow_parts_along() -> None:
+    plan = planned(scene(TONE), order=0)
+    there = on_device(plan, "0:0")
+    assert [part.plan.options.device for part in there.narrow_parts] == ["0:0"]
+    np.testing.assert_array_equal(sound(pickle.loads(pickle.dumps(there))), sound(plan))
