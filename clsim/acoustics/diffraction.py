@@ -185,8 +185,8 @@ def end_detour(way: EdgeWay, source: tuple[Floats, Floats], receiver: tuple[Floa
 
     Notes
     -----
-    Our own derivation: each leg's ``far - near`` is ``(far² - near²) / (far + near)``. The parts linear in the offset of
-    the point from the apex cancel over both legs, by Fermat's principle, and are left out before they round.
+    Our own derivation: each leg's ``far - near`` is ``(far² - near²) / (far + near)``. The parts linear in the offset
+    of the point from the apex cancel over both legs, by Fermat's principle, and are left out before they round.
     """
     off = np.asarray(end, dtype=np.float64) - way.apex
     total = np.zeros(np.broadcast(off, way.length).shape)

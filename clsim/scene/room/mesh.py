@@ -14,6 +14,7 @@ from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read
 from clsim.errors import InputError
 from clsim.scene.material.material import Material
 from clsim.scene.room.contact import first_contact, first_off, walls_at
+from clsim.scene.room.edges import Edges, find_edges
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
 from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, mesh_shape
@@ -417,6 +418,24 @@ class MeshRoom:
         """
         found = walls_at(self.walls, position)
         return found[np.unique(self.walls.plane[found], return_index=True)[1]]
+
+    def edges(self) -> Edges:
+        """Return the edges at which sound turns round corners: of screens, of what stands in the room, of its corners.
+
+        Returns
+        -------
+        Edges
+            In a watertight mesh those with air of the inside about them; of walls as they are merged, so that the
+            triangles they are made of do not matter.
+
+        Examples
+        --------
+        >>> corners = [(0, 0), (8, 0), (8, 5), (4, 5), (4, 9), (0, 9)]
+        >>> edges = MeshRoom.from_plan(corners, 3.0, Material.from_reflection(0.9)).edges()
+        >>> edges.names, edges.n.round(9).tolist(), edges.length.tolist()
+        (('edge wall 3 | wall 2',), [1.5], [3.0])
+        """
+        return find_edges(self.walls, self.faces, self.contains if self.is_closed else None)
 
     def as_mesh(self) -> MeshRoom:
         """Return the room itself.
