@@ -167,8 +167,8 @@ def find_edges(walls: Walls, faces: Faces, inside: Inside | None) -> Edges:
         start, along, np.array([p.across for p in found]), np.array([p.out for p in found]), length,
         np.array([p.n for p in found]), np.array([p.faces for p in found]), np.stack(free, axis=1),
     ]  # fmt: skip
-    names: Any = _names([p.faces for p in found], faces.names)
-    return Edges(*map(read_only, columns), names)
+    held = zip((f.name for f in fields(Edges)), map(read_only, columns), strict=False)
+    return Edges(**dict(held), names=_names([p.faces for p in found], faces.names))
 
 
 def _lines(walls: Walls) -> Iterator[_Line]:
