@@ -16,6 +16,7 @@ from clsim.paths.family import DIFFRACTION, NONE, SPECULAR
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.specular.intervals import find_intervals
 from clsim.paths.specular.mesh import BEAM_LIMIT, LARGEST_MESH_ORDER, image_isometries, visibility_query
+from clsim.paths.specular.visibility import mirrored
 from clsim.paths.trajectory_tables import BoundingSpheres
 
 if TYPE_CHECKING:
@@ -94,10 +95,7 @@ def _source_rows(
         from_receiver = _sequences(room.walls, tables.sphere(receiver + 1), edges, spheres, order)
         for candidates in _candidates(from_source, from_receiver, edges, order, receiver):
             pieces = _pieces(query, edges, candidates, order)
-            found += [
-                {**row, "source": source, "receiver": receiver}
-                for row in _rows(query, edges, pieces, partners)
-            ]
+            found += [{**row, "source": source, "receiver": receiver} for row in _rows(query, edges, pieces, partners)]
             if len(found) > search.path_limit:
                 raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
         search.progress((source + (receiver + 1) / len(scene.receivers)) / len(scene.sources))
@@ -124,16 +122,19 @@ def _sequences(walls: Walls, sphere: tuple[Floats, float], edges: Edges, spheres
 def _may_reach(
     walls: Walls, sphere: tuple[Floats, float], edges: Edges, edge: int, sequence: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """Return which sequences (n, N) may lead to an edge: not along its own walls, nor from inside its wedge."""
+    """Return which sequences (n, N) may lead to an edge: not from inside its wedge, nor by walls that it lies in.
+
+    As seen from the last walls of a sequence the edge may lie in the plane of an earlier one: such a path would meet
+    that wall at the edge's image, at its very end.
+    """
     reaches, image = np.ones(len(sequence), dtype=bool), np.tile(sphere[0], (len(sequence), 1))
     for wall in sequence.T:
-        height = np.einsum("ni,ni->n", image, walls.normal[wall]) - walls.offset[wall]
-        image = image - 2.0 * height[:, None] * walls.normal[wall]
-    if sequence.shape[1]:
-        for place in (edges.start[edge], edges.stop[edge]):
-            height = walls.normal[sequence[:, -1]] @ place - walls.offset[sequence[:, -1]]
-            reaches &= np.abs(height) <= _ON * walls.size
-        reaches = ~reaches
+        image = mirrored(walls, wall, image)
+    seen = [np.tile(x[edge], (len(sequence), 1)) for x in (edges.start, edges.stop)]
+    for wall in sequence.T[::-1]:
+        heights = [np.einsum("ni,ni->n", x, walls.normal[wall]) - walls.offset[wall] for x in seen]
+        reaches &= np.abs(heights).max(axis=0) > _ON * walls.size
+        seen = [mirrored(walls, wall, x) for x in seen]
     r, angle, _ = edges.cylindrical(np.full(len(image), edge), image)
     beyond = np.maximum(-angle, angle - np.pi * edges.n[edge])
     depth = np.where(beyond < 0.5 * np.pi, r * np.sin(np.clip(beyond, 0.0, 0.5 * np.pi)), r)
@@ -215,9 +216,7 @@ class _Partners:
         return event if abs(event - time) <= within else time
 
 
-def _rows(
-    query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Partners
-) -> Iterator[dict[str, Any]]:
+def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Partners) -> Iterator[dict[str, Any]]:
     """Yield paths, with the times of their partners."""
     asked, within = pieces.candidates, max(_SAME_EVENT, _FARTHEST * query.resolution)
     begin, end = pieces.begin.copy(), pieces.end.copy()

@@ -205,9 +205,7 @@ class _Part:
     def status(self) -> tuple[Bools, Floats]:
         """Return which are free, and how often what moves fits into what is left until that changes, each (n,)."""
         nowhere = np.zeros_like(self.end)
-        line = unfold(
-            self.walls, self.sequence, self.end, self.apex, Reach(self.reach, self.reach, nowhere, nowhere)
-        )
+        line = unfold(self.walls, self.sequence, self.end, self.apex, Reach(self.reach, self.reach, nowhere, nowhere))
         moves = self.reach[:, None] + line.slack * np.linalg.norm(line.stop - line.start, axis=2)[:, :1]
         valid, ratio = self._meets(line, moves)
         for leg in range(self.sequence.shape[1] + 1):
