@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.special import fresnel
+from scipy.special import fresnel, wofz
 from wedge_oracle import C, Place, edge_field, half_plane, wedge_series
 
 from clsim.acoustics.diffraction import edge_way, end_detour, lit_angles, transition, wedge_terms
@@ -159,6 +159,9 @@ def test_partners_come_and_go_smoothly(n: float, boundary: int) -> None:
 
 
 def test_the_transition_at_its_start_and_far_out() -> None:
+    beside = np.array([8.0 - 1e-9, 8.0 + 1e-9])  # where a series takes over
+    assert abs(np.diff(transition(beside))[0]) < 1e-10
+    np.testing.assert_allclose(transition(beside), wofz(1j * np.exp(0.25j * np.pi) * beside), rtol=1e-10)
     root = np.array([1e-3, 0.5, 3.0, 40.0, 400.0])
     sine, cosine = fresnel(root * np.sqrt(2.0 / np.pi))
     wanted = np.exp(1j * root**2) * (1.0 - (1.0 + 1j) * (cosine - 1j * sine))
