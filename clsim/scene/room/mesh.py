@@ -19,6 +19,7 @@ from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
 from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, mesh_shape
 from clsim.scene.room.report import describe_mesh
+from clsim.scene.room.sheets import thin_panels
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls
 
 if TYPE_CHECKING:
@@ -260,6 +261,41 @@ class MeshRoom:
             tuple(note for mesh in meshes for note in mesh.notes),
             scales.pop() if len(scales) == 1 else None,
         )
+
+    def with_sheets(self, thinner_than: float) -> MeshRoom:
+        """Return the room with thin panels as sheets, which sound goes round as round one edge.
+
+        Parameters
+        ----------
+        thinner_than : float
+            Panels of less thickness, each a shell of its own, become one layer in their middle, 0 to 10 m; two
+            wavelengths are a good choice with `find_paths(…, diffraction=1)`.
+
+        Returns
+        -------
+        MeshRoom
+            The room; its notes tell what was done. Of a panel's two sides one gives the material.
+
+        Raises
+        ------
+        InputError
+            If the thickness is out of bounds.
+
+        Examples
+        --------
+        >>> from clsim import Shoebox
+        >>> door = Shoebox((0.9, 0.005, 2.0), Material.from_reflection(0.9)).as_mesh()
+        >>> sheet = door.with_sheets(0.017)
+        >>> len(sheet.walls), set(sheet.edges().n.tolist()), sheet.extent[0][1].round(9)
+        (1, {2.0}, np.float64(0.0025))
+        """
+        thickness = as_number("thinner_than", thinner_than, at_least=0.0, at_most=_BENT, unit="m")
+        labels, materials = tuple(self.labels or ()), self.triangle_materials
+        vertices, triangles, origin, notes = thin_panels(self.vertices, self.triangles, labels, thickness)
+        return MeshRoom(
+            vertices, triangles, [materials[i] for i in origin], self.flatness, [labels[i] for i in origin],
+            (*self.notes, *notes), self.scale,
+        )  # fmt: skip
 
     @property
     def extent(self) -> tuple[Floats, Floats]:

@@ -126,3 +126,28 @@ def test_descriptions_name_edges() -> None:
     assert "wall 3" in lines[1]
     assert "270 degrees of air, 3 m" in lines[1]
     assert sum(": free, " in line for line in screen().edges().describe()) == 4
+
+
+def test_thin_panels_become_sheets() -> None:
+    """In their middle, turned as they are; what is thicker, bent or part of the room stays."""
+    trimesh = pytest.importorskip("trimesh")
+    panel, thick = block((2, 2, 0.5), (4, 2.004, 1.5)), block((5, 2, 0.5), (6, 2.1, 1.5))
+    turn = trimesh.transformations.rotation_matrix(0.4, [1.0, 2.0, 3.0])[:3, :3]
+    turned = clsim.MeshRoom(panel.vertices @ turn.T + [0.0, 1.0, 0.5], panel.triangles, DOOR, labels=["door"] * 12)
+    ladder = clsim.MeshRoom(
+        [(0, 0, 0), (1e-3, 0, 0), (0, 1e-3, 0), (0, 0, 1e-3)], [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], WALL
+    )
+    room = clsim.MeshRoom.joined([ROOM, turned, thick, ladder])
+    sheets = room.with_sheets(0.017)
+    assert len(room.with_sheets(0.0).triangles) == len(room.triangles)
+    assert [note for note in sheets.notes if "sheet" in note] == ["door of 4 mm is taken as a sheet"]
+    assert len(room.triangles) - len(sheets.triangles) == 10
+    door = [w for w, name in enumerate(sheets.faces.names) if name.startswith("door")]
+    assert len(door) == 1
+    assert sheets.faces.materials[door[0]] is DOOR
+    corners = (sheets.walls.hull_of(door[0]) - [0.0, 1.0, 0.5]) @ turn
+    np.testing.assert_allclose(corners[:, 1], 2.002, atol=1e-12)
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [(2, 2.002, 0.5), (4, 2.002, 1.5)])
+    free = sheets.edges()
+    assert (free.n == 2.0).sum() == 4
+    assert sum("block" in name for name in free.names) == 12
