@@ -112,6 +112,10 @@ class OpenclEngine:
                 "receivers at a time, or on another device (see `clsim devices`)"
             ) from error
 
+    def until(self, last: int) -> None:
+        """Prepare nothing from sample `last` on."""
+        self.branch_signals.last = last
+
     def warn(self) -> None:
         """Warn where responses came along that the functions of frequency hold worse than asked."""
         for i, filters in enumerate(self._plan.source_filters):
