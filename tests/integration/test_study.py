@@ -24,6 +24,7 @@ def folder(tmp_path: Path, device) -> Path:
     return write_scene(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
     arguments = write(folder, [0, 2], [1.0, 1.125])
     assert main([*arguments, "--workers", "2"]) == 1

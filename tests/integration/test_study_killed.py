@@ -147,6 +147,7 @@ def test_a_killed_study_goes_on(folder: Path) -> None:
     assert not (folder / "out" / ".partial").exists()
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
     disk = folder / "disk"
     disk.mkdir()
@@ -172,6 +173,7 @@ def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_is_one_line_and_its_workers_had_devices_of_their_own(folder: Path) -> None:
     lengths = [1.5 + 0.001 * i for i in range(40)]
     arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], lengths), "--workers", "2"]

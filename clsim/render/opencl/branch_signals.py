@@ -132,18 +132,16 @@ class BranchSignals:
         out, following = self._rows(self._parts * int(filters.rows[-1]), stride, found)
         emitted, samples = self._emit(feed)
         channel = _VECTORS * self._lanes
+        constants = {"LANES": self._lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
+        kernel = self._compiler.kernel("branches", constants)
         for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
             rows, taps = bank.taps.shape
-            constants = {
-                "LANES": self._lanes, "VECTORS": _VECTORS, "TAPS": taps, "OVERSAMPLING": filters.oversampling,
-                "CELL": CELL, "SPARSE": int(found is not None),
-            }  # fmt: skip
-            kernel = self._compiler.kernel("branches", constants)
             kernel(
                 self._queue, work(feed.width // channel, rows), emitted=emitted,
                 first_emitted=(k * self._parts + part) * samples + feed.before - _taps_before(bank),
-                taps=bank.taps, width=feed.width, stride=stride,
-                first_row=self._parts * filters.rows[k] + part * rows, rows=out, following=following,
+                taps=bank.taps, tap_count=taps, width=feed.width, stride=stride,
+                first_row=self._parts * filters.rows[k] + part * rows, rows=out,
+                sparse=found is not None, following=following,
             )  # fmt: skip
         return Branches(out, stride, feed.first, feed.least, feed.most, found)
 
