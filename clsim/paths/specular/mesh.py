@@ -16,8 +16,9 @@ from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsErr
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.specular.intervals import VisibilityQuery, find_intervals
+from clsim.paths.specular.occlusion import air_sides
 from clsim.paths.specular.ray_shooting import ShotRays
-from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
+from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
 from clsim.scene.flush import find_mount
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not
 # Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
 # them would be heard at -102 dB.
 _OF_A_SAMPLE = 1.0 / 16.0
+_SOURCE = np.zeros(1, dtype=np.int64)  # row of the trajectory tables
 _BATCH = 16_384  # candidates searched at a time
 
 
@@ -118,14 +120,16 @@ class MeshSearch:
             )
         resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
         query = VisibilityQuery(room.walls, ends, c, np.zeros(len(last)), last, resolution)
-        shoot = self._shoots(room.walls, ends)
+        start = ends.lifted(_SOURCE, ends.position(_SOURCE, np.zeros(1)) + PERTURBATIONS[0])[0]
+        sides = air_sides(room.walls, start)
+        shoot = self._shoots(room.walls, ends, sides)
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
         while cells:
             begin, end = cells.pop()
             receivers = ends.receiver_spheres(begin, end)
             centre, radius = ends.sphere(0, begin - longest, end)
-            finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
+            finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT, sides)
             if shoot:
                 finder = ShotRays(room, source.trajectory, receivers, mounts[0])
             part = partial(report, progress, begin / last.max(), end / last.max())
@@ -137,11 +141,12 @@ class MeshSearch:
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
         return _sorted(parts, last)
 
-    def _shoots(self, walls: Walls, ends: TrajectoryTables) -> bool:
+    def _shoots(self, walls: Walls, ends: TrajectoryTables, sides: NDArray[np.int64]) -> bool:
         """Return whether to shoot rays: asked for, or where a tree would be far too large."""
         if self.finder == "auto":
             centre, radius = ends.sphere(0)
-            tree = BeamTree(walls, centre, min(radius, _SMALLEST_CELL * walls.size), BoundingSpheres.none(), BEAM_LIMIT)
+            radius = min(radius, _SMALLEST_CELL * walls.size)
+            tree = BeamTree(walls, centre, radius, BoundingSpheres.none(), BEAM_LIMIT, sides)
             beams = tree.estimate(self.max_order)
             if beams <= BEAM_LIMIT:
                 return False
