@@ -30,6 +30,11 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
+def firsts(count: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where each of several parts begins when they stand in a row, and the end, from their lengths (n,)."""
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+
+
 def spread(first: NDArray[np.int64], which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return what things have several of, where that of thing w stands from ``first[w]`` to ``first[w + 1]``.
 

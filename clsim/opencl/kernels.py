@@ -66,6 +66,7 @@ _INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
 _TRIPLES = ("common/triple.h",)
 _PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
+_WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
 _GAINS = ("common/gains.h",)
@@ -108,6 +109,25 @@ _FADES = {
     "per_ramp": _FLOAT,
     "block_samples": _INT,
     "samples": _INT,
+}
+_ROOM = {
+    "tolerance": _DOUBLE,
+    "thickness": _DOUBLE,
+    "plane": _in("double4", "walls"),
+    "sphere": _in("double4", "walls"),
+    "same": _in("int", "walls"),
+    "first_edge": _in("int", "walls + 1"),
+    "first_piece": _in("int", "walls + 1"),
+    "first_line": _in("int", "pieces + 1"),
+    "first_twin": _in("int", "walls + 1"),
+    "edge": _in("edge_ends", "edges"),
+    "line": _in("double4", "lines"),
+    "twin": _in("int", "twins"),
+    "box_count": _INT,
+    "box_middle": _in("double4", "box_count"),
+    "box_extent": _in("double4", "box_count"),
+    "box_wall": _in("int", "box_count"),
+    "box_skip": _in("int", "box_count"),
 }
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}
 
@@ -209,25 +229,47 @@ PROGRAMS = {
             }
         ),
     ),
+    "meetings": Program(
+        (*_TRIPLES, *_WALLS, "paths/meetings.cl"),
+        {
+            **_ROOM,
+            "half_spaces": _in("double4", "beams, half_space_count"),
+            "half_space_count": _INT,
+            "beams": _INT,
+            "centre": _in("double", "beams, 3"),
+            "radius": _DOUBLE,
+            "slack": _DOUBLE,
+            "last_wall": _in("int", "beams"),
+            "side": _in("int", "wall_count"),
+            "receivers": _in("double4", "receiver_count"),
+            "seen": _in("double4", "half-spaces"),
+            "first_seen": _in("int", "receiver_count * wall_count + 1"),
+            "receiver_count": _INT,
+            "wall_count": _INT,
+            "capacity": _INT,
+            "found": _out("int2", "capacity"),
+            "found_count": _both("int", "1"),
+        },
+        frozenset({"PARALLEL"}),
+    ),
+    "crossings": Program(
+        (*_TRIPLES, *_WALLS, "paths/crossings.cl"),
+        {
+            **_ROOM,
+            "start": _in("double", "segments, 3"),
+            "stop": _in("double", "segments, 3"),
+            "segments": _INT,
+            "found": _out("int", "segments, MOST"),
+        },
+        frozenset({"MOST", "INNER", "PARALLEL"}),
+    ),
     "intervals": Program(
         (
-            *_PROPAGATION, "paths/walls.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
+            *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
             "paths/intervals.cl",
         ),
         {
-            "wall_count": _INT,
-            "tolerance": _DOUBLE,
-            "thickness": _DOUBLE,
-            "plane": _in("double4", "wall_count"),
-            "sphere": _in("double4", "wall_count"),
-            "same": _in("int", "wall_count"),
-            "first_edge": _in("int", "wall_count + 1"),
-            "first_piece": _in("int", "wall_count + 1"),
-            "first_line": _in("int", "pieces + 1"),
-            "first_twin": _in("int", "wall_count + 1"),
-            "edge": _in("edge_ends", "edges"),
-            "line": _in("double4", "lines"),
-            "twin": _in("int", "twins"),
+            **_ROOM,
             "places": _in("table_place", "1 + receivers"),
             "scales": _in("table_scale", "1 + receivers"),
             "knots": _in("double", "knots, KNOT_COLUMNS"),

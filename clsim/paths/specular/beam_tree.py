@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import firsts
 from clsim.paths.specular.beams import BEHIND, beam_planes, clip_rings
 from clsim.paths.specular.occlusion import Views, open_parts
+from clsim.paths.specular.wall_lookup import Beams, Ears, WallLookup
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.specular.wall_lookup import Lookup
     from clsim.paths.trajectory_tables import BoundingSpheres
     from clsim.scene.room.walls import Walls
 
@@ -90,6 +93,8 @@ class BeamTree:
         Beams after which the search is given up.
     sides : ndarray (W,) int, optional
         On which side of each wall paths can be, as from `air_sides`; on both when left out.
+    lookup : Lookup, optional
+        Looks up walls; in NumPy when left out.
 
     Attributes
     ----------
@@ -107,8 +112,10 @@ class BeamTree:
         receivers: BoundingSpheres,
         limit: int,
         sides: NDArray[np.int64] | None = None,
+        lookup: Lookup | None = None,
     ) -> None:
-        self._walls, self._receivers, self._limit = walls, receivers, limit
+        self._walls, self._limit = walls, limit
+        self._lookup = lookup or WallLookup(walls)
         self._centre, self._radius = centre, radius + _SLACK * walls.size
         self._sides = np.zeros(len(walls), dtype=np.int64) if sides is None else sides
         widths = np.diff(walls.first_hull)
@@ -116,10 +123,7 @@ class BeamTree:
         self._hulls, self._widths = walls.hull[walls.first_hull[:-1, None] + fill], widths
         self.beams = 0
         self.share = 0.0
-        slack = _SLACK * walls.size
-        self._seen = np.array(
-            [self._open(c, r + slack)[1] > 0 for c, r in zip(receivers.centre, receivers.radius, strict=True)]
-        )
+        self._ears = self._listening(receivers)
 
     def candidates(self, max_order: int) -> Iterator[Candidates]:
         """Yield candidates batch by batch; depth first, so that little is held at a time.
@@ -130,7 +134,7 @@ class BeamTree:
             If there are more than the limit.
         """
         walls = self._walls
-        everyone = np.arange(len(self._receivers.radius))
+        everyone = np.arange(len(self._ears.radius))
         yield Candidates(np.empty((1, 0), np.int32), np.zeros(len(everyone), np.int64), everyone)
         if max_order == 0:
             return
@@ -147,7 +151,7 @@ class BeamTree:
             if beams.sequence.shape[1] == max_order:
                 self.share += share
                 continue
-            children = self._reflected(beams, planes, last=beams.sequence.shape[1] == max_order - 1)
+            children = self._reflected(beams, planes, max_order - beams.sequence.shape[1])
             count = -(-len(children.corners) // _BEAMS)
             if not count:
                 self.share += share
@@ -165,7 +169,7 @@ class BeamTree:
             total += count
             if level < 4 and len(beams.corners):
                 beams = beams.part(np.linspace(0, len(beams.corners) - 1, min(64, len(beams.corners))).astype(np.int64))
-                children = self._reflected(beams, self._planes(beams), last=False)
+                children = self._reflected(beams, self._planes(beams), max_order - level)
                 growth, beams = len(children.corners) / len(beams.corners), children
             count *= growth
         return total
@@ -177,13 +181,29 @@ class BeamTree:
         centre = self._mirrored(np.broadcast_to(self._centre, (len(wall), 3)), wall)
         return _Beams(centre, ring[wall], corners[wall], wall[:, None])
 
+    def _listening(self, receivers: BoundingSpheres) -> Ears:
+        """Return what receivers see."""
+        walls, planes = self._walls, [np.empty((0, 4))]
+        radii = receivers.radius + _SLACK * walls.size
+        count = np.zeros((len(radii), len(walls)), dtype=np.int64)
+        for row, centre, radius in zip(count, receivers.centre, radii, strict=True):
+            ring, corners = self._open(centre, radius)
+            wall = np.flatnonzero(corners)
+            centres = np.broadcast_to(centre, (len(wall), 3))
+            some = beam_planes(centres, radius, ring[wall], corners[wall], walls.normal[wall], walls.size)
+            real = np.arange(ring.shape[1] + 1) < corners[wall, None]
+            real[:, -1] = True  # the half-space behind the wall
+            planes.append(some[real])
+            row[wall] = corners[wall] + 1
+        return Ears(receivers.centre, radii, count > 0, np.concatenate(planes), firsts(count.ravel()))
+
     def _open(self, centre: Floats, radius: float) -> tuple[Floats, NDArray[np.int64]]:
         """Return the parts of all walls that no other one hides from a ball; see `open_parts`."""
         ring, corners = self._hulls, np.zeros_like(self._widths)
         some = np.flatnonzero(self._faces(np.broadcast_to(centre, (len(corners), 3)), radius, np.arange(len(corners))))
         centres, none = np.broadcast_to(centre, (len(some), 3)), np.full(len(some), -1)
         views = Views(centres, radius, centres[:, None], none, self._hulls[some], self._widths[some], some)
-        left, corners[some] = open_parts(self._walls, views)
+        left, corners[some] = open_parts(self._walls, views, self._lookup.crossings)
         ring = ring[:, np.minimum(np.arange(left.shape[1]), ring.shape[1] - 1)]
         ring[some] = left
         return ring, corners
@@ -204,43 +224,26 @@ class BeamTree:
 
     def _reached(self, beams: _Beams, planes: Floats) -> Candidates:
         """Return the beams as candidates for those receivers whose spheres they touch, and that see their last walls."""
-        spheres = self._receivers
-        height = np.einsum("npi,ri->nrp", planes[..., :3], spheres.centre) - planes[:, None, :, 3]
-        radius = spheres.radius + _SLACK * self._walls.size
-        touched = np.all(height >= -radius[None, :, None], axis=2)
-        row, receiver = np.nonzero(touched & self._seen[:, beams.sequence[:, -1]].T)
+        ears = self._ears
+        height = np.einsum("npi,ri->nrp", planes[..., :3], ears.centre) - planes[:, None, :, 3]
+        touched = np.all(height >= -ears.radius[None, :, None], axis=2)
+        row, receiver = np.nonzero(touched & ears.seen[:, beams.sequence[:, -1]].T)
         return Candidates(beams.sequence, row, receiver)
 
-    def _reflected(self, beams: _Beams, planes: Floats, last: bool) -> _Beams:
-        """Return the beams after one more reflection, on every wall that they may meet; the last one: to a receiver."""
-        walls = self._walls
-        beam, wall = walls.tree.meeting_planes(planes, _SLACK * walls.size)
-        meets = walls.plane[beams.sequence[beam, -1]] != walls.plane[wall]
-        meets &= self._faces(beams.centre[beam], self._radius, wall)
-        beam, wall = beam[meets], wall[meets]
-        if last:
-            leads = self._leads(planes, beam, wall)
-            beam, wall = beam[leads], wall[leads]
+    def _reflected(self, beams: _Beams, planes: Floats, more: int) -> _Beams:
+        """Return the beams after one more reflection of several: on walls that they may meet, at last: to a receiver.
+
+        Before the last reflection but one, what walls hide is left out. Later it costs more than it saves.
+        """
+        cones = Beams(planes, beams.centre, self._radius, beams.sequence[:, -1], _SLACK * self._walls.size)
+        beam, wall = self._lookup.meetings(cones, self._sides, self._ears if more == 1 else None)
         pieces = [slice(i, i + _PAIRS) for i in range(0, max(len(beam), 1), _PAIRS)]
-        return _Beams.joined([self._clipped(beams, planes, beam[piece], wall[piece]) for piece in pieces])
+        return _Beams.joined([self._clipped(beams, planes, beam[piece], wall[piece], more > 2) for piece in pieces])
 
-    def _leads(self, planes: Floats, beam: NDArray[np.int64], wall: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which beams may reach a receiver that sees a wall by this wall: they touch its mirrored sphere."""
-        walls, spheres, found = self._walls, self._receivers, np.zeros(len(beam), dtype=bool)
-        radius = spheres.radius + _SLACK * walls.size
-        seen = np.flatnonzero(self._seen[:, wall].any(axis=0))
-        step = max(1, _PAIRS // len(radius))
-        for some in (seen[i : i + step] for i in range(0, len(seen), step)):
-            normal, plane = walls.normal[wall[some]], planes[beam[some]]
-            cosine = np.einsum("npi,ni->np", plane[..., :3], normal)
-            mirrored = plane[..., :3] - 2.0 * cosine[..., None] * normal[:, None]
-            away = plane[..., 3] - 2.0 * cosine * walls.offset[wall[some], None]
-            touched = np.all(mirrored @ spheres.centre.T - away[..., None] >= -radius, axis=1)
-            found[some] = np.any(touched & self._seen[:, wall[some]].T, axis=1)
-        return found
-
-    def _clipped(self, beams: _Beams, planes: Floats, beam: NDArray[np.int64], wall: NDArray[np.int64]) -> _Beams:
-        """Return the parts of beams that walls (n,) reflect, what others hide left out."""
+    def _clipped(
+        self, beams: _Beams, planes: Floats, beam: NDArray[np.int64], wall: NDArray[np.int64], open_only: bool
+    ) -> _Beams:
+        """Return the parts of beams that walls (n,) reflect, all or what others do not hide."""
         walls = self._walls
         least = np.zeros(planes.shape[1])
         least[-1] = 2.0 * BEHIND * walls.size  # walls that touch the last one from its other side
@@ -250,9 +253,10 @@ class BeamTree:
         ring, corners = clip_rings(self._hulls[wall], self._widths[wall], planes[beam])
         left = np.flatnonzero(corners >= 3)
         ring, corners, beam, wall = ring[left, : int(corners.max(initial=1))], corners[left], beam[left], wall[left]
-        before = beams.sequence[beam, -1]
-        views = Views(beams.centre[beam], self._radius, beams.ring[beam], before, ring, corners, wall)
-        ring, corners = open_parts(walls, views)
+        if open_only:
+            before = beams.sequence[beam, -1]
+            views = Views(beams.centre[beam], self._radius, beams.ring[beam], before, ring, corners, wall)
+            ring, corners = open_parts(walls, views, self._lookup.crossings)
         left = np.flatnonzero(corners)
         next_wall = wall[left].astype(np.int32)
         sequence = np.concatenate([beams.sequence[beam[left]], next_wall[:, None]], axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,10 +14,12 @@ from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.specular.device_walls import DeviceLookup
 from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.specular.intervals import VisibilityQuery, find_intervals
 from clsim.paths.specular.occlusion import air_sides
 from clsim.paths.specular.ray_shooting import ShotRays
+from clsim.paths.specular.wall_lookup import WallLookup
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
 from clsim.scene.flush import find_mount
 
@@ -47,6 +49,7 @@ _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not
 # them would be heard at -102 dB.
 _OF_A_SAMPLE = 1.0 / 16.0
 _SOURCE = np.zeros(1, dtype=np.int64)  # row of the trajectory tables
+_FEW_WALLS = 64  # are looked up by NumPy: quicker than building kernels for it
 _BATCH = 16_384  # candidates searched at a time
 
 
@@ -121,32 +124,37 @@ class MeshSearch:
         resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
         query = VisibilityQuery(room.walls, ends, c, np.zeros(len(last)), last, resolution)
         start = ends.lifted(_SOURCE, ends.position(_SOURCE, np.zeros(1)) + PERTURBATIONS[0])[0]
-        sides = air_sides(room.walls, start)
-        shoot = self._shoots(room.walls, ends, sides)
+        device = _float64_device(self.engine, self.device)
+        on_device = device is not None and len(room.walls) > _FEW_WALLS
+        lookup = DeviceLookup(room.walls, device) if on_device else WallLookup(room.walls)
+        plant = partial(BeamTree, room.walls, limit=BEAM_LIMIT, sides=air_sides(room.walls, start), lookup=lookup)
+        shoot = self._shoots(plant, room.walls.size, ends)
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
         while cells:
             begin, end = cells.pop()
             receivers = ends.receiver_spheres(begin, end)
             centre, radius = ends.sphere(0, begin - longest, end)
-            finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT, sides)
             if shoot:
-                finder = ShotRays(room, source.trajectory, receivers, mounts[0])
+                finder: BeamTree | ShotRays = ShotRays(room, source.trajectory, receivers, mounts[0])
+            else:
+                finder = plant(centre, radius, receivers)
             part = partial(report, progress, begin / last.max(), end / last.max())
             try:
-                parts.append(self._heard(query.during(begin, end), finder, source.name, part))
+                here = query.during(begin, end)
+                search = partial(find_intervals, here) if device is None else DeviceSearch(here, device).find
+                parts.append(self._heard(search, finder, source.name, part))
             except TooManyBeamsError as error:
                 if radius < _SMALLEST_CELL * room.walls.size:
                     raise InputError("max_order", str(error)) from error
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
         return _sorted(parts, last)
 
-    def _shoots(self, walls: Walls, ends: TrajectoryTables, sides: NDArray[np.int64]) -> bool:
+    def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> bool:
         """Return whether to shoot rays: asked for, or where a tree would be far too large."""
         if self.finder == "auto":
             centre, radius = ends.sphere(0)
-            radius = min(radius, _SMALLEST_CELL * walls.size)
-            tree = BeamTree(walls, centre, radius, BoundingSpheres.none(), BEAM_LIMIT, sides)
+            tree = plant(centre, min(radius, _SMALLEST_CELL * size), BoundingSpheres.none())
             beams = tree.estimate(self.max_order)
             if beams <= BEAM_LIMIT:
                 return False
@@ -158,9 +166,8 @@ class MeshSearch:
         warn(f"{reason}: paths by small walls can be missed; lower max_order for a search that misses none")
         return True
 
-    def _heard(self, query: VisibilityQuery, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
+    def _heard(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
-        search = _searcher(query, self.engine, self.device)
         parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
         for batch, waiting in _batches(finder.candidates(self.max_order)):
             sequence, receiver = batch.sequence[batch.row], batch.receiver
@@ -233,20 +240,20 @@ def report(progress: Progress, first: float, last: float, share: float) -> None:
     progress(first + share * (last - first))
 
 
-def _searcher(query: VisibilityQuery, engine: str, device: str | None) -> Search:
-    """Return what finds intervals: a device with float64, or NumPy."""
+def _float64_device(engine: str, name: str | None) -> Any:
+    """Return the device that validates paths, None for NumPy: asked for, or where no device has float64."""
     if engine == "opencl":
         try:
-            info, chosen = find_device(device)
+            info, chosen = find_device(name)
             if info.fp64:
-                return DeviceSearch(query, chosen).find
+                return chosen
             reason = f"{info.name} has no float64"
         except DeviceError:
-            if device is not None:
+            if name is not None:
                 raise
             reason = "there is no OpenCL device"
         warn(f"{reason}: paths are validated by NumPy, which is slow")
-    return partial(find_intervals, query)
+    return None
 
 
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:

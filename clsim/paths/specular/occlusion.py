@@ -12,6 +12,8 @@ from clsim.paths.specular.beams import clip_rings
 from clsim.scene.room.walls import INSIDE
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
     Ints = NDArray[np.int64]
+    Crossings = Callable[[Floats, Floats], tuple[Ints, Ints, Ints]]
 
 INNER = 1e-9  # share of a segment at either end in which nothing blocks it
 CLEARLY = 1e-6  # of the room's size, by which an obstacle covers what it hides: more than any tolerance of validity
@@ -125,7 +128,7 @@ class Views:
         )
 
 
-def open_parts(walls: Walls, views: Views) -> tuple[Floats, Ints]:
+def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats, Ints]:
     """Return the apertures without what walls surely hide of them.
 
     Parameters
@@ -134,6 +137,8 @@ def open_parts(walls: Walls, views: Views) -> tuple[Floats, Ints]:
         The room.
     views : Views
         The apertures.
+    crossings : callable
+        Tells walls that segments cross: `crossed_pieces` of the room, or what is told in its place.
 
     Returns
     -------
@@ -156,7 +161,7 @@ def open_parts(walls: Walls, views: Views) -> tuple[Floats, Ints]:
         if not len(rows):
             break
         some = views.part(rows, ring, corners)
-        view, plane, cuts = _shadows(walls, some)
+        view, plane, cuts = _shadows(walls, some, crossings)
         gone = np.zeros(len(rows), dtype=bool)
         gone[view[cuts == 0]] = True
         corners[rows[gone]] = 0
@@ -173,10 +178,10 @@ def open_parts(walls: Walls, views: Views) -> tuple[Floats, Ints]:
     return ring, corners
 
 
-def _shadows(walls: Walls, views: Views) -> tuple[Ints, Floats, Ints]:
+def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Floats, Ints]:
     """Return what walls hide of apertures: view, the outer half-space (4,) of a plane that cuts, and how many cut, (n,)."""
     middle = views.ring.mean(axis=1)
-    row, other, piece = crossed_pieces(walls, _seen_from(walls, views, middle), middle)
+    row, other, piece = crossings(_seen_from(walls, views, middle), middle)
     clearly = CLEARLY * walls.size
     normal, offset = walls.normal[other], walls.offset[other]
     side = np.where(np.einsum("ni,ni->n", middle[row], normal) < offset, -1.0, 1.0)

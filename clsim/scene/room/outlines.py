@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import spread, unique_rows
+from clsim.arrays import firsts, spread, unique_rows
 from clsim.scene.room.mesh_cleaning import cross_products
 
 if TYPE_CHECKING:
@@ -37,11 +37,6 @@ def plane_of_each(corners: Floats, of_triangle: Ints) -> tuple[Floats, Floats]:
     normal = cross[largest] / area[largest, None]
     middle = corners[largest].mean(axis=1)
     return normal, np.array([float(m @ n) for m, n in zip(middle, normal, strict=True)])
-
-
-def firsts(count: Ints) -> Ints:
-    """Return where each of several parts begins when they stand in a row, and the end, from their lengths (n,)."""
-    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
 
 
 def hulls(vertices: Floats, triangles: Ints, of_triangle: Ints, normal: Floats) -> tuple[Floats, Ints]:

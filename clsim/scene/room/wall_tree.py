@@ -25,6 +25,26 @@ _PAIRS = 400_000  # of things and boxes looked at at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BoxesInDepth:
+    """Boxes of all levels, each before those in it.
+
+    Attributes
+    ----------
+    middle, half : ndarray (n, 3)
+        Of the boxes, m.
+    wall : ndarray (n,) int
+        Wall of the box, -1 for a group.
+    skip : ndarray (n,) int
+        The next box that is not in this one.
+    """
+
+    middle: Floats
+    half: Floats
+    wall: Ints
+    skip: Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class WallTree:
     """Boxes in levels: box i of a level holds the boxes from ``GROUP * i`` on of the level before.
 
@@ -57,6 +77,26 @@ class WallTree:
             middle.append(0.5 * (lowest + highest))
             half.append(0.5 * (highest - lowest))
         return WallTree(order, tuple(middle), tuple(half))
+
+    def in_depth(self) -> BoxesInDepth:
+        """Return the boxes in the order of a walk that goes into each box before it goes on, as devices take them."""
+        length = np.ones(len(self.wall), dtype=np.int64)  # boxes in a box, itself included
+        lengths = [length]
+        for boxes in self.middle[1:]:
+            length = 1 + np.add.reduceat(length, GROUP * np.arange(len(boxes)))
+            lengths.append(length)
+        at = np.cumsum(lengths[-1]) - lengths[-1]
+        count = sum(len(level) for level in lengths)
+        found = BoxesInDepth(*(np.empty((count, 3)) for _ in range(2)), *(np.full(count, -1) for _ in range(2)))
+        for level in range(len(self.middle) - 1, -1, -1):
+            found.middle[at], found.half[at] = self.middle[level], self.half[level]
+            found.skip[at] = at + lengths[level]
+            if level:
+                parent = np.arange(len(lengths[level - 1])) // GROUP
+                before = np.cumsum(lengths[level - 1]) - lengths[level - 1]
+                at = at[parent] + 1 + before - before[GROUP * parent]
+        found.wall[at] = self.wall
+        return found
 
     def meeting_planes(self, planes: Floats, slack: float) -> tuple[Ints, Ints]:
         """Return pairs of an intersection of half-spaces and a wall whose box no half-space surely excludes.

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import firsts
 from clsim.scene.room.mesh_cleaning import clusters, cross_products
-from clsim.scene.room.outlines import boundaries, firsts, hulls, pieces, plane_of_each
+from clsim.scene.room.outlines import boundaries, hulls, pieces, plane_of_each
 from clsim.scene.room.shells import outward_sides
 from clsim.scene.room.wall_pairs import meeting, same_planes, straddling, touching_pairs
 from clsim.scene.room.wall_tree import WallTree
