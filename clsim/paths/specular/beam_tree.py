@@ -133,7 +133,6 @@ class BeamTree:
         TooManyBeamsError
             If there are more than the limit.
         """
-        walls = self._walls
         everyone = np.arange(len(self._ears.radius))
         yield Candidates(np.empty((1, 0), np.int32), np.zeros(len(everyone), np.int64), everyone)
         if max_order == 0:
@@ -223,7 +222,7 @@ class BeamTree:
         return beam_planes(beams.centre, self._radius, beams.ring, beams.corners, normal, self._walls.size)
 
     def _reached(self, beams: _Beams, planes: Floats) -> Candidates:
-        """Return the beams as candidates for those receivers whose spheres they touch, and that see their last walls."""
+        """Return the beams as candidates for receivers whose spheres they touch, and that see their last walls."""
         ears = self._ears
         height = np.einsum("npi,ri->nrp", planes[..., :3], ears.centre) - planes[:, None, :, 3]
         touched = np.all(height >= -ears.radius[None, :, None], axis=2)
@@ -248,7 +247,7 @@ class BeamTree:
         least = np.zeros(planes.shape[1])
         least[-1] = 2.0 * BEHIND * walls.size  # walls that touch the last one from its other side
         height = np.einsum("npi,nmi->npm", planes[beam, :, :3], self._hulls[wall]) - planes[beam, :, 3:]
-        meets = np.all(height.max(axis=2) > least, axis=1) # all corners outside one plane: none
+        meets = np.all(height.max(axis=2) > least, axis=1)  # all corners outside one plane: none
         beam, wall = beam[meets], wall[meets]
         ring, corners = clip_rings(self._hulls[wall], self._widths[wall], planes[beam])
         left = np.flatnonzero(corners >= 3)

@@ -1,4 +1,4 @@
-"""The walls of a room on an OpenCL device, and which of them beams and segments meet: ``meetings.cl``, ``crossings.cl``."""
+"""The walls of a room on an OpenCL device, and which of them beams and segments meet there."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def room_arguments(context: Any, walls: Walls) -> dict[str, Any]:
 
 
 class DeviceLookup:
-    """What `WallLookup` does, on a device with float64.
+    """What `WallLookup` does, on a device with float64: the host side of ``meetings.cl`` and ``crossings.cl``.
 
     Parameters
     ----------
@@ -103,7 +103,8 @@ class DeviceLookup:
                 half_spaces=upload(self._queue.context, beams.planes), half_space_count=beams.planes.shape[1],
                 beams=count, centre=beams.centre, radius=beams.radius, slack=beams.slack,
                 last_wall=beams.last.astype(np.int32), side=sides.astype(np.int32),
-                receivers=upload(self._queue.context, spheres), seen=upload(self._queue.context, seen), first_seen=first_seen,
+                receivers=upload(self._queue.context, spheres), seen=upload(self._queue.context, seen),
+                first_seen=first_seen,
                 receiver_count=0 if ears is None else len(spheres), wall_count=len(self._walls), capacity=capacity,
                 found=made, found_count=counter,
             )  # fmt: skip

@@ -48,7 +48,6 @@ _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not
 # Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
 # them would be heard at -102 dB.
 _OF_A_SAMPLE = 1.0 / 16.0
-_SOURCE = np.zeros(1, dtype=np.int64)  # row of the trajectory tables
 _FEW_WALLS = 64  # are looked up by NumPy: quicker than building kernels for it
 _BATCH = 16_384  # candidates searched at a time
 
@@ -123,11 +122,8 @@ class MeshSearch:
             )
         resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
         query = VisibilityQuery(room.walls, ends, c, np.zeros(len(last)), last, resolution)
-        start = ends.lifted(_SOURCE, ends.position(_SOURCE, np.zeros(1)) + PERTURBATIONS[0])[0]
         device = _float64_device(self.engine, self.device)
-        on_device = device is not None and len(room.walls) > _FEW_WALLS
-        lookup = DeviceLookup(room.walls, device) if on_device else WallLookup(room.walls)
-        plant = partial(BeamTree, room.walls, limit=BEAM_LIMIT, sides=air_sides(room.walls, start), lookup=lookup)
+        plant = _planter(room.walls, ends, device)
         shoot = self._shoots(plant, room.walls.size, ends)
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
@@ -254,6 +250,14 @@ def _float64_device(engine: str, name: str | None) -> Any:
             reason = "there is no OpenCL device"
         warn(f"{reason}: paths are validated by NumPy, which is slow")
     return None
+
+
+def _planter(walls: Walls, ends: TrajectoryTables, device: Any) -> Callable[..., BeamTree]:
+    """Return what makes beam trees in a room: from a sphere to others, as in `BeamTree`."""
+    lookup = DeviceLookup(walls, device) if device is not None and len(walls) > _FEW_WALLS else WallLookup(walls)
+    source = np.zeros(1, dtype=np.int64)
+    start = ends.lifted(source, ends.position(source, np.zeros(1)) + PERTURBATIONS[0])[0]
+    return partial(BeamTree, walls, limit=BEAM_LIMIT, sides=air_sides(walls, start), lookup=lookup)
 
 
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:

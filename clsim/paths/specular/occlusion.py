@@ -79,8 +79,8 @@ def air_sides(walls: Walls, place: Floats) -> Ints:
 
     Notes
     -----
-    A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from there
-    cross the shell an even number of times, or an odd one.
+    A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
+    there cross the shell an even number of times, or an odd one.
     """
     stop = place + _RAYS * (walls.size + np.linalg.norm(walls.centre - place, axis=1).max())
     ray, wall, _ = crossed_pieces(walls, np.broadcast_to(place, stop.shape), stop)
@@ -124,7 +124,13 @@ class Views:
     def part(self, rows: Ints, ring: Floats, corners: Ints) -> Views:
         """Return some of them with other apertures."""
         return Views(
-            self.centre[rows], self.radius, self.window[rows], self.last[rows], ring[rows], corners[rows], self.wall[rows]
+            self.centre[rows],
+            self.radius,
+            self.window[rows],
+            self.last[rows],
+            ring[rows],
+            corners[rows],
+            self.wall[rows],
         )
 
 
@@ -149,11 +155,12 @@ def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats
 
     Notes
     -----
-    What is taken away cannot be reached from anywhere in the ball, through the window, but through a wall, in neither of
-    their planes, by clearly more than validity tolerates. Walls that are crossed on the way to the middle of an aperture
-    are looked at. Of what lies beyond such a wall, the ball being before it, a convex piece of the wall hides what is on the
-    inner side of a plane through each of its sides, which touches the ball from that side: rays from the ball to there
-    cross the wall inside of this side. If one of these planes alone cuts the aperture, its outer side is left.
+    What is taken away cannot be reached from anywhere in the ball, through the window, but through a wall, in neither
+    of their planes, by clearly more than validity tolerates. Walls that are crossed on the way to the middle of an
+    aperture are looked at. Of what lies beyond such a wall, the ball being before it, a convex piece of it hides what
+    is on the inner side of a plane through each of its sides, which touches the ball from that side: rays from the
+    ball to there cross the wall inside of this side. If one of these planes alone cuts the aperture, its outer side is
+    left.
     """
     ring, corners = views.ring, views.corners.copy()
     rows = np.arange(len(ring))
@@ -179,7 +186,7 @@ def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats
 
 
 def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Floats, Ints]:
-    """Return what walls hide of apertures: view, the outer half-space (4,) of a plane that cuts, and how many cut, (n,)."""
+    """Return what walls hide of apertures: view, the outer half-space of a plane that cuts, and how many cut, (n,)."""
     middle = views.ring.mean(axis=1)
     row, other, piece = crossings(_seen_from(walls, views, middle), middle)
     clearly = CLEARLY * walls.size

@@ -1,4 +1,7 @@
-"""Which walls beams and segments meet, by the boxes around them; in NumPy. The twin of ``meetings.cl`` and ``crossings.cl``."""
+"""Which walls beams and segments meet, by the boxes around them; in NumPy.
+
+The twin of ``meetings.cl`` and ``crossings.cl``.
+"""
 
 from __future__ import annotations
 
@@ -141,7 +144,7 @@ class WallLookup:
         They touch the receiver's sphere mirrored by the wall, and what the receiver sees in it touches their ball.
         """
         walls, found, seen = self._walls, np.zeros(len(beam), dtype=bool), ears.seen
-        some = np.flatnonzero(seen.any(axis=0)[wall])
+        some = np.flatnonzero(np.any(seen[:, wall], axis=0))
         step = max(1, _PAIRS // max(len(ears.radius), 1))
         for pair in (some[i : i + step] for i in range(0, len(some), step)):
             at, by = beam[pair], wall[pair]
@@ -156,6 +159,6 @@ class WallLookup:
             of, index = spread(ears.first_plane, receiver * len(walls) + by[row])
             inside = np.einsum("ni,ni->n", image[of], ears.plane[index, :3]) - ears.plane[index, 3] >= -beams.radius
             leads = np.ones(len(row), dtype=bool)
-            leads[of[~inside]] = False
+            leads[of[np.flatnonzero(~inside)]] = False
             found[pair[row[leads]]] = True
         return found

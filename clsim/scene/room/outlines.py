@@ -93,7 +93,14 @@ def boundaries(vertices: Floats, triangles: Ints, of_triangle: Ints, normal: Flo
 
 
 def pieces(
-    corners: Floats, of_triangle: Ints, normal: Floats, hull: Floats, first_hull: Ints, edge: Floats, first_edge: Ints, size: float
+    corners: Floats,
+    of_triangle: Ints,
+    normal: Floats,
+    hull: Floats,
+    first_hull: Ints,
+    edge: Floats,
+    first_edge: Ints,
+    size: float,
 ) -> tuple[Floats, Ints, Ints]:
     """Return walls as convex pieces: their hulls where these fill them, else their triangles.
 

@@ -44,8 +44,8 @@ def outward_sides(
     shell : ndarray (W,) int
         Its number.
     outward : ndarray (W,) int
-        1 if the wall's normal points out of the shell, -1 if into it, and 0 where there is no such side: in a shell that
-        is open, runs through itself, lies on itself the other way round, or whose triangles turn both ways.
+        1 if the wall's normal points out of the shell, -1 if into it, and 0 where there is no such side: in a shell
+        that is open, runs through itself, lies on itself the other way round, or whose triangles turn both ways.
     """
     count, of_face = clusters(len(triangles), neighbours)
     shell = np.empty(len(normal), dtype=np.int64)

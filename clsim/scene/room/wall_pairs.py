@@ -35,8 +35,8 @@ def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, 
     Notes
     -----
     If all corners of each of two walls lie within a distance t of the plane of the other, the sine of the angle between
-    the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle of all walls
-    differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each other.
+    the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle of all
+    walls differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each other.
     """
     from scipy.spatial import cKDTree
 
@@ -84,15 +84,13 @@ def firsts_of(of: Ints) -> Ints:
 def heights_over(
     normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, wall: Ints, other: Ints
 ) -> tuple[Floats, Ints]:
-    """Return heights of all corners of walls `other` (n,) over the planes of walls (n,), m, and where each pair begins."""
+    """Return heights of the corners of walls `other` (n,) over planes of walls (n,), m, and where each pair begins."""
     of, corner = spread(first_hull, other)
     height = np.einsum("ni,ni->n", hull[corner], normal[wall[of]]) - offset[wall[of]]
     return height, np.concatenate([firsts_of(of), [len(of)]]).astype(np.int64)
 
 
-def straddling(
-    normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, pairs: Ints, size: float
-) -> Ints:
+def straddling(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, pairs: Ints, size: float) -> Ints:
     """Return those pairs of walls each of which has corners on both sides of the other."""
     for one, other in ((0, 1), (1, 0)):
         if len(pairs):
@@ -102,12 +100,12 @@ def straddling(
     return pairs
 
 
-def meeting(normal: Floats, offset: Floats, one: list[Floats], other: list[Floats], size: float) -> Floats:
-    """Return the parts (n, 2, 3) of two planes' common line that lie on a convex piece of each of two walls."""
+def meeting(normal: Floats, offset: Floats, lines: tuple[list[Floats], list[Floats]], size: float) -> Floats:
+    """Return the parts (n, 2, 3) of two planes' common line on pieces of two walls, which are told by their lines."""
     along = np.cross(normal[0], normal[1])
     along /= np.linalg.norm(along)
     point = np.linalg.solve(np.stack([normal[0], normal[1], along]), [offset[0], offset[1], 0.0])
-    spans = [[s for s in (_span(point, along, lines) for lines in pieces) if s[1] > s[0]] for pieces in (one, other)]
+    spans = [[s for s in (_span(point, along, piece) for piece in pieces) if s[1] > s[0]] for pieces in lines]
     parts = [(max(a[0], b[0]), min(a[1], b[1])) for a in spans[0] for b in spans[1]]
     ends = np.array([p for p in parts if p[1] - p[0] > _PARTS * size]).reshape(-1, 2)
     return np.asarray(point + ends[..., None] * along)

@@ -87,7 +87,7 @@ class WallTree:
             lengths.append(length)
         at = np.cumsum(lengths[-1]) - lengths[-1]
         count = sum(len(level) for level in lengths)
-        found = BoxesInDepth(*(np.empty((count, 3)) for _ in range(2)), *(np.full(count, -1) for _ in range(2)))
+        found = BoxesInDepth(np.empty((count, 3)), np.empty((count, 3)), np.full(count, -1), np.full(count, -1))
         for level in range(len(self.middle) - 1, -1, -1):
             found.middle[at], found.half[at] = self.middle[level], self.half[level]
             found.skip[at] = at + lengths[level]
@@ -127,7 +127,8 @@ class WallTree:
         normal, away = planes[..., :3].reshape(-1, 3), planes[..., 3].reshape(-1, 1)
         height = normal @ middle.T + np.abs(normal) @ half.T - away
         seen = np.all(height.reshape(*planes.shape[:2], -1) >= -slack, axis=1)
-        return self._below(top, *np.nonzero(seen), meets)
+        row, box = np.nonzero(seen)
+        return self._below(top, row, box, meets)
 
     def meeting_segments(self, start: Floats, stop: Floats, slack: float) -> tuple[Ints, Ints]:
         """Return pairs of a segment and a wall that it may come near to.
@@ -153,12 +154,12 @@ class WallTree:
             for i, j in ((1, 2), (2, 0), (0, 1)):  # an axis apart from both: the cross product of segment and axis
                 turn = np.abs(apart[:, i] * away[:, j] - apart[:, j] * away[:, i])
                 near &= turn <= length[:, i] * (half[:, j] + slack) + length[:, j] * (half[:, i] + slack)
-            return near
+            return np.asarray(near)
 
         return self._from_top(len(start), meets)
 
     def meeting_boxes(self, low: Floats, high: Floats) -> tuple[Ints, Ints]:
-        """Return pairs of a box, from `low` to `high` (n, 3) m, and a wall whose box it touches, sorted by the former."""
+        """Return pairs of a box, from `low` to `high` (n, 3) m, and a wall whose box it touches; sorted."""
         centre, reach = 0.5 * (low + high), 0.5 * (high - low)
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:

@@ -127,7 +127,8 @@ def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArra
     lines = [line[a:b] for a, b in itertools.pairwise(first_line)]
     crossings = []
     for pair in across:
-        segments = meeting(normal[pair], offset[pair], *(lines[first_piece[w] : first_piece[w + 1]] for w in pair), size)
+        one, other = (lines[first_piece[w] : first_piece[w + 1]] for w in pair)
+        segments = meeting(normal[pair], offset[pair], (one, other), size)
         if len(segments):
             crossings.append((pair, segments))
     edge, first_edge = _with_crossings(edge, first_edge, crossings)
