@@ -92,6 +92,8 @@ class DeviceLookup:
 
         kernel = self._compiler.kernel("meetings", {"PARALLEL": PARALLEL})
         count, capacity = len(beams.last), _FOUND
+        if not count:
+            return (np.empty(0, dtype=np.int64),) * 2
         spheres = np.zeros((1, 4)) if ears is None else np.column_stack([ears.centre, ears.radius])
         seen = np.zeros((1, 4)) if ears is None else np.concatenate([ears.plane, np.zeros((1, 4))])
         first_seen = np.zeros(2, dtype=np.int32) if ears is None else ears.first_plane.astype(np.int32)

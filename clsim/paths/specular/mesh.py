@@ -140,27 +140,22 @@ class MeshSearch:
                 here = query.during(begin, end)
                 search = partial(find_intervals, here) if device is None else DeviceSearch(here, device).find
                 parts.append(self._heard(search, finder, source.name, part))
+                if isinstance(finder, ShotRays):
+                    _tell_missed(finder, parts[-1].walls, shoot)
             except TooManyBeamsError as error:
                 if radius < _SMALLEST_CELL * room.walls.size:
                     raise InputError("max_order", str(error)) from error
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
         return _sorted(parts, last)
 
-    def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> bool:
-        """Return whether to shoot rays: asked for, or where a tree would be far too large."""
+    def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> str:
+        """Return why rays are shot, because of a tree that would be far too large or as asked; else nothing."""
         if self.finder == "auto":
             centre, radius = ends.sphere(0)
             tree = plant(centre, min(radius, _SMALLEST_CELL * size), BoundingSpheres.none())
             beams = tree.estimate(self.max_order)
-            if beams <= BEAM_LIMIT:
-                return False
-            reason = f"a beam tree would need about {beams:.1g} beams, so rays are shot instead"
-        elif self.finder == "beam-tree":
-            return False
-        else:
-            reason = "rays are shot, as asked"
-        warn(f"{reason}: paths by small walls can be missed; lower max_order for a search that misses none")
-        return True
+            return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
+        return "" if self.finder == "beam-tree" else "rays are shot, as asked"
 
     def _heard(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
@@ -250,6 +245,15 @@ def _float64_device(engine: str, name: str | None) -> Any:
             reason = "there is no OpenCL device"
         warn(f"{reason}: paths are validated by NumPy, which is slow")
     return None
+
+
+def _tell_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> None:
+    """Warn that rays have been shot, and of how many paths they are likely to have missed besides those by `walls`."""
+    met = np.unique(walls, axis=0)
+    warn(
+        f"{reason}: paths by small walls can be missed, at least about {rays.missed(met):.2g} besides {len(met)} that were "
+        "met, as two halves of the rays tell; lower max_order for a search that misses none"
+    )
 
 
 def _planter(walls: Walls, ends: TrajectoryTables, device: Any) -> Callable[..., BeamTree]:
