@@ -166,7 +166,7 @@ class BeamTree:
         count = float(len(beams.corners))
         for level in range(1, max_order):
             total += count
-            if level < 4 and len(beams.corners):
+            if level < min(4, max_order - 1) and len(beams.corners):
                 beams = beams.part(np.linspace(0, len(beams.corners) - 1, min(64, len(beams.corners))).astype(np.int64))
                 children = self._reflected(beams, self._planes(beams), max_order - level)
                 growth, beams = len(children.corners) / len(beams.corners), children

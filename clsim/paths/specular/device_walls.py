@@ -92,7 +92,7 @@ class DeviceLookup:
 
         kernel = self._compiler.kernel("meetings", {"PARALLEL": PARALLEL})
         count, capacity = len(beams.last), _FOUND
-        if not count:
+        if not count or (ears is not None and not len(ears.radius)):
             return (np.empty(0, dtype=np.int64),) * 2
         spheres = np.zeros((1, 4)) if ears is None else np.column_stack([ears.centre, ears.radius])
         seen = np.zeros((1, 4)) if ears is None else np.concatenate([ears.plane, np.zeros((1, 4))])
