@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_responses import POROUS, ROUGH, Lopsided, OffCentre
+from mutants import Mutants
 from scipy.spatial.transform import Rotation, Slerp
 
 import clsim
-from clsim.opencl import compiler as compiler_module
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine
+from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 from clsim.render.reference import ReferenceEngine
 
@@ -94,12 +95,15 @@ def _near() -> PathSet:
 
 
 @pytest.fixture(scope="module")
-def difference_db() -> Callable[..., float]:
+def difference_db(once) -> Callable[..., float]:
     """Return what renders a scene by OpenCL, as the kernels are now, and compares it with the reference."""
-    plans = {kind: _plan(kind) for kind in KINDS}
-    wanted = {kind: ReferenceEngine(plan).render(FIRST, LAST)[0] for kind, plan in plans.items()}
+    plans: dict[str, Plan] = {}
+    wanted: dict[str, np.ndarray] = {}
 
     def compare(kind: str, layout: Layout | None = None) -> float:
+        if kind not in plans:
+            plan = plans[kind] = _plan(kind)
+            wanted[kind] = once(f"mutants, {kind}", lambda: ReferenceEngine(plan).render(FIRST, LAST)[0])
         engine = OpenclEngine(plans[kind], layout)
         engine.skips_silence = False  # what it changes is in test_silence.py
         try:
@@ -114,7 +118,7 @@ def difference_db() -> Callable[..., float]:
     return compare
 
 
-def _plan(kind: str):
+def _plan(kind: str) -> Plan:
     paths = _paths(kind)
     filters = clsim.Bandlimited(-100.0)  # blocks are 6 dB better
     return plan_render(
@@ -123,6 +127,7 @@ def _plan(kind: str):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", [None, GPU_LAYOUT])
 @pytest.mark.parametrize("kind", KINDS)
 def test_kernels_as_they_are_pass(difference_db, kind: str, layout: Layout | None) -> None:
@@ -130,8 +135,8 @@ def test_kernels_as_they_are_pass(difference_db, kind: str, layout: Layout | Non
 
 
 MUTANTS = {
-    "one tap further": ("branches", "TAPS - 1 - k]", "TAPS - 1 - (k + 1) % TAPS]"),
-    "tap order": ("branches", "row * TAPS + TAPS - 1 - k", "row * TAPS + k"),
+    "one tap further": ("branches", "tap_count - 1 - k]", "tap_count - 1 - (k + 1) % tap_count]"),
+    "tap order": ("branches", "(row + 1) * tap_count - 1 - k", "row * tap_count + k"),
     "row of the bank": ("render", "(rows - 1) * (long)stride", "(rows - 2) * (long)stride"),
     "a sample late": ("render", "PLACE(-paths->whole[p], stride)", "PLACE(-1 - paths->whole[p], stride)"),
     "rate's sign": ("render", "curve[p] + paths->rate[p])", "curve[p] - paths->rate[p])"),
@@ -145,7 +150,7 @@ MUTANTS = {
     "gain slope dropped": ("render", "sample[j] * slope + ", ""),
     "rate of the delay": ("render", "per_sample * CUBIC_SLOPE(c1, c2,", "per_sample * CUBIC_SLOPE(c1, -c2,"),
     "sign in Horner's scheme": ("render", "value[j] * mu[j] + LOAD", "-value[j] * mu[j] + LOAD"),
-    "a branch skipped": ("render", "for (int q = 1; q < MOST_ROWS", "for (int q = 2; q < MOST_ROWS"),
+    "a branch skipped": ("render", "for (int q = 1; q < rows", "for (int q = 2; q < rows"),
     "another block's row": ("render", ", row = first_block + block", ", row = first_block"),
     "reflection's sign": ("tracks", "* BIN_VECTORS + b] * air;", "* BIN_VECTORS + b] * s->reflection[(slot * PARTS + part) * BIN_VECTORS + b] * air;"),
     "another path's walls": ("tracks", "s->reflection[(slot * PARTS", "s->reflection[((slot ^ 1) * PARTS"),
@@ -170,7 +175,7 @@ MUTANTS = {
     "absorption twice": ("tracks", "nepers[b] * (distance - 1.0f)", "nepers[b] * (distance + distance - 1.0f)"),
     "source beam's sign": ("tracks", "(1.0 + cosine)", "(1.0 - cosine)"),
     "receiver beam's sign": ("tracks", "(1.0 - inner(receiver_frame", "(1.0 + inner(receiver_frame"),
-    "another function": ("render", "first_row * (long)stride + lead", "(first_row > 0 ? first_row - 1 : 0) * (long)stride + lead"),
+    "another function": ("render", "first_row + first_function, 1,", "first_row + (first_function > 0 ? first_function - 1 : 0), 1,"),
     "another frequency's air": ("tracks", "bins loss = s->nepers[b]", "bins loss = s->nepers[BIN_VECTORS - 1 - b]"),
     "another frequency's walls": ("tracks", "* BIN_VECTORS + b] * air;", "* BIN_VECTORS + BIN_VECTORS - 1 - b] * air;"),
     "another frequency's beam": ("tracks", "r->part[0][b] *= by->part[0][b]", "r->part[0][b] *= by->part[0][BIN_VECTORS - 1 - b]"),
@@ -212,16 +217,31 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [*MUTANTS, *ELSEWHERE])
-def test_mutants_are_caught(name: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
-    kind, program, old, new = ELSEWHERE.get(name) or ("real", *MUTANTS[name])
-    original = compiler_module.kernel_source
-    assert original(program).count(old) == 1
+def test_a_mutant_of_what_is_not_there_is_an_error() -> None:
+    with pytest.raises(ValueError, match=r"not exactly once in its text is what the mutants \['lost'\] change"):
+        Mutants("render", {"kept": MUTANTS["a branch skipped"][1:], "lost": ("no such words", "")})
 
-    def mutated(wanted: str) -> str:
-        text = original(wanted)
-        return text.replace(old, new) if wanted == program else text
 
-    monkeypatch.setattr(compiler_module, "kernel_source", mutated)
+def _grouped() -> dict[tuple[str, str], dict[str, tuple[str, str]]]:
+    """Return the mutants by scene and program."""
+    grouped: dict[tuple[str, str], dict[str, tuple[str, str]]] = {}
+    for name, (program, old, new) in MUTANTS.items():
+        grouped.setdefault(("real", program), {})[name] = (old, new)
+    for name, (kind, program, old, new) in ELSEWHERE.items():
+        grouped.setdefault((kind, program), {})[name] = (old, new)
+    return grouped
+
+
+GROUPED = _grouped()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "program"), GROUPED)
+def test_mutants_are_caught(kind: str, program: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
+    mutants = Mutants(program, GROUPED[kind, program])
+    mutants.play(monkeypatch)
+    assert difference_db(kind) < (NEAR_DB if kind == "near" else TOLERANCE_DB), "none of them is chosen"
+    found = {name: difference_db(kind) for name in mutants}
     # The smallest, the curve of a group of 32 samples, leaves -90 dB.
-    assert difference_db(kind) > TOLERANCE_DB + 6.0
+    assert {name: db for name, db in found.items() if not db > TOLERANCE_DB + 6.0} == {}
+    assert found.keys() == GROUPED[kind, program].keys()
