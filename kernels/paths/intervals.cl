@@ -71,11 +71,13 @@ static void put(__global progress* p, double begin, double end, int path, __glob
     p->end = end;
 }
 
-__kernel void intervals(int wall_count, double tolerance, double thickness, __global const double4* plane,
+__kernel void intervals(double tolerance, double thickness, __global const double4* plane,
                         __global const double4* sphere, __global const int* same, __global const int* first_edge,
                         __global const int* first_piece,
                         __global const int* first_line, __global const int* first_twin, __global const edge_ends* edge,
                         __global const double4* line, __global const int* twin,
+                        int box_count, __global const double4* box_middle, __global const double4* box_extent,
+                        __global const int* box_wall, __global const int* box_skip,
                         __global const table_place* places,    // [ends], the source first
                         __global const table_scale* scales,    // [ends]
                         __global const double* knots, __global const double* speeds,
@@ -92,8 +94,8 @@ __kernel void intervals(int wall_count, double tolerance, double thickness, __gl
 {
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
-    const search s = {{wall_count, tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
-                       line, twin}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
+    const search s = {{tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
+                       line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
                       trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
                       sequences + ORDER * path};
     __global progress* p = states + path;
