@@ -12,13 +12,15 @@ import numpy as np
 
 from clsim.errors import ClsimError, DeviceError
 from clsim.opencl.kernel_cache import Trial, TriedKernel
-from clsim.opencl.kernels import PROGRAMS, kernel_source
+from clsim.opencl.kernels import PROGRAMS, declarations, kernel_source
 from clsim.opencl.launch import Launch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     Constant = int | float | str | np.float32
+
+_HEADER_READ = "-D_OPENCL_H_"  # by which the header of OpenCL C, 980 KiB of Clang's, knows that it was read
 
 _compilers: dict[Any, Compiler] = {}
 _opening = threading.Lock()
@@ -85,24 +87,26 @@ class Compiler:
         logging.getLogger("pyopencl").setLevel(logging.ERROR)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # compilers have something to say about every program
-            try:
+            # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the driver:
+            # with a constant that nothing uses, the program is another one and is built anew.
+            anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
+            uncached: Any = False  # as PyOpenCL takes it, but does not say in its types
+            ways = [(text, options, None), (text, anew, uncached)]
+            if self.context.devices[0].platform.name == "Portable Computing Language":
+                ways.insert(0, (f"{declarations()}\n{text}", [*options, _HEADER_READ], None))
+            for source, told, cache in ways:
                 try:
-                    built = cl.Program(self.context, text).build(options=options)
+                    built = cl.Program(self.context, source).build(options=told, cache_dir=cache)
                     cl.Kernel(built, program)
-                except cl.Error:
-                    # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the
-                    # driver: with a constant that nothing uses, the program is another one and is built anew.
-                    anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
-                    uncached: Any = False  # as PyOpenCL takes it, but does not say in its types
-                    built = cl.Program(self.context, text).build(options=anew, cache_dir=uncached)
-                    cl.Kernel(built, program)
-            except cl.Error as error:
-                device = self.context.devices[0].name.strip()
-                raise DeviceError(
-                    f"{device} could not build {program}.cl: {str(error)[:2000]}; update its driver, choose another "
-                    'device (see `clsim devices`), or use engine="reference"'
-                ) from error
-        return built
+                except cl.Error as error:
+                    failed = error
+                else:
+                    return built
+        device = self.context.devices[0].name.strip()
+        raise DeviceError(
+            f"{device} could not build {program}.cl: {str(failed)[:2000]}; update its driver, choose another "
+            'device (see `clsim devices`), or use engine="reference"'
+        ) from failed
 
 
 def _literal(value: Constant) -> str:

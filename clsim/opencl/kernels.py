@@ -111,6 +111,8 @@ _FADES = {
 }
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}
 
+DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
+
 PROGRAMS = {
     "emit": Program(
         ("render/emit.cl",),
@@ -344,6 +346,12 @@ def kernel_folder() -> Path:
         if exists:
             return folder
     raise ClsimError(f"no kernels beside {package}: install clsim again")
+
+
+@cache
+def declarations() -> str:
+    """Return what the kernels use of OpenCL C itself, to stand before a program whose compiler is told to read none."""
+    return (kernel_folder() / DECLARATIONS).read_text("utf-8")
 
 
 @cache

@@ -263,7 +263,7 @@ header {
 }
 h1 { font-size: 17px; margin: 0; }
 #time { flex: 1; min-width: 120px; }
-#told { min-width: 16em; font-variant-numeric: tabular-nums; }
+#caption { min-width: 16em; font-variant-numeric: tabular-nums; }
 #drawing { flex: 1; min-height: 0; }
 button { font: inherit; padding: 2px 0; width: 4.5em; }
 #notes { flex-basis: 100%; color: #555; }
@@ -271,7 +271,7 @@ button { font: inherit; padding: 2px 0; width: 4.5em; }
 #notes p { margin: 2px 0; }
 </style></head><body>
 <header><h1>{{title}}</h1><button id="play">play</button>
-<input id="time" type="range" min="0" step="1" value="0" aria-label="time"><span id="told"></span>
+<input id="time" type="range" min="0" step="1" value="0" aria-label="time"><span id="caption"></span>
 <div id="notes">{{notes}}</div></header>
 <div id="drawing"></div>
 <script>{{plotly}}</script>
@@ -280,7 +280,7 @@ button { font: inherit; padding: 2px 0; width: 4.5em; }
 "use strict";
 const data = JSON.parse(document.getElementById("data").textContent);
 const scene = document.getElementById("drawing"), slider = document.getElementById("time");
-const play = document.getElementById("play"), told = document.getElementById("told");
+const play = document.getElementById("play"), caption = document.getElementById("caption");
 const marks = data.fixed.length, firstOrder = marks + 1;
 let shown = -1, wanted = -1, busy = null, playing = false, turn = 0;
 
@@ -305,7 +305,7 @@ function draw(index) {
     z: [places.map(p => p[2]), ...frame.map(l => l.z)], text: [data.marks.text, ...frame.map(l => l.text)],
   };
   const count = data.frames[index].reduce((sum, part) => sum + part.labels.length, 0);
-  told.textContent = `t = ${data.times[index].toFixed(3)} s: ${count} path${count === 1 ? "" : "s"} heard`;
+  caption.textContent = `t = ${data.times[index].toFixed(3)} s: ${count} path${count === 1 ? "" : "s"} heard`;
   slider.value = index;
   return Plotly.restyle(scene, update, update.x.map((_, i) => marks + i));
 }
@@ -340,7 +340,7 @@ function plain(text) { return text.replace(/&lt;/g, "<").replace(/&gt;/g, ">").r
 function state() {  // what is drawn now, read back from the drawing
   const drawn = scene.data, paths = drawn.slice(firstOrder);
   return {
-    index: shown, text: told.textContent, names: drawn.map(t => plain(t.name)),
+    index: shown, text: caption.textContent, names: drawn.map(t => plain(t.name)),
     paths: paths.map(t => t.x.filter(v => v === null).length), visible: drawn.map(t => t.visible !== "legendonly"),
     places: drawn[marks].x.map((x, i) => [x, drawn[marks].y[i], drawn[marks].z[i]]),
   };

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def path_sum(plan: Plan) -> PathSum | None:
     """Return the sum over a plan's paths, but for those that are convolved; None if there are no others."""
-    return None if len(plan.static_pairs.groups) == len(plan.tracks.groups) else PathSum(plan)
+    return None if len(plan.static_pairs.indices) == len(plan.tracks.pairs) else PathSum(plan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +63,7 @@ class PathSum:
     def digest(self) -> str:
         """Return a text that changes with the filters: linear algebra on other threads may round them otherwise."""
         plan = self.plan
-        found = hashlib.sha256(repr((sorted(plan.static_pairs.groups), plan.segment, plan.blocks)).encode())
+        found = hashlib.sha256(repr((sorted(plan.static_pairs.indices), plan.segment, plan.blocks)).encode())
         for filters in plan.source_filters:
             found.update(filters.digest().encode())
         return found.hexdigest()

@@ -38,7 +38,7 @@ class Plan:
     tracks : Tracks
         Delay and gain of every path over time.
     static_pairs : StaticPairs
-        Which groups of the tracks are convolved instead of rendered path by path.
+        Which pairs of the tracks are convolved instead of rendered path by path.
     source_filters : tuple of SourceFilters
         What each source emits, and the filters for it.
     sampling_rate : float
@@ -149,7 +149,7 @@ class Plan:
     @property
     def path_count(self) -> int:
         """Number of paths over all pairs of source and receiver."""
-        return sum(len(group) for group in self.tracks.groups)
+        return sum(len(pair) for pair in self.tracks.pairs)
 
     @property
     def max_rate(self) -> float:
@@ -177,7 +177,7 @@ class Plan:
         per_segment = (
             (4 + 4 * self.delay_terms + 16 * functions)
             * (self.segment // self.shortest_block)
-            * max((len(group) for group in self.tracks.groups), default=0)
+            * max((len(pair) for pair in self.tracks.pairs), default=0)
         )
         size = 4.0 if self.baseband is None else 8.0
         return {

@@ -32,25 +32,25 @@ class ReferenceEngine:
         """Return the pressure (receivers, stop - start) in Pa; in baseband its complex envelope."""
         plan = self._plan
         pressure = np.zeros((plan.receiver_count, stop - start), dtype=float if plan.baseband is None else complex)
-        for i, group in enumerate(plan.tracks.groups):
-            functions = len(plan.source_filters[group.source].basis)
-            step = min(max(_NUMBERS // (len(group) * functions), 256), 4096)
+        for i, pair in enumerate(plan.tracks.pairs):
+            functions = len(plan.source_filters[pair.source].basis)
+            step = min(max(_NUMBERS // (len(pair) * functions), 256), 4096)
             for first in range(start, stop, step):
                 last = min(first + step, stop)
-                pressure[group.receiver, first - start : last - start] += _render_paths(plan, i, first, last)
+                pressure[pair.receiver, first - start : last - start] += _render_paths(plan, i, first, last)
         return pressure
 
 
-def _render_paths(plan: Plan, group: int, first: int, last: int) -> Floats | Complexes:
-    """Return the sum of a group's paths over samples `first` to `last`, shape (n,)."""
-    tracks, member = plan.tracks, plan.tracks.groups[group]
+def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Complexes:
+    """Return the sum of a pair's paths over samples `first` to `last`, shape (n,)."""
+    tracks, member = plan.tracks, plan.tracks.pairs[pair]
     filters = plan.source_filters[member.source]
     times = np.arange(first, last) / plan.sampling_rate
     ramp = 0.5 * tracks.transition
     rows = np.flatnonzero((member.start - ramp <= times[-1]) & (member.end + ramp >= times[0]))
     if not len(rows):
         return np.zeros(last - first)
-    delay, _, gain = tracks.evaluate(group, times, filters.basis, rows)
+    delay, _, gain = tracks.evaluate(pair, times, filters.basis, rows)
     weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
     gain = np.where(weight > 0.0, gain, 0.0) * weight
     delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples

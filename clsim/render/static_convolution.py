@@ -28,10 +28,10 @@ _LOWEST_COMPLEX = 1e-3  # the same for complex responses, which may bend at 0 Hz
 def static_convolution(plan: Plan) -> StaticConvolution | None:
     """Return the contribution of a plan's static pairs; None if there are none."""
     of_scene = plan.tracks.of_scene
-    if of_scene is None or not plan.static_pairs.groups:
+    if of_scene is None or not plan.static_pairs.indices:
         return None
     return StaticConvolution(
-        of_scene, plan.source_filters, tuple(sorted(plan.static_pairs.groups)), plan.options.responses == "centre"
+        of_scene, plan.source_filters, tuple(sorted(plan.static_pairs.indices)), plan.options.responses == "centre"
     )
 
 
@@ -45,15 +45,15 @@ class StaticConvolution:
         Of all paths.
     source_filters : tuple of SourceFilters
         By source.
-    groups : tuple of int
-        Indices of the pairs among the tracks' groups.
+    pairs : tuple of int
+        Indices of the pairs among the tracks' pairs.
     at_centre : bool
         Whether air, walls and directivities are those at the centre frequency of the source's signal.
     """
 
     tracks: SceneTracks
     source_filters: tuple[SourceFilters, ...]
-    groups: tuple[int, ...]
+    pairs: tuple[int, ...]
     at_centre: bool
 
     @property
@@ -63,11 +63,11 @@ class StaticConvolution:
 
     def describe(self) -> list[str]:
         """Return how many pairs are convolved, a line."""
-        return [f"{len(self.groups)} of {len(self.tracks.groups)} pairs never move: impulse responses, convolved"]
+        return [f"{len(self.pairs)} of {len(self.tracks.pairs)} pairs never move: impulse responses, convolved"]
 
     def digest(self) -> str:
         """Return a text that changes with the pairs and with what is emitted."""
-        found = hashlib.sha256(repr((self.groups, self.at_centre)).encode())
+        found = hashlib.sha256(repr((self.pairs, self.at_centre)).encode())
         for filters in self.source_filters:
             found.update(filters.digest().encode())
         return found.hexdigest()
@@ -82,7 +82,7 @@ class StaticConvolution:
         centre = filters.signal.centre_frequency if self.at_centre else None
         rate = filters.signal.sampling_rate
         band, found = _band(filters, complex_responses=self.tracks.paths.is_complex), []
-        for i in self.groups:
+        for i in self.pairs:
             pair = self.tracks.pair_paths[i]
             if pair.source == source:
                 clock_error = float(scene.receivers[pair.receiver].clock_error(np.zeros(1))[0])

@@ -16,24 +16,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class StaticPairs:
-    """Which groups of paths are convolved, by their indices.
+    """Which pairs are convolved.
 
     Attributes
     ----------
-    groups : frozenset of int
-        Indices among the tracks' groups.
+    indices : frozenset of int
+        Indices among the tracks' pairs.
     """
 
-    groups: frozenset[int] = frozenset()
+    indices: frozenset[int] = frozenset()
 
     def holds(self, tracks: Tracks, source: int) -> bool:
         """Return whether all paths of a source are convolved, and there are some."""
-        mine = {i for i, group in enumerate(tracks.groups) if group.source == source}
-        return bool(mine) and mine <= self.groups
+        mine = {i for i, pair in enumerate(tracks.pairs) if pair.source == source}
+        return bool(mine) and mine <= self.indices
 
 
 def find_static_pairs(tracks: Tracks, options: RenderOptions) -> StaticPairs:
-    """Return the groups of paths that never change, where they are to be convolved.
+    """Return the pairs that never change, where they are to be convolved.
 
     Neither end moves, no clock drifts, no path begins or ends, and no directivity turns. A delay filter that is asked
     for by name (Lagrange) is used for all paths, and the reference engine renders all of them one by one.
@@ -43,10 +43,10 @@ def find_static_pairs(tracks: Tracks, options: RenderOptions) -> StaticPairs:
     if of_scene is None or not wanted:
         return StaticPairs()
     scene, found = of_scene.scene, []
-    for i, group in enumerate(tracks.groups):
-        source, receiver = scene.sources[group.source], scene.receivers[group.receiver]
+    for i, pair in enumerate(tracks.pairs):
+        source, receiver = scene.sources[pair.source], scene.receivers[pair.receiver]
         static = _is_static(source) and _is_static(receiver) and not of_scene.pair_paths[i].family.moves
-        if static and receiver.clock_rate == 1.0 and group.always_heard:
+        if static and receiver.clock_rate == 1.0 and pair.always_heard:
             found.append(i)
     return StaticPairs(frozenset(found))
 

@@ -47,24 +47,24 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
     factors (1 where they depend on the angle), and of the directivities' largest gains, at nine frequencies of the
     signal's band. What all paths that are left out add is at most the sum of their bounds.
     """
-    bounds = [_bounds(tracks, i, until) for i in range(len(tracks.groups))]
-    pairs = [(group.source, group.receiver) for group in tracks.groups]
+    bounds = [_bounds(tracks, i, until) for i in range(len(tracks.pairs))]
+    ends = [(pair.source, pair.receiver) for pair in tracks.pairs]
     strongest: dict[tuple[int, int], float] = {}  # of paths of all kinds
-    for pair, (_, loudest) in zip(pairs, bounds, strict=True):
-        strongest[pair] = max(strongest.get(pair, 0.0), loudest)
-    groups, pair_paths, lost, count = [], [], dict.fromkeys(pairs, 0.0), 0
-    for pair, (bound, _), group, paths in zip(pairs, bounds, tracks.groups, tracks.pair_paths, strict=True):
-        quiet = bound < 10 ** (below_db / 20) * strongest[pair]
+    for both, (_, loudest) in zip(ends, bounds, strict=True):
+        strongest[both] = max(strongest.get(both, 0.0), loudest)
+    pairs, pair_paths, lost, count = [], [], dict.fromkeys(ends, 0.0), 0
+    for both, (bound, _), pair, paths in zip(ends, bounds, tracks.pairs, tracks.pair_paths, strict=True):
+        quiet = bound < 10 ** (below_db / 20) * strongest[both]
         rows = np.flatnonzero(~quiet)
         if np.any(quiet):
-            lost[pair] += float(bound[quiet].sum()) / strongest[pair]
+            lost[both] += float(bound[quiet].sum()) / strongest[both]
             count += len(quiet) - len(rows)
         if len(rows):
-            groups.append(PairTracks(group.source, group.receiver, group.start[rows], group.end[rows]))
+            pairs.append(PairTracks(pair.source, pair.receiver, pair.start[rows], pair.end[rows]))
             pair_paths.append(paths.part(rows))
     if not count:
         return tracks, f"no path stays below {below_db:g} dB"
-    reduced = replace(tracks, groups=tuple(groups), pair_paths=tuple(pair_paths))
+    reduced = replace(tracks, pairs=tuple(pairs), pair_paths=tuple(pair_paths))
     most = max(lost.values())
     together = f"reach at most {20.0 * math.log10(most):.1f} dB" if most > 0.0 else "are silent"
     return reduced, (
@@ -72,29 +72,29 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
     )
 
 
-def _bounds(tracks: SceneTracks, group: int, until: float) -> tuple[Floats, float]:
-    """Return bounds (P,) of the gains of a group's paths, and the strongest gain that was met."""
-    scene, pair = tracks.scene, tracks.pair_paths[group]
-    source, receiver, c = scene.sources[pair.source], scene.receivers[pair.receiver], scene.air.speed_of_sound
+def _bounds(tracks: SceneTracks, pair: int, until: float) -> tuple[Floats, float]:
+    """Return bounds (P,) of the gains of a pair's paths, and the strongest gain that was met."""
+    scene, paths = tracks.scene, tracks.pair_paths[pair]
+    source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.speed_of_sound
     frequencies = np.linspace(*shares(source.emitted.energy_spectrum(), _SHARE), _FREQUENCIES)
     at = SceneResponse(scene, frequencies)
     directivities = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
-    reflected = pair.family.gain_bound(pair.rows, at) * directivities
-    source_speed = float(tracks.speeds.source[pair.source])
+    reflected = paths.family.gain_bound(paths.rows, at) * directivities
+    source_speed = float(tracks.speeds.source[paths.source])
     mach_factor = (1.0 - source_speed / c) ** -MACH_EXPONENT[tracks.amplitude]
-    bound, strongest, slowest = np.zeros(len(reflected)), 0.0, pair.family.medium.slowest
-    speed = source_speed + float(tracks.speeds.receiver[pair.receiver])
-    member, step = tracks.groups[group], _STEP
+    bound, strongest, slowest = np.zeros(len(reflected)), 0.0, paths.family.medium.slowest
+    speed = source_speed + float(tracks.speeds.receiver[paths.receiver])
+    member, step = tracks.pairs[pair], _STEP
     if member.always_heard:
         step = max(_STEP, _LEAST_MOVE / speed) if speed > 0.0 else math.inf
     edges = np.linspace(0.0, until, max(1, math.ceil(until / step)) + 1)
     for begin, end in pairwise(edges):
         heard = (member.start < end) & (member.end > begin)
-        nearest = np.maximum(tracks.delay_range(group, begin, end)[0] * slowest, scene.min_distance)[:, None]
+        nearest = np.maximum(tracks.delay_range(pair, begin, end)[0] * slowest, scene.min_distance)[:, None]
         gain = reflected * np.exp(-at.nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
         bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
         middle = np.array([0.5 * (begin + end)])
-        now = np.abs(pair.gain(pair.arrivals(middle, tracks.motion, tracks.amplitude), middle)[:, 0])
+        now = np.abs(paths.gain(paths.arrivals(middle, tracks.motion, tracks.amplitude), middle)[:, 0])
         strongest = max(strongest, float(np.where((member.start <= middle) & (member.end > middle), now, 0.0).max()))
     return bound, strongest
 

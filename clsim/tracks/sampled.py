@@ -21,7 +21,7 @@ GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked 
 SEED = 20_160_914
 _TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 _FRAMES = 48  # of all pairs, about
-_MOST_GROUPS = 16  # pairs of source and receiver looked at
+_MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 4096  # of each
 _QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
 _FAINTEST = 1e-4  # energy of what is heard of a window, relative to its centre frequency, that is asked for
@@ -141,26 +141,26 @@ def sampled_responses(
     tracks: SceneTracks, source: int, band: Band, until: float, count: int, rng: np.random.Generator
 ) -> Sample:
     """Return about `count` responses of a source's paths, at instants of the run."""
-    groups = [i for i, g in enumerate(tracks.groups) if g.source == source]
+    pairs = [i for i, g in enumerate(tracks.pairs) if g.source == source]
     at = SceneResponse(tracks.scene, band.frequencies)
-    if len(groups) > _MOST_GROUPS:
-        groups = sorted(rng.choice(groups, _MOST_GROUPS, replace=False).tolist())
-    instants = max(3, min(_TIMES, _FRAMES // max(len(groups), 1)))
+    if len(pairs) > _MOST_PAIRS:
+        pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
+    instants = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
     picked: list[Any] = []
-    for i in groups:
-        pair, start, end = tracks.pair_paths[i], tracks.groups[i].start, tracks.groups[i].end
+    for i in pairs:
+        paths, start, end = tracks.pair_paths[i], tracks.pairs[i].start, tracks.pairs[i].end
         if len(start) > _MOST_PATHS:
             some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
-            pair, start, end = pair.part(some), start[some], end[some]
+            paths, start, end = paths.part(some), start[some], end[some]
         times = np.sort(rng.uniform(0.0, until, instants))
         times[[0, -1]] = 0.0, until
-        found = pair.arrivals(times, tracks.motion, tracks.amplitude)
+        found = paths.arrivals(times, tracks.motion, tracks.amplitude)
         heard = (times >= start[:, None]) & (times < end[:, None])
-        level = np.where(heard, np.abs(pair.gain(found, times)), 0.0)
+        level = np.where(heard, np.abs(paths.gain(found, times)), 0.0)
         for t in np.flatnonzero(level.any(axis=0)).tolist():
-            rows, standing_for = _picked(level[:, t], -(-count // (len(groups) * instants)), rng)
+            rows, standing_for = _picked(level[:, t], -(-count // (len(pairs) * instants)), rng)
             one = slice(t, t + 1)
-            along = pair.part(rows).response(found.part(rows, one), times[one], at)[:, 0]
+            along = paths.part(rows).response(found.part(rows, one), times[one], at)[:, 0]
             if band.late != 0.0:
                 along = along * np.conj(band.turn)
             picked.append(along * (np.sqrt(standing_for) / np.linalg.norm(level[:, t]))[:, None])

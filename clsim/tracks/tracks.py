@@ -60,7 +60,7 @@ class PairTracks:
 class Tracks(ABC):
     """Delay and gain of paths as functions of the time of reception."""
 
-    groups: tuple[PairTracks, ...]
+    pairs: tuple[PairTracks, ...]
     source_count: int
     receiver_names: tuple[str, ...]
     transition: float  # s, over which paths begin and end; 0 for at once
@@ -72,20 +72,20 @@ class Tracks(ABC):
 
     @abstractmethod
     def evaluate(
-        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return delays, their derivatives and gains of a group of paths or some of them.
+        """Return delays, their derivatives and gains of a pair's paths or some of them.
 
         Parameters
         ----------
-        group : int
-            Index of the source and receiver, in `groups`.
+        pair : int
+            Index of source and receiver, in `pairs`.
         times : ndarray (T,)
             Times of reception, s.
         basis : Basis
             K functions of frequency of which responses are sums.
         rows : ndarray (P,) of int, optional
-            Paths of the group; all when left out.
+            Paths of the pair; all of them when left out.
 
         Returns
         -------
@@ -130,13 +130,13 @@ class Tracks(ABC):
         """
 
     @abstractmethod
-    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
-        """Return bounds on the delays of a group of paths.
+    def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
+        """Return bounds on the delays of a pair's paths.
 
         Parameters
         ----------
-        group : int
-            Index of the source and receiver, in `groups`.
+        pair : int
+            Index of the source and receiver, in `pairs`.
         start, end : float
             Between which times of reception, s.
 
@@ -146,13 +146,13 @@ class Tracks(ABC):
             Bounds of each path's delay, s.
         """
 
-    def delay_ranges(self, groups: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
-        """Return bounds on the delays of some groups of paths.
+    def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
+        """Return bounds on the delays of the paths of some pairs.
 
         Parameters
         ----------
-        groups : sequence of int
-            Indices of source and receiver, in `groups`.
+        pairs : sequence of int
+            Indices of source and receiver, in `pairs`.
         start, end : float
             Between which times of reception, s.
 
@@ -161,7 +161,7 @@ class Tracks(ABC):
         list of (low, high)
             As of `delay_range`, s.
         """
-        return [self.delay_range(group, start, end) for group in groups]
+        return [self.delay_range(pair, start, end) for pair in pairs]
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return a bound on the delays of one source or of all.
@@ -178,8 +178,8 @@ class Tracks(ABC):
         float
             Not below any delay, s; 0 without paths.
         """
-        groups = (i for i, group in enumerate(self.groups) if source in (None, group.source))
-        return max((float(self.delay_range(i, start, end)[1].max()) for i in groups), default=0.0)
+        pairs = (i for i, pair in enumerate(self.pairs) if source in (None, pair.source))
+        return max((float(self.delay_range(i, start, end)[1].max()) for i in pairs), default=0.0)
 
     @abstractmethod
     def last_time(self) -> float:
@@ -244,7 +244,7 @@ class SceneTracks(Tracks):
     paths: PathSet
     motion: str
     amplitude: str
-    groups: tuple[PairTracks, ...]
+    pairs: tuple[PairTracks, ...]
     pair_paths: tuple[PairPaths, ...]
     speeds: PeakSpeeds
     transition: float
@@ -262,14 +262,14 @@ class SceneTracks(Tracks):
         return self.paths.scene
 
     def evaluate(
-        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """Return delay, its derivative and gains, in float64 without approximation."""
-        pair = self.pair_paths[group] if rows is None else self.pair_paths[group].part(rows)
-        receiver = self.scene.receivers[pair.receiver]
+        paths = self.pair_paths[pair] if rows is None else self.pair_paths[pair].part(rows)
+        receiver = self.scene.receivers[paths.receiver]
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
-        found = pair.arrivals(times + clock_error, self.motion, self.amplitude)
-        response = pair.response(found, times + clock_error, SceneResponse(self.scene, basis.nodes))
+        found = paths.arrivals(times + clock_error, self.motion, self.amplitude)
+        response = paths.response(found, times + clock_error, SceneResponse(self.scene, basis.nodes))
         gain = np.moveaxis(basis.gains(response), -1, 0)
         return found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0), gain
 
@@ -288,33 +288,33 @@ class SceneTracks(Tracks):
         scale = max_rate * self.scene.air.speed_of_sound / (v_s + v_r + max_rate * v_s)
         return max(v_s, v_r), scale * max(v_s, v_r)
 
-    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
+    def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return the bounds of the kind of paths, by the receiver's clock."""
-        return self.delay_ranges([group], start, end)[0]
+        return self.delay_ranges([pair], start, end)[0]
 
-    def delay_ranges(self, groups: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
-        """Return the bounds of very many groups at once."""
+    def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
+        """Return the bounds of very many pairs at once."""
         bounds: dict[int, tuple[Floats, Floats]] = {}
-        for batch, low, high in self._bounds(groups, start, end):
+        for batch, low, high in self._bounds(pairs, start, end):
             last = 0
-            for group in batch:
-                first, last = last, last + len(self.groups[group])
-                bounds[group] = low[first:last], high[first:last]
-        return [bounds[group] for group in groups]
+            for pair in batch:
+                first, last = last, last + len(self.pairs[pair])
+                bounds[pair] = low[first:last], high[first:last]
+        return [bounds[pair] for pair in pairs]
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
-        """Return the largest of the bounds of `delay_range`, of very many groups at once."""
-        groups = [i for i, pair in enumerate(self.pair_paths) if source in (None, pair.source)]
-        return max((float(high.max()) for _, _, high in self._bounds(groups, start, end)), default=0.0)
+        """Return the largest of the bounds of `delay_range`, of very many pairs at once."""
+        pairs = [i for i, pair in enumerate(self.pair_paths) if source in (None, pair.source)]
+        return max((float(high.max()) for _, _, high in self._bounds(pairs, start, end)), default=0.0)
 
-    def _bounds(self, groups: Sequence[int], start: float, end: float) -> Iterator[tuple[list[int], Floats, Floats]]:
-        """Yield some groups, and bounds of the delays of all their paths, one group's after the other's."""
+    def _bounds(self, pairs: Sequence[int], start: float, end: float) -> Iterator[tuple[list[int], Floats, Floats]]:
+        """Yield some pairs, and bounds of the delays of all their paths, one pair's after the other's."""
         clock_times = np.array([start, end])
         clock_error = np.stack([r.clock_error(clock_times) for r in self.scene.receivers])
         first, last = (clock_times + clock_error).T
         least, most = clock_error.min(axis=1), clock_error.max(axis=1)
         for family in self.paths.families:
-            for batch in _batches(self.pair_paths, [i for i in groups if self.pair_paths[i].family is family]):
+            for batch in _batches(self.pair_paths, [i for i in pairs if self.pair_paths[i].family is family]):
                 rows = np.concatenate([self.pair_paths[i].index for i in batch])
                 r = family.receiver[rows]
                 low, high = family.delay_bounds(rows, first[r], last[r], self.speeds)
@@ -329,7 +329,7 @@ class SceneTracks(Tracks):
 class SampledTracks(Tracks):
     """Tracks given as samples over time; see `Tracks.from_samples`."""
 
-    groups: tuple[PairTracks, ...]
+    pairs: tuple[PairTracks, ...]
     splines: tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...]
     source_count: int
     receiver_names: tuple[str, ...]
@@ -338,14 +338,14 @@ class SampledTracks(Tracks):
     transition: float
 
     def evaluate(
-        self, group: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """Return the splines' values, one gain for all frequencies; outside its stretch a path goes on straight."""
-        shape = (len(self.groups[group]), len(times))
+        shape = (len(self.pairs[pair]), len(times))
         delay, rate, gain = np.empty(shape), np.empty(shape), np.empty(shape)
         # The gain's slope goes on through the transition, and to the next node.
         reach = max(0.5 * self.transition, times[1] - times[0] if len(times) > 1 else 0.0)
-        for which, spline in self.splines[group]:
+        for which, spline in self.splines[pair]:
             inside = np.clip(times, spline.x[0], spline.x[-1])
             values, slopes = spline(inside), spline(inside, 1)
             delay[which] = values[:, :, 0].T + slopes[:, :, 0].T * (times - inside)
@@ -363,9 +363,9 @@ class SampledTracks(Tracks):
         """Return the speeds that change delays by as much in air of 343 m/s."""
         return 343.0 * self.largest_rate, 343.0 * max_rate
 
-    def delay_range(self, group: int, start: float, end: float) -> tuple[Floats, Floats]:
+    def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds from the delay at mid-time and the largest derivative."""
-        delay = self.evaluate(group, np.array([0.5 * (start + end)]), flat_basis(1.0))[0][:, 0]
+        delay = self.evaluate(pair, np.array([0.5 * (start + end)]), flat_basis(1.0))[0][:, 0]
         slack = 0.5 * (end - start) * self.largest_rate
         return delay - slack, delay + slack
 
@@ -422,12 +422,12 @@ def track(
     as_choice("motion", motion, MOTIONS)
     as_choice("amplitude", amplitude, AMPLITUDES)
     scene = paths.scene
-    groups, pair_paths = [], []
-    for _, pair in paths.pairs():
-        receiver, family = scene.receivers[pair.receiver], pair.family
-        start, end = (_clock_time(receiver, times[pair.rows]) for times in (family.start, family.end))
-        groups.append(PairTracks(pair.source, pair.receiver, start, end))
-        pair_paths.append(pair)
+    pairs, pair_paths = [], []
+    for _, of_pair in paths.pairs():
+        receiver, family = scene.receivers[of_pair.receiver], of_pair.family
+        start, end = (_clock_time(receiver, times[of_pair.rows]) for times in (family.start, family.end))
+        pairs.append(PairTracks(of_pair.source, of_pair.receiver, start, end))
+        pair_paths.append(of_pair)
     # Speeds are sampled; 2 % covers what lies between the samples.
     source_speed, receiver_speed = (
         np.array([1.02 * _peak_speed(end.trajectory, *end.time_range) for end in ends])
@@ -437,7 +437,7 @@ def track(
         paths=paths,
         motion=motion,
         amplitude=amplitude,
-        groups=tuple(groups),
+        pairs=tuple(pairs),
         pair_paths=tuple(pair_paths),
         speeds=PeakSpeeds(source_speed, receiver_speed),
         transition=as_transition(transition),
@@ -451,16 +451,16 @@ def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:
     return 0.0 if trajectory.is_static else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
 
 
-def _batches(pairs: Sequence[PairPaths], groups: list[int]) -> Iterator[list[int]]:
-    """Yield neighbouring groups together whose paths are a bounded number, or one group."""
+def _batches(pair_paths: Sequence[PairPaths], pairs: list[int]) -> Iterator[list[int]]:
+    """Yield neighbouring pairs together whose paths are a bounded number, or one pair."""
     batch: list[int] = []
     count = 0
-    for group in groups:
-        if batch and count + len(pairs[group]) > _TOGETHER:
+    for pair in pairs:
+        if batch and count + len(pair_paths[pair]) > _TOGETHER:
             yield batch
             batch, count = [], 0
-        batch.append(group)
-        count += len(pairs[group])
+        batch.append(pair)
+        count += len(pair_paths[pair])
     if batch:
         yield batch
 
@@ -491,7 +491,7 @@ def _from_samples(
     intervals = _intervals(heard)
     if not intervals:
         raise InputError("delays", "must hold at least one path that is heard, but all are NaN")
-    groups, splines, largest = [], [], 0.0
+    pairs, splines, largest = [], [], 0.0
     for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in intervals}):
         mine = [interval for interval in intervals if (s[interval[0]], r[interval[0]]) == pair]
         fitted = _fit(mine, times, delays, gains)
@@ -499,13 +499,13 @@ def _from_samples(
         largest = max([largest, *(float(np.abs(f(f.x, 1)[..., 0]).max()) for _, f in fitted)])
         start = np.array([times[a] if a else -np.inf for _, a, _ in mine])
         end = np.array([times[b - 1] if b < len(times) else np.inf for _, _, b in mine])
-        groups.append(PairTracks(*pair, read_only(start), read_only(end)))
+        pairs.append(PairTracks(*pair, read_only(start), read_only(end)))
     if largest >= 1.0:
         raise InputError("delays", f"must change by less than 1 s per second, but change by {largest:.3g}")
     names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
     # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
     return SampledTracks(
-        tuple(groups), tuple(splines), int(s.max()) + 1, names, min(1.05 * largest, 0.99), float(times[-1]), transition
+        tuple(pairs), tuple(splines), int(s.max()) + 1, names, min(1.05 * largest, 0.99), float(times[-1]), transition
     )
 
 

@@ -12,7 +12,7 @@ __kernel void coarse_delays(__global const double* image_matrix, __global const 
     __global const receiver_node* node =
         receivers + (STATIC_RECEIVERS ? receiver_of[slot] : (long)receiver_of[slot] * ends + end);
     arrival a;
-    settle(&path, turned_back(image_matrix, slots, slot, difference(at_row(node->position), offset)),
+    solve_delay(&path, turned_back(image_matrix, slots, slot, difference(at_row(node->position), offset)),
            turned_back(image_matrix, slots, slot, at_row(node->velocity)), start + (end - 1) * walk_time + node->clock_error,
            CONVERGED, &a);
     delays[2 * end * (long)slots + slot] = a.delay - node->clock_error;

@@ -51,7 +51,7 @@ static double newton_step(const trajectory* path, triple receiver, triple receiv
 }
 
 // From anywhere: Newton steps until one whose square, of the order of the next one, is as small as asked, s^2.
-static void settle(const trajectory* path, triple receiver, triple receiver_velocity, double time, double small, arrival* a)
+static void solve_delay(const trajectory* path, triple receiver, triple receiver_velocity, double time, double small, arrival* a)
 {
     a->delay = 0.0;
     for (int i = 0; i < 40; i++) {

@@ -35,7 +35,7 @@ static int evaluate(const search* s, double time, double within, double* clear, 
     const triple receiver = cubic(a.knot, a.u);
     triple image = receiver;
     for (int k = ORDER; k > 0; k--) image = mirrored(s->walls.plane[s->sequence[k - 1]], image);
-    settle(&s->source.path, image, still, time, 1e-18, &a);
+    solve_delay(&s->source.path, image, still, time, 1e-18, &a);
     const double emitted = time - a.delay;
     locate(&s->source.path, emitted, &a);
     const double slowness = s->source.path.slowness;

@@ -203,7 +203,7 @@ def test_the_slider_moves_what_is_drawn(tab: Any) -> None:
         slider.press("ArrowRight")
     tab.wait_for_function("clsim.state().index === 7")
     assert_drawn(tab, 7)
-    assert tab.locator("#told").inner_text() == f"t = 1.400 s: {len(FRAMES[7].order)} paths heard"
+    assert tab.locator("#caption").inner_text() == f"t = 1.400 s: {len(FRAMES[7].order)} paths heard"
     moved = picture(tab)
     assert moved != before
     box = slider.bounding_box()

@@ -73,7 +73,7 @@ class _BasebandRun(Run):
         lanes = engine._layout.lanes
         vectors = min(block, WIDEST_SUBBLOCK) // lanes if lanes > 1 else 1
         spans = (end - begin) // (vectors * lanes)
-        size = work(spans, len(self._batch.groups), group=1 if lanes > 1 else math.gcd(spans, 32))
+        size = work(spans, len(self._batch.pairs), group=1 if lanes > 1 else math.gcd(spans, 32))
         filters = self._filters
         constants = {
             "LANES": lanes,

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActivePaths:
-    """The paths of one group that are heard for a while.
+    """The paths of one pair that are heard for a while.
 
     Attributes
     ----------
     index : int
-        Of the track group.
+        Of the pair, in `Tracks.pairs`.
     rows : ndarray (n,) int64
         Its paths.
     low, high : ndarray (n,)
@@ -35,9 +35,9 @@ class ActivePaths:
 
     def during(self, plan: Plan, first: int, last: int) -> ActivePaths:
         """Return those heard within samples `first` to `last`."""
-        group, ramp = plan.tracks.groups[self.index], 0.5 * plan.tracks.transition
+        pair, ramp = plan.tracks.pairs[self.index], 0.5 * plan.tracks.transition
         begin, end = first / plan.sampling_rate, last / plan.sampling_rate
-        heard = (group.start[self.rows] - ramp <= end) & (group.end[self.rows] + ramp >= begin)
+        heard = (pair.start[self.rows] - ramp <= end) & (pair.end[self.rows] + ramp >= begin)
         return ActivePaths(self.index, self.rows[heard], self.low[heard], self.high[heard])
 
 
@@ -47,21 +47,21 @@ class PathBatch:
 
     Attributes
     ----------
-    groups : tuple of int
-        Track groups, one per receiver of the batch.
-    receiver : ndarray (groups,) int32
-        Receiver of each group.
-    first_slot : ndarray (groups + 1,) int32
-        Where the slots of each group begin; whole batches.
+    pairs : tuple of int
+        Indices in `Tracks.pairs`, one per receiver of the batch.
+    receiver : ndarray (pairs,) int32
+        Receiver of each pair.
+    first_slot : ndarray (pairs + 1,) int32
+        Where the slots of each pair begin; whole batches.
     path : ndarray (slots,) int64
-        Row of each slot in its group.
+        Row of each slot in its pair.
     padding : ndarray (slots,) bool
         Slots that only fill up a batch: silent copies of a path.
     shortest, longest : float
         Bounds of all delays over the chunk, s.
     """
 
-    groups: tuple[int, ...]
+    pairs: tuple[int, ...]
     receiver: NDArray[np.int32]
     first_slot: NDArray[np.int32]
     path: NDArray[np.int64]
@@ -74,27 +74,27 @@ class PathBatch:
         """Number of slots."""
         return len(self.path)
 
-    def of_group(self, i: int) -> slice:
-        """Return the slots of the batch's i-th group."""
+    def of_pair(self, i: int) -> slice:
+        """Return the slots of the batch's i-th pair."""
         return slice(int(self.first_slot[i]), int(self.first_slot[i + 1]))
 
 
 def fill_batch(plan: Plan, active: list[ActivePaths], batch: int) -> PathBatch:
-    """Return the slots of some groups' active paths, sorted by the middle of their delays."""
+    """Return the slots of some pairs' active paths, sorted by the middle of their delays."""
     path, padding, first = [], [], [0]
-    for group in active:
-        order = group.rows[np.argsort(group.low + group.high, kind="stable")]
+    for pair in active:
+        order = pair.rows[np.argsort(pair.low + pair.high, kind="stable")]
         extra = -len(order) % batch
         path.append(np.concatenate([order, np.full(extra, order[-1])]))
         padding.append(np.arange(len(order) + extra) >= len(order))
         first.append(first[-1] + len(order) + extra)
-    receivers = [plan.tracks.groups[group.index].receiver for group in active]
+    receivers = [plan.tracks.pairs[pair.index].receiver for pair in active]
     return PathBatch(
-        tuple(group.index for group in active),
+        tuple(pair.index for pair in active),
         np.array(receivers, dtype=np.int32),
         np.array(first, dtype=np.int32),
         np.concatenate(path),
         np.concatenate(padding),
-        min(float(group.low.min()) for group in active),
-        max(float(group.high.max()) for group in active),
+        min(float(pair.low.min()) for pair in active),
+        max(float(pair.high.max()) for pair in active),
     )

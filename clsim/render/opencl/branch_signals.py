@@ -86,16 +86,16 @@ class BranchSignals:
 
     def _active(self, source: int, start: int, length: int) -> list[ActivePaths]:
         """Return the paths of a source that are heard within a chunk."""
-        plan, rate, groups = self._plan, self._plan.sampling_rate, self._plan.tracks.groups
-        mine = [i for i, g in enumerate(groups) if g.source == source and i not in plan.static_pairs.groups]
+        plan, rate, pairs = self._plan, self._plan.sampling_rate, self._plan.tracks.pairs
+        mine = [i for i, pair in enumerate(pairs) if pair.source == source and i not in plan.static_pairs.indices]
         # Nodes lie up to a block before and two after what is rendered.
         begin, end = start - plan.blocks[0], start + length + 2 * plan.blocks[0]
         bounds = plan.tracks.delay_ranges(mine, begin / rate, end / rate)
         found = [
-            ActivePaths(i, np.arange(len(groups[i])), *of_group).during(plan, start, start + length)
-            for i, of_group in zip(mine, bounds, strict=True)
+            ActivePaths(i, np.arange(len(pairs[i])), *bound).during(plan, start, start + length)
+            for i, bound in zip(mine, bounds, strict=True)
         ]
-        return [group for group in found if len(group.rows)]
+        return [pair for pair in found if len(pair.rows)]
 
     def _feed(self, source: int, start: int, length: int) -> Feed | None:
         """Return what of a signal can be heard in a chunk; None if it is silent."""
@@ -105,8 +105,8 @@ class BranchSignals:
             return None
         times = filters.oversampling
         delay_samples = filters.start * rate
-        least = times * (int(np.floor(min(group.low.min() for group in active) * rate + delay_samples)) - _MARGIN)
-        most = times * (int(np.ceil(max(group.high.max() for group in active) * rate + delay_samples)) + _MARGIN)
+        least = times * (int(np.floor(min(pair.low.min() for pair in active) * rate + delay_samples)) - _MARGIN)
+        most = times * (int(np.ceil(max(pair.high.max() for pair in active) * rate + delay_samples)) + _MARGIN)
         needed = times * length + most - least
         step = max(64, 1 << needed.bit_length() - 5)  # little, but so much that chunk after chunk has the same width
         width = -(-needed // step) * step

@@ -132,11 +132,11 @@ class DeviceTracks:
         """
         plan, scene = self._plan, self._tracks.scene
         around, pairs = self._surroundings[source], self._tracks.pair_paths
-        rows = np.concatenate([pairs[g].index[batch.path[batch.of_group(i)]] for i, g in enumerate(batch.groups)])
+        rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
         walls = self._family.walls[rows]
         matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
         reflection = np.where(batch.padding[:, None, None], 0.0, around.reflection(walls)).astype(np.float32)
-        receiver_of = np.repeat(np.arange(len(batch.groups), dtype=np.int32), np.diff(batch.first_slot))
+        receiver_of = np.repeat(np.arange(len(batch.pairs), dtype=np.int32), np.diff(batch.first_slot))
         rate = plan.sampling_rate
         longest, shortest = batch.longest, min(0.0, batch.shortest)  # below 0 s by a receiver's own clock
         spare = 0.05 + plan.segment / rate  # for nodes and coarse delays beside the run
@@ -261,7 +261,7 @@ class DeviceTracks:
         Where all receivers are at rest, a single node is enough.
         """
         times = times[:1] if self._all_static else times
-        out = np.empty((len(batch.groups), len(times)), dtype=RECEIVER_NODE)
+        out = np.empty((len(batch.pairs), len(times)), dtype=RECEIVER_NODE)
         for i, r in enumerate(batch.receiver):
             out[i] = self._static[r] if r in self._static else _receiver_at(self._tracks.scene.receivers[r], times)
         return out

@@ -40,8 +40,8 @@ class Layout:
     """How the sum of paths is spread over a device: a subblock of samples over lanes of vectors, or over work-items."""
 
     lanes: int
-    span: int  # subblocks to a work-item, or to a group of them
-    sparse_span: int  # the same where signals pause
+    subblocks: int  # subblocks to a work-item, or to a group of them
+    sparse_subblocks: int  # the same where signals pause
     nodes: int  # of a path, whose delays are solved side by side
 
     def constants(self, subblock: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
@@ -56,12 +56,12 @@ class Layout:
             "OVERSAMPLING": oversampling,
             "BATCH": 1 if sparse else BATCH,
             "TILE": _TILE,
-            "SUBBLOCKS": (self.sparse_span if sparse else self.span) * (32 // subblock),
+            "SUBBLOCKS": (self.sparse_subblocks if sparse else self.subblocks) * (32 // subblock),
         }
 
 
-CPU_LAYOUT = Layout(lanes=8, span=16, sparse_span=48, nodes=4)
-GPU_LAYOUT = Layout(lanes=1, span=4, sparse_span=16, nodes=1)
+CPU_LAYOUT = Layout(lanes=8, subblocks=16, sparse_subblocks=48, nodes=4)
+GPU_LAYOUT = Layout(lanes=1, subblocks=4, sparse_subblocks=16, nodes=1)
 
 
 class OpenclEngine:
@@ -137,10 +137,10 @@ class OpenclEngine:
         """Remember the largest error that the shortest blocks leave of a source, and when."""
         self._coarse[source] = max(self._coarse[source], (wrong, time))
 
-    def maker(self, group: int) -> NodeMaker:
-        """Return what makes the nodes of a group: the device, where it has float64 and a program for such paths."""
+    def maker(self, pair: int) -> NodeMaker:
+        """Return what makes the nodes of a pair: the device, where it has float64 and a program for such paths."""
         plan, of_scene = self._plan, self._plan.tracks.of_scene
-        family = None if of_scene is None or not self._info.fp64 else of_scene.pair_paths[group].family
+        family = None if of_scene is None or not self._info.fp64 else of_scene.pair_paths[pair].family
         program = None if family is None else NODE_PROGRAMS.get(family.device or "")
         kind = None if program is None else family
         if kind not in self._makers:
@@ -168,17 +168,15 @@ class OpenclEngine:
                 continue
             active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
             segments = -(-length // plan.segment)
-            always = all(plan.tracks.groups[group.index].always_heard for group in active)
+            always = all(plan.tracks.pairs[pair.index].always_heard for pair in active)
             step = segments if always else _CHOSEN_ANEW
             for first in range(0, segments, step):
                 last = min(first + step, segments)
-                here = [
-                    group.during(plan, start + first * plan.segment, start + last * plan.segment) for group in active
-                ]
+                here = [pair.during(plan, start + first * plan.segment, start + last * plan.segment) for pair in active]
                 node = bytes_per_node(plan, source)
                 per_segment = node * (plan.segment // plan.shortest_block)
-                heard = [group for group in here if len(group.rows)]
-                for some in _batches(heard, per_segment, [self.maker(group.index) for group in heard]):
+                heard = [pair for pair in here if len(pair.rows)]
+                for some in _batches(heard, per_segment, [self.maker(pair.index) for pair in heard]):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         cl.enqueue_copy(self._queue, pressure, on_device)
@@ -228,7 +226,7 @@ class Run:
         self._first_slot, self._row = engine._upload(task.batch.first_slot), engine._upload(task.batch.receiver)
         self._bounds = boundaries(self._plan, task.batch)
         begin, end = task.first * self._plan.segment, min(task.last * self._plan.segment, task.length)
-        self._maker: Any = engine.maker(task.batch.groups[0])
+        self._maker: Any = engine.maker(task.batch.pairs[0])
         self._state = self._maker.prepare(
             task.source, task.batch, self._bounds, task.start + begin, end - begin, task.branches.activity,
             task.branches.first,
@@ -291,7 +289,7 @@ class Run:
         layout = engine._layout.constants(subblock, sparse=sparse, fine=fine, oversampling=filters.oversampling)
         begin = segment * self._plan.segment
         subblocks = (end - begin) // subblock
-        size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._batch.groups))
+        size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._batch.pairs))
         counts = [len(bank.taps) for bank in filters.banks]
         together = _TOGETHER if sparse else 1
         for k in range(0, len(counts), together):
@@ -373,18 +371,18 @@ def bytes_per_node(plan: Plan, source: int) -> int:
 
 
 def _batches(active: list[ActivePaths], per_segment: int, makers: Sequence[NodeMaker]) -> list[list[ActivePaths]]:
-    """Cut groups into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path.
+    """Cut pairs into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path.
 
-    All groups of a batch have their nodes made by the same maker.
+    All pairs of a batch have their nodes made by the same maker.
     """
     most = max(BATCH, NODE_BUDGET // per_segment)
     batches: list[list[ActivePaths]] = []
     count, last = most, None
-    for group, maker in zip(active, makers, strict=True):
-        slots = -(-len(group.rows) // BATCH) * BATCH
+    for pair, maker in zip(active, makers, strict=True):
+        slots = -(-len(pair.rows) // BATCH) * BATCH
         if count + slots > most or maker is not last:
             batches.append([])
             count, last = 0, maker
-        batches[-1].append(group)
+        batches[-1].append(pair)
         count += slots
     return batches

@@ -74,10 +74,10 @@ class Fades:
 def boundaries(plan: Plan, batch: PathBatch) -> Boundaries:
     """Return when the paths of a batch are heard."""
     rate, transition = plan.sampling_rate, plan.tracks.transition
-    groups = [plan.tracks.groups[i] for i in batch.groups]
-    rows = [batch.path[batch.of_group(i)] for i in range(len(groups))]
-    start = np.concatenate([g.start[r] for g, r in zip(groups, rows, strict=True)])
-    end = np.concatenate([g.end[r] for g, r in zip(groups, rows, strict=True)])
+    pairs = [plan.tracks.pairs[i] for i in batch.pairs]
+    rows = [batch.path[batch.of_pair(i)] for i in range(len(pairs))]
+    start = np.concatenate([g.start[r] for g, r in zip(pairs, rows, strict=True)])
+    end = np.concatenate([g.end[r] for g, r in zip(pairs, rows, strict=True)])
     first, last = heard_samples(start, end, transition, rate)
     first[batch.padding], last[batch.padding] = 0, 0
     if transition == 0.0:  # at once: between samples
@@ -104,10 +104,10 @@ def find_fades(bounds: Boundaries, batch: PathBatch, start: int, block: int, blo
     if not len(slot):
         return None
     slot, at = np.unique(np.stack([slot, at]), axis=1)
-    group = np.searchsorted(batch.first_slot, slot, side="right") - 1
-    order = np.lexsort((slot, at, group))
-    slot, at, group = slot[order], at[order], group[order]
-    new = np.flatnonzero(np.diff(group * np.int64(blocks) + at, prepend=-1))
+    pair = np.searchsorted(batch.first_slot, slot, side="right") - 1
+    order = np.lexsort((slot, at, pair))
+    slot, at, pair = slot[order], at[order], pair[order]
+    new = np.flatnonzero(np.diff(pair * np.int64(blocks) + at, prepend=-1))
     begin = (start + at * block).astype(np.float64)
     far = 2.0**23
 
@@ -116,5 +116,5 @@ def find_fades(bounds: Boundaries, batch: PathBatch, start: int, block: int, blo
 
     return Fades(
         slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
-        np.append(new, len(slot)).astype(np.int32), batch.receiver[group[new]], at[new].astype(np.int32),
+        np.append(new, len(slot)).astype(np.int32), batch.receiver[pair[new]], at[new].astype(np.int32),
     )  # fmt: skip

@@ -74,8 +74,8 @@ class HostTracks:
         times = node_times(start, block, blocks, rate)
         first, last = bounds.samples_from(start)
         begins = block * np.arange(blocks)
-        for i, index in enumerate(batch.groups):
-            here = batch.of_group(i)
+        for i, index in enumerate(batch.pairs):
+            here = batch.of_pair(i)
             delay, change, gain = plan.tracks.evaluate(index, times, filters.basis, batch.path[here])
             whole[:, here], made = block_polynomials(
                 delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, plan.delay_terms

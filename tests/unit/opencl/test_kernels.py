@@ -9,7 +9,7 @@ import pytest
 import clsim
 from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
-from clsim.opencl.kernels import PROGRAMS, kernel_folder, kernel_source
+from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, upload
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
 from clsim.render.opencl.device_nodes import RECEIVER_NODE, VECTOR
@@ -74,7 +74,7 @@ def test_constants_are_those_that_the_sources_do_not_define(program: str) -> Non
 def test_every_file_belongs_to_a_program_and_says_what_it_is() -> None:
     folder = kernel_folder()
     files = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.suffix in {".h", ".cl"}}
-    assert files == {name for program in PROGRAMS.values() for name in program.files}
+    assert files == {name for program in PROGRAMS.values() for name in program.files} | {DECLARATIONS}
     told = (folder / "README.md").read_text("utf-8")
     for name, program in PROGRAMS.items():
         assert f"`{name}`" in told
@@ -82,6 +82,25 @@ def test_every_file_belongs_to_a_program_and_says_what_it_is() -> None:
     for name in files:
         assert (folder / name).read_text("utf-8").startswith("// "), name
         assert f"`{name.split('/')[-1]}`" in told, name
+
+
+def test_functions_of_opencl_are_declared() -> None:
+    called = re.compile(r"\b([a-z]\w+)\s*\(")
+    told = set(called.findall(declarations())) - {"overloadable"}
+    used = set()
+    for program in PROGRAMS:
+        text = re.sub(r'__attribute__\(\(.*?\)\)|"[^"]*"', "", without_comments(kernel_source(program)))
+        own = set(re.findall(r"\b\w+\s+(\w+)\([^()]*\)\s*{", text))
+        used |= set(called.findall(text)) - own - {"if", "for", "while", "switch", "return", "sizeof", "define"}
+    assert {name for name in used if not name.startswith("as_")} == told  # those are macros of another header
+
+
+def test_pocl_reads_the_declarations_that_kernels_need_and_no_others(device: None) -> None:
+    compiler = compiler_of(find_device(None)[1])
+    if compiler.context.devices[0].platform.name != "Portable Computing Language":
+        pytest.skip("another platform than PoCL")
+    built = compiler._build("emit", kernel_source("emit"), ["-DOF_A_TEST"])
+    assert built.source.startswith(declarations())
 
 
 def test_files_are_small() -> None:

@@ -208,9 +208,9 @@ def test_the_longest_delay_is_that_of_the_groups(moving: bool) -> None:
     )
     tracks = track(clsim.find_paths(scene, 2))
     for start, end in ((0.0, 0.0), (0.2, 0.7)):
-        bounds = [tracks.delay_range(i, start, end)[1].max() for i in range(len(tracks.groups))]
+        bounds = [tracks.delay_range(i, start, end)[1].max() for i in range(len(tracks.pairs))]
         assert tracks.longest_delay(start, end) == pytest.approx(max(bounds), rel=1e-14)
-        first = [b for b, group in zip(bounds, tracks.groups, strict=True) if group.source == 0]
+        first = [b for b, group in zip(bounds, tracks.pairs, strict=True) if group.source == 0]
         assert tracks.longest_delay(start, end, 0) == pytest.approx(max(first), rel=1e-14)
 
 

@@ -1,0 +1,18 @@
+// The functions of OpenCL C that kernels use, for runtimes that would read the declarations of all of them before every
+// program: PoCL does, for ten times as long as it takes to compile a small kernel. Attributes are those that it gives.
+
+#define BUILTIN __attribute__((overloadable, const))
+size_t BUILTIN get_global_id(uint);
+size_t BUILTIN get_global_size(uint);
+size_t BUILTIN get_group_id(uint);
+size_t BUILTIN get_local_id(uint);
+int BUILTIN min(int, int);
+float BUILTIN floor(float);
+float BUILTIN sin(float);
+float BUILTIN sqrt(float);
+double BUILTIN sqrt(double);
+double BUILTIN fabs(double);
+double BUILTIN fmin(double, double);
+double BUILTIN fmax(double, double);
+int __attribute__((overloadable)) atomic_inc(volatile __global int*);
+void __attribute__((overloadable, convergent)) barrier(cl_mem_fence_flags);
