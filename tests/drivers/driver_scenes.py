@@ -44,7 +44,10 @@ def scene(make: Callable[[str], Plan]) -> Callable[[str], Plan]:
 
 
 def world(
-    signal: clsim.Signal = SWEEP, walls: list | None = None, beams: tuple = (clsim.Omni(), clsim.Omni()), still: bool = False
+    signal: clsim.Signal = SWEEP,
+    walls: list | None = None,
+    beams: tuple = (clsim.Omni(), clsim.Omni()),
+    still: bool = False,
 ) -> clsim.Scene:
     """Return a box in which all moves, 6 cm apart, and in which the signal has been on for a while."""
     way = LINE((0.05, 0.045, 0.05), (0.06, 0.04, 0.055), 0.04)
@@ -56,7 +59,9 @@ def world(
     )  # fmt: skip
 
 
-def plan(of: clsim.Scene | PathSet, device: str, order: int = 1, blocks: tuple[int, ...] = (96,), **options: Any) -> Plan:
+def plan(
+    of: clsim.Scene | PathSet, device: str, order: int = 1, blocks: tuple[int, ...] = (96,), **options: Any
+) -> Plan:
     """Return a plan, short and with short filters, in blocks of given lengths."""
     given = {"interpolator": clsim.Bandlimited(-45.0), "response_error_db": -45.0, "duration": SAMPLES / RATE}
     paths = clsim.find_paths(of, order) if isinstance(of, clsim.Scene) else of
