@@ -15,8 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument(
         "--test", nargs="?", const="", metavar="DEVICE",
-        help="compare a device, by id or part of its name, with the reference engine, and measure its rates; the best one "
-        "when none is named",
+        help="compare a device, by id or part of its name, with the reference engine, and measure its rates; the "
+        "best one when none is named",
     )  # fmt: skip
 
 

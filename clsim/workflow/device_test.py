@@ -36,7 +36,7 @@ RATE = 192e3
 PROMISED_DB = -85.0  # of what is heard, at default settings
 _DURATION = 0.03  # s, of the scenes that are compared
 _ORDER, _LONG = 8, 1.0  # of the one whose rates are measured, and s
-_SIZE = (6.0, 5.0, 3.0)
+_SIZE = np.array([6.0, 5.0, 3.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +75,8 @@ class DeviceReport:
             f"{info.compute_units} units at {info.clock_hz / 1e6:.0f} MHz", f"{info.memory_bytes / 2**30:.1f} GiB",
             f"groups of {info.largest_group}", "float64" if info.fp64 else "no float64",
             f"{'passed' if self.passed else 'FAILED'}: {self.apart_db[worst]:.0f} dB ({worst})",
-            f"render {self.render_rate:.2g}/s, tracks {self.tracks_rate:.2g}/s", f"first call {self.first_seconds:.1f} s",
-            f"{platform.system()} {platform.machine()}",
+            f"render {self.render_rate:.2g}/s, tracks {self.tracks_rate:.2g}/s",
+            f"first call {self.first_seconds:.1f} s", f"{platform.system()} {platform.machine()}",
         ]  # fmt: skip
         return " | ".join(parts)
 
@@ -171,8 +171,8 @@ def _plans(device: str) -> dict[str, Plan]:
     curtain = Material.from_absorption([20e3, 40e3, 60e3], [0.1, 0.4, 0.5])
     box = Shoebox(_SIZE, [curtain, *map(_wall, (-0.8, 0.7, 0.6, -0.5, 0.8))])
     hard = Shoebox(_SIZE, Material.from_impedance([20e3, 40e3, 60e3], [3.0 - 1.0j, 2.0 - 0.4j, 1.5 + 0.3j]))
-    corners = [(2.5, 1.5, 0.0), (2.5, 2.275, 0.0), (2.5, 2.275, 3.0), (2.5, 1.5, 3.0)]
-    screen = MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], _wall(0.9))
+    corners = np.array([(2.5, 1.5, 0.0), (2.5, 2.275, 0.0), (2.5, 2.275, 3.0), (2.5, 1.5, 3.0)])
+    screen = MeshRoom(corners, np.array([(0, 1, 2), (0, 2, 3)]), _wall(0.9))
     beams = (Piston(0.004), FirstOrder(0.4))
     return {
         "functions of frequency": _plan(device, box, sweep, beams),

@@ -40,7 +40,8 @@ def test_scenes_run_every_kernel_with_every_option(tmp_path: Path) -> None:
 MUTANTS = {
     "an index off by one": ("plain.cpu", ("branches", "TAPS - 1 - k]", "TAPS - k]"), "Invalid read"),
     "a barrier left out": (
-        "plain.gpu", ("render", "#define SYNCHRONISE barrier(CLK_LOCAL_MEM_FENCE)", "#define SYNCHRONISE"), "data race",
+        "plain.gpu", ("render", "paths, p, worker, subblock_sum);\n                SYNCHRONISE;", "paths, p, worker, subblock_sum);"),
+        "data race",
     ),
     "a buffer not cleared": ("plain.cpu", ("", "", ""), "Uninitialized"),
 }  # fmt: skip
