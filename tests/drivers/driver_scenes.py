@@ -168,7 +168,12 @@ def baseband_pulses(device: str) -> Plan:
 
 # Where signals pause, eight gains of neighbouring functions are read at once, whether or not there are as many.
 EIGHT_GAINS = "g[i] = *(__global const loose_gains*)(c + DELAY_TERMS + i * functions + first);"
-EACH_GAIN = "{ g[i] = 0.0f; for (int k = 0; k < FUNCTIONS; k++) ((float*)(g + i))[k] = c[DELAY_TERMS + i * functions + first + k]; }"
+EACH_GAIN = """{
+    g[i] = 0.0f;
+    for (int k = 0; k < FUNCTIONS && first + k < functions; k++) {
+        ((float*)(g + i))[k] = c[DELAY_TERMS + i * functions + first + k];
+    }
+}"""
 
 
 def without_false_reports() -> None:

@@ -38,9 +38,10 @@ def test_scenes_run_every_kernel_with_every_option(tmp_path: Path) -> None:
 
 
 MUTANTS = {
-    "an index off by one": ("plain.cpu", ("branches", "TAPS - 1 - k]", "TAPS - k]"), "Invalid read"),
+    "an index off by one": ("plain.cpu", ("branches", "tap_count - 1 - k]", "tap_count - k]"), "Invalid read"),
     "a barrier left out": (
-        "plain.gpu", ("render", "paths, p, worker, subblock_sum);\n                SYNCHRONISE;", "paths, p, worker, subblock_sum);"),
+        "plain.gpu",
+        ("render", "subblock_sum);\n                }\n                SYNCHRONISE;", "subblock_sum);\n                }"),
         "data race",
     ),
     "a buffer not cleared": ("plain.cpu", ("", "", ""), "Uninitialized"),
