@@ -135,6 +135,38 @@ def without_float64(plan: Plan) -> float:
         engine_module.find_device = found
 
 
+def page(info: device_module.DeviceInfo, order: int, duration: float, rows: list[str], costs: dict, cards: dict) -> str:
+    """Return the page: rows that were measured, and what the roofline predicts for cards."""
+    clock = "processor time" if info.kind == "CPU" else "time on the wall"
+    lines = [
+        f"# {info.name}", "",
+        f"{info.platform}, {info.version}, driver {info.driver}; {info.compute_units} units, {info.memory_bytes / 2**30:.1f} GiB; "
+        f"{platform.system()} {platform.machine()}. Order {order}, {duration:g} s, {RATE / 1e3:g} kHz. Path-samples/s in {clock}.",
+        "", "| signal | functions | whole call | render | tracks | branch signals, s | without float64, whole call |",
+        "|---|---|---|---|---|---|---|", *rows,
+        "", "## Roofline: predictions, not measured", "",
+        "| signal | render: operations, bytes of a path-sample | tracks: float32, float64 operations, bytes |", "|---|---|---|",
+    ]  # fmt: skip
+    for kind, c in costs.items():
+        lines.append(
+            f"| {kind} | {c.render_operations:.0f}, {c.render_bytes:.1f} | "
+            f"{c.tracks_float32:.2g}, {c.tracks_float64:.2g}, {c.tracks_bytes:.2g} |"
+        )
+    lines += [
+        "",
+        "| card (GB/s, GFLOP/s in float32 and float64) | signal | render, at most | tracks, at most |",
+        "|---|---|---|---|",
+    ]
+    for name, card in cards.items():
+        for kind, cost in costs.items():
+            render, tracks = cost.predicted(*card)
+            told = "by the host: no float64" if tracks is None else f"{tracks:.2g} (predicted)"
+            lines.append(
+                f"| {name} ({card[0]:g}, {card[1]:g}, {card[2]:g}) | {kind} | {render:.2g} (predicted) | {told} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
 def main() -> None:
     """Measure, predict and write."""
     parser = argparse.ArgumentParser()
@@ -147,15 +179,7 @@ def main() -> None:
     options = parser.parse_args()
     info, _ = device_module.find_device(options.device)
     Stages.on_host = info.kind == "CPU"
-    clock = "processor time" if Stages.on_host else "time on the wall"
-    lines = [
-        f"# {info.name}", "",
-        f"{info.platform}, {info.version}, driver {info.driver}; {info.compute_units} units, {info.memory_bytes / 2**30:.1f} GiB; "
-        f"{platform.system()} {platform.machine()}. Order {options.order}, {options.duration:g} s, {RATE / 1e3:g} kHz. Stages in {clock}.",
-        "", "| signal | functions | whole call, path-samples/s | render | tracks | branch signals, s | without float64, whole call |",
-        "|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
-    costs = {}
+    rows, costs = [], {}
     for kind in ("tone", "functions", "pulses"):
         paths = clsim.find_paths(scene(options.duration, kind), options.order)
         more = {"responses": "centre"} if kind == "tone" else {}
@@ -164,38 +188,17 @@ def main() -> None:
         whole = stages.processor if Stages.on_host else stages.wall
         tracks = stages.kernels["tracks"] + stages.kernels["coarse_delays"]
         slower = without_float64(plan) / stages.processor
-        costs[kind] = Cost.of(plan)
-        lines.append(
+        if kind != "pulses":  # of which the cost depends on how much is silent
+            costs[kind] = Cost.of(plan)
+        rows.append(
             f"| {kind} | {len(plan.source_filters[0].basis)} | {work / whole:.2g} | {work / stages.kernels['render']:.2g} | "
             f"{work / tracks:.2g} | {stages.kernels['branches']:.3f} | {slower:.1f} times the processor time |"
         )
-        print(lines[-1], flush=True)
+        print(rows[-1], flush=True)
     cards = dict(CARDS)
     if options.bandwidth and options.float32:
         cards["as asked"] = (options.bandwidth, options.float32, options.float64)
-    lines += [
-        "", "## Roofline: predictions, not measured", "",
-        "| signal | render: operations, bytes of a path-sample | tracks: float32, float64 operations, bytes |", "|---|---|---|",
-    ]  # fmt: skip
-    for kind in ("tone", "functions"):
-        c = costs[kind]
-        lines.append(
-            f"| {kind} | {c.render_operations:.0f}, {c.render_bytes:.1f} | "
-            f"{c.tracks_float32:.2g}, {c.tracks_float64:.2g}, {c.tracks_bytes:.2g} |"
-        )
-    lines += [
-        "",
-        "| card (GB/s, GFLOP/s in float32 and float64) | signal | render, at most | tracks, at most |",
-        "|---|---|---|---|",
-    ]
-    for name, card in cards.items():
-        for kind in ("tone", "functions"):
-            render, tracks = costs[kind].predicted(*card)
-            told = "by the host: no float64" if tracks is None else f"{tracks:.2g} (predicted)"
-            lines.append(
-                f"| {name} ({card[0]:g}, {card[1]:g}, {card[2]:g}) | {kind} | {render:.2g} (predicted) | {told} |"
-            )
-    (HERE / "device.md").write_text("\n".join(lines) + "\n", "utf-8")
+    (HERE / "device.md").write_text(page(info, options.order, options.duration, rows, costs, cards), "utf-8")
 
 
 if __name__ == "__main__":
