@@ -93,7 +93,7 @@ def _source_rows(
     from_source = _sequences(room.walls, tables.sphere(0, -longest), edges, spheres, order)
     for receiver in range(len(scene.receivers)):
         from_receiver = _sequences(room.walls, tables.sphere(receiver + 1), edges, spheres, order)
-        for candidates in _candidates(from_source, from_receiver, edges, order, receiver):
+        for candidates in _candidates(room.walls, from_source, from_receiver, edges, order, receiver):
             pieces = _pieces(query, edges, candidates, order)
             found += [{**row, "source": source, "receiver": receiver} for row in _rows(query, edges, pieces, partners)]
             if len(found) > search.path_limit:
@@ -130,19 +130,28 @@ def _may_reach(
     reaches, image = np.ones(len(sequence), dtype=bool), np.tile(sphere[0], (len(sequence), 1))
     for wall in sequence.T:
         image = mirrored(walls, wall, image)
-    seen = [np.tile(x[edge], (len(sequence), 1)) for x in (edges.start, edges.stop)]
-    for wall in sequence.T[::-1]:
-        heights = [np.einsum("ni,ni->n", x, walls.normal[wall]) - walls.offset[wall] for x in seen]
-        reaches &= np.abs(heights).max(axis=0) > _ON * walls.size
-        seen = [mirrored(walls, wall, x) for x in seen]
+    reaches &= ~np.any(
+        _in_planes(walls, edges.start[edge], sequence) & _in_planes(walls, edges.stop[edge], sequence), axis=1
+    )
     r, angle, _ = edges.cylindrical(np.full(len(image), edge), image)
     beyond = np.maximum(-angle, angle - np.pi * edges.n[edge])
     depth = np.where(beyond < 0.5 * np.pi, r * np.sin(np.clip(beyond, 0.0, 0.5 * np.pi)), r)
     return reaches & (depth <= sphere[1] + _ON * walls.size)
 
 
+def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return which walls of sequences (n, N) a place (3,) lies in the plane of, seen by the walls behind each."""
+    found, seen = np.zeros(sequence.shape, dtype=bool), np.tile(place, (len(sequence), 1))
+    for k in range(sequence.shape[1] - 1, -1, -1):
+        wall = sequence[:, k]
+        height = np.einsum("ni,ni->n", seen, walls.normal[wall]) - walls.offset[wall]
+        found[:, k] = np.abs(height) <= _ON * walls.size
+        seen = mirrored(walls, wall, seen)
+    return found
+
+
 def _candidates(
-    from_source: Sides, from_receiver: Sides, edges: Edges, order: int, receiver: int
+    walls: Walls, from_source: Sides, from_receiver: Sides, edges: Edges, order: int, receiver: int
 ) -> Iterator[EdgeCandidates]:
     """Yield all pairs of sequences to the same edge, and to its free ends, by numbers of walls."""
     for n in range(order + 1):
@@ -150,9 +159,12 @@ def _candidates(
             parts: list[tuple[Any, Any, Any, Any]] = []
             waiting = 0
             for edge in range(len(edges)):
-                before, after = from_source[edge][n], from_receiver[edge][m]
-                i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
+                ends = edges.start[edge], edges.stop[edge]
                 for end in (-1, *np.flatnonzero(edges.free[edge]).tolist()):
+                    before, after = from_source[edge][n], from_receiver[edge][m]
+                    if end >= 0:  # nothing comes to an end by a wall that it lies in
+                        before, after = (x[~_in_planes(walls, ends[end], x).any(axis=1)] for x in (before, after))
+                    i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
                     parts.append((before[i], after[j], np.full(len(i), edge), np.full(len(i), end)))
                     waiting += len(i)
                 if waiting >= _BATCH:
