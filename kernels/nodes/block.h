@@ -20,7 +20,7 @@ static void write_gains(const gains* gain, int apart, __global float* g)
 static void write_block(const window* node, int block, int slots, int slot, double sampling_rate, double delay_samples,
                         int heard, __global int* delay, __global float* polynomials)
 {
-    const int apart = APART(slots);
+    const int apart = BESIDE;
     __global float* c = polynomials + place_of(block, slot, FUNCTIONS, slots);
     gains terms[4][GAIN_VECTORS];
 #if DELAY_TERMS == 8
