@@ -157,8 +157,8 @@ PROGRAMS = {
     "tracks": Program(
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
-            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", *_MASK,
-            "nodes/activity.h", "nodes/tracks.cl",
+            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h",
+            "nodes/smooth.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **_IMAGES,
@@ -184,6 +184,7 @@ PROGRAMS = {
             "emitted_first": _DOUBLE,
             "emitted_last": _DOUBLE,
             "angular_frequency": _FLOAT,
+            "smooth": _FLOAT,
             "wall_tables": _in("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
             "source_directivity": _in("bins", "a table"),
             "receiver_directivities": _in("bins", "tables"),
@@ -205,7 +206,7 @@ PROGRAMS = {
             | {
                 "BLOCK", "WALK", "NODES_AT_ONCE", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
                 "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
-                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
+                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR", "SMOOTH_ERROR",
             }
         ),
     ),

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 GAIN_ERROR = {4: 0.02, 8: 0.03}  # of the last differences of gains, by the terms of delays; see `block_error`
+SMOOTH_ERROR = 0.03  # of the fourth differences of gains between cells, see `cell_polynomials`
 
 
 def block_polynomials(

@@ -14,7 +14,7 @@ from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.response import SceneResponse
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
-from clsim.render.opencl.block_polynomials import GAIN_ERROR
+from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR
 from clsim.render.opencl.lookup_tables import (
     AXIAL,
     CELLS,
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     Walls = NDArray[np.signedinteger[Any]]
 
+_SMOOTH_SHARE = 0.1  # of the square of the error between nodes: what gains of neighbouring blocks may add to it
 VECTOR = 8  # numbers of a vector of gains or of frequencies in kernels
 # A receiver at a node, as in nodes/image.h.
 RECEIVER_NODE = np.dtype(
@@ -190,7 +191,7 @@ class DeviceTracks:
         found = np.empty((walks, batch.count, 4), dtype=np.float32)
         unheld = np.empty((walks, batch.count), dtype=np.float32)
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
-        receivers = self._receivers_at(batch, node_times(start, block, blocks, rate))
+        receivers = self._receivers_at(batch, node_times(start, block, walks * (plan.segment // block) + 1, rate))
         heard_from, heard_until = chunk.bounds.samples_from(start)
         around = self._surroundings[chunk.source]
         spread = filters.filter_half / rate  # by which the functions' filters are longer than what is emitted
@@ -204,12 +205,13 @@ class DeviceTracks:
         kernel(
             self._queue, work(batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **cells,
             **around.basis, **around.tables, directivity_of=around.directivity_of[batch.receiver],
-            receivers=receivers, nodes=blocks + 3,
+            receivers=receivers, nodes=receivers.shape[1],
             heard_from=heard_from, heard_until=heard_until,
             coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
             start=start / rate, sampling_rate=rate, speed_of_sound=c, delay_samples=filters.delay_samples,
             emitted_first=filters.start - spread, emitted_last=filters.start + filters.signal.duration + spread,
-            angular_frequency=2.0 * math.pi * filters.swiftness, origin=start - chunk.first,
+            angular_frequency=2.0 * math.pi * filters.swiftness,
+            smooth=_SMOOTH_SHARE * 10 ** (plan.motion_error_db / 10), origin=start - chunk.first,
             max_rate=self._max_rates[chunk.source], blocks=blocks, delay=delay, polynomials=polynomials,
             found=found_there, unheld=unheld_there, activity=activity,
         )  # fmt: skip
@@ -252,6 +254,7 @@ class DeviceTracks:
             "AXIAL": AXIAL,
             "SPHERICAL": SPHERICAL,
             "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
+            "SMOOTH_ERROR": np.float32(SMOOTH_ERROR),
             "ANGULAR": around.angular,
         }
 
