@@ -38,7 +38,9 @@ def plan(receivers: int, order: int, functions: int, moving: bool, segments: int
     side = math.ceil(math.sqrt(receivers))
     shifts = np.array([(i // side, i % side, 0.0) for i in range(receivers)])
     if moving:
-        ways = [clsim.Trajectory.circle((3.0 + 0.01 * x, 2.0 + 0.01 * y, 2.0), 0.5, 2.0, duration) for x, y, _ in shifts]
+        ways = [
+            clsim.Trajectory.circle((3.0 + 0.01 * x, 2.0 + 0.01 * y, 2.0), 0.5, 2.0, duration) for x, y, _ in shifts
+        ]
     else:
         ways = [clsim.Trajectory.fixed((1.0 + 0.01 * x, 1.0 + 0.01 * y, 2.9)) for x, y, _ in shifts]
     ears = [clsim.Receiver(f"r{i}", w) for i, w in enumerate(ways)]
@@ -136,7 +138,9 @@ class Worker:
 def main() -> None:
     """Time the cases and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkouts", type=Path, nargs="+", help="folders that hold the package clsim: as it was, as it is")
+    parser.add_argument(
+        "checkouts", type=Path, nargs="+", help="folders that hold the package clsim: as it was, as it is"
+    )
     parser.add_argument("--receivers", type=int, nargs="+", default=[1, 16, 100], metavar="N")
     parser.add_argument("--functions", type=int, nargs="+", default=list(BANDS), choices=list(BANDS), metavar="K")
     parser.add_argument("--orders", type=int, nargs="+", default=[3, 10], metavar="N")

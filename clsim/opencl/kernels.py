@@ -64,7 +64,7 @@ def _both(kind: str, shape: str) -> Argument:
 
 _INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
-_TRIPLES = ("common/triple.h",)
+_TRIPLES = ("common/triple.h", "common/side_by_side.h")
 _PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
@@ -109,7 +109,7 @@ _FADES = {
     "block_samples": _INT,
     "samples": _INT,
 }
-_DELAY_CONSTANTS = {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}
+_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
 
@@ -152,7 +152,7 @@ PROGRAMS = {
             "speed_of_sound": _DOUBLE,
             "delays": _out("double", "ends, 2, slots"),
         },
-        frozenset(_DELAY_CONSTANTS),
+        frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL"}),
     ),
     "tracks": Program(
         (
@@ -204,9 +204,10 @@ PROGRAMS = {
         frozenset(
             _DELAY_CONSTANTS
             | {
-                "BLOCK", "WALK", "NODES_AT_ONCE", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
+                "BLOCK", "WALK", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
                 "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
-                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR", "SMOOTH_ERROR",
+                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
+                "SMOOTH_ERROR",
             }
         ),
     ),

@@ -84,7 +84,7 @@ class _Sum(Stateless):
         """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
         if self._engine is None:
             self._engine = _engine(self._plan)
-        pressure += self._engine.render(start, start + pressure.shape[1])
+        self._engine.add(pressure, start)
 
     def warn(self) -> None:
         """Warn of what the engine could not hold as well as asked."""

@@ -31,8 +31,7 @@ static void make_group(smooth_gains* s, path_nodes* nodes, int group, double spe
         s->rate[group * GROUP + i] = rate_of_node(nodes, i);
     }
     float rest;
-    s->strength[group] = path_gains(nodes->node + 1, speed_of_sound, around, nodes->slots, nodes->slot,
-                                    receiver_of_node(nodes, 1)->frame, s->gain[group], &rest);
+    s->strength[group] = gains_of_node(nodes, 1, speed_of_sound, around, s->gain[group], &rest);
     *unheld = rest > *unheld ? rest : *unheld;
 }
 

@@ -1,33 +1,11 @@
-// Nodes of one path side by side: the receiver as the path sees it, and the delay.
+// Nodes of one path: the receiver as the path sees it, and the delay, GROUP neighbours at a time.
 
-// A receiver as seen from the source's own room: where it is, how it moves and turns, and its clock.
-typedef struct {
-    triple position, velocity, frame[3];
-    double clock_error, clock_rate;  // as of a receiver_node
-} receiver_in_image;
-
-static receiver_in_image receiver_at(__global const double* image_matrix, int slots, int slot, triple offset,
-                                     __global const receiver_node* node)
-{
-    receiver_in_image out;
-    out.position = turned_back(image_matrix, slots, slot, difference(at_row(node->position), offset));
-    out.velocity = turned_back(image_matrix, slots, slot, at_row(node->velocity));
-#if RECEIVER_DIRECTIVITY != OMNI
-    out.frame[0] = turned_back(image_matrix, slots, slot, at_row(node->axes[0]));
-#endif
-#if RECEIVER_DIRECTIVITY == SPHERICAL
-    out.frame[1] = turned_back(image_matrix, slots, slot, at_row(node->axes[1]));
-    out.frame[2] =
-        turned_back(image_matrix, slots, slot, cross_product(at_row(node->axes[0]), at_row(node->axes[1])));
-#endif
-    out.clock_error = node->clock_error;
-    out.clock_rate = node->clock_rate;
-    return out;
-}
-
-// All that the nodes of a path over a walk are solved from, and those that were solved last: GROUP neighbours.
 #define GROUP 4
+#define AT_ONCE (GROUP / NODES_AT_ONCE)
+#define PART(i) ((i) / NODES_AT_ONCE)  // of the group, in which its i-th node is
+#define BESIDE_IT(i) ((i) % NODES_AT_ONCE)
 
+// All that the nodes of a path over a walk are solved from, and those that were solved last.
 typedef struct {
     const trajectory* path;
     __global const double* image_matrix;
@@ -37,63 +15,62 @@ typedef struct {
     double start, block_time;            // time of the walk's first block, s
     const double* predicted;             // delays over the walk, a septic on [-1, 1]
     int ready;                           // the group that is solved
-    double times[GROUP];
-    receiver_in_image receiver[STATIC_RECEIVERS ? 1 : GROUP];
-    arrival node[GROUP];
+    receivers_in_image receiver[STATIC_RECEIVERS ? 1 : AT_ONCE];
+    arrivals node[AT_ONCE];
 } path_nodes;
-
-// Newton steps of NODES_AT_ONCE nodes side by side, so that no processor waits for a single one: each until its step is so
-// small that the next one, of the order of its square, would be of no use.
-static void solve_nodes(path_nodes* s, int first)
-{
-    int open[NODES_AT_ONCE];
-#pragma unroll
-    for (int i = 0; i < NODES_AT_ONCE; i++) open[i] = 1;
-    for (int k = 0; k < 8; k++) {
-        int any = 0;
-#pragma unroll
-        for (int i = 0; i < NODES_AT_ONCE; i++) {
-            if (!open[i]) continue;
-            const receiver_in_image* here = s->receiver + (STATIC_RECEIVERS ? 0 : first + i);
-            const double step = newton_step(s->path, here->position, here->velocity, s->times[first + i], s->node + first + i);
-            open[i] = step * step >= CONVERGED;
-            any |= open[i];
-        }
-        if (!any) break;
-    }
-}
 
 // Solve a group of the walk's nodes.
 static void solve_group(path_nodes* s, int group)
 {
     if (s->ready == group) return;
     s->ready = group;
-    for (int i = 0; i < GROUP; i++) {
-        const int at = group * GROUP + i;
+    for (int part = 0; part < AT_ONCE; part++) {
+        receivers_in_image* receiver = s->receiver + (STATIC_RECEIVERS ? 0 : part);
+        const int first = group * GROUP + part * NODES_AT_ONCE;
 #if !STATIC_RECEIVERS
-        s->receiver[i] = receiver_at(s->image_matrix, s->slots, s->slot, s->offset, s->rows + at);
+        *receiver = receivers_at(s->image_matrix, s->slots, s->slot, s->offset, s->rows + first);
 #endif
-        const double u = (at - 1) * (2.0 / WALK) - 1.0;
-        double expected = s->predicted[7];
+        const double at[4] = {first - 1, first, first + 1, first + 2};
+        const reals block = SIDE_BY_SIDE(at, ), u = block * (2.0 / WALK) - 1.0;
+        reals expected = s->predicted[7];
 #pragma unroll
         for (int k = 6; k >= 0; k--) expected = expected * u + s->predicted[k];
-        s->times[i] = s->start + (at - 1) * s->block_time + s->receiver[STATIC_RECEIVERS ? 0 : i].clock_error;
-        s->node[i].delay = expected + s->receiver[STATIC_RECEIVERS ? 0 : i].clock_error;
+        s->node[part].delay = expected + receiver->clock_error;
+        solve_delay(s->path, receiver->position, receiver->velocity, s->start + block * s->block_time + receiver->clock_error,
+                    CONVERGED, s->node + part);
     }
-    for (int i = 0; i < GROUP; i += NODES_AT_ONCE) solve_nodes(s, i);
 }
 
-// The receiver as a node of the group that is solved sees it; delay and rate by the receiver's own clock.
-static const receiver_in_image* receiver_of_node(const path_nodes* s, int i)
-{
-    return s->receiver + (STATIC_RECEIVERS ? 0 : i);
-}
+// Delay and rate at a node of the group, by the receiver's own clock.
 static double delay_of_node(const path_nodes* s, int i)
 {
-    return s->node[i].delay - receiver_of_node(s, i)->clock_error;
+    const reals late = s->node[PART(i)].delay - s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].clock_error;
+    return OF_NODE(late, BESIDE_IT(i));
 }
 static double rate_of_node(const path_nodes* s, int i)
 {
-    const double clock_rate = receiver_of_node(s, i)->clock_rate;
-    return s->node[i].rate * clock_rate - (clock_rate - 1.0);
+    const reals pace = s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].clock_rate;
+    const reals rate = s->node[PART(i)].rate * pace - (pace - 1.0);
+    return OF_NODE(rate, BESIDE_IT(i));
+}
+
+static triple triple_of(const triples* x, int i)
+{
+    const triple out = {OF_NODE(x->x, i), OF_NODE(x->y, i), OF_NODE(x->z, i)};
+    return out;
+}
+
+// The gains at a node of the group, see response.h.
+static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, const surroundings* around, gains* gain,
+                           float* unheld)
+{
+    const arrivals* a = s->node + PART(i);
+    const int beside = BESIDE_IT(i);
+    const arrival here = {OF_NODE(a->delay, beside), OF_NODE(a->mach_factor, beside), triple_of(&a->departure, beside),
+                          a->knot[beside], OF_NODE(a->u, beside)};
+    triple frame[3];
+#if RECEIVER_DIRECTIVITY != OMNI
+    for (int k = 0; k < 3; k++) frame[k] = triple_of(s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].frame + k, beside);
+#endif
+    return path_gains(&here, speed_of_sound, around, s->slots, s->slot, frame, gain, unheld);
 }

@@ -61,7 +61,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, rows + (STATIC_RECEIVERS ? 0 : first),
                                 start + first * block_time, block_time, predicted, -1};
 #if STATIC_RECEIVERS
-    nodes_of_path.receiver[0] = receiver_at(image_matrix, slots, slot, offset, rows);
+    nodes_of_path.receiver[0] = receivers_at(image_matrix, slots, slot, offset, rows);
 #endif
 #if DELAY_TERMS == 4
     smooth_gains slow;
@@ -109,8 +109,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                 }
                 w.delay[3] = delay_of_node(&nodes_of_path, at);
                 w.rate[3] = rate_of_node(&nodes_of_path, at);
-                w.strength[3] = path_gains(nodes_of_path.node + at, speed_of_sound, &around, slots, slot,
-                                           receiver_of_node(&nodes_of_path, at)->frame, w.gain[3], &left_over);
+                w.strength[3] = gains_of_node(&nodes_of_path, at, speed_of_sound, &around, w.gain[3], &left_over);
             }
             terms_between(&w, powers);
             gain_error = gain_error_squared(&w, strengths);

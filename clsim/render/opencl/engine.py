@@ -100,12 +100,18 @@ class OpenclEngine:
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._makers: dict[PathFamily | None, NodeMaker] = {}  # None: the host, whatever the kind of paths
 
-    def render(self, start: int, stop: int) -> NDArray[np.float32]:
+    def render(self, start: int, stop: int) -> NDArray[Any]:
         """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
+        pressure = np.zeros((self._plan.receiver_count, stop - start), dtype=self._plan.sample_type)
+        self.add(pressure, start)
+        return pressure
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what is heard from sample `start` on, a whole number of segments, to the pressure (receivers, n), Pa."""
         import pyopencl as cl
 
         try:
-            return self._render(start, stop)
+            self._add(pressure, start)
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(
                 f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
@@ -155,13 +161,14 @@ class OpenclEngine:
         """What renders a batch of receivers."""
         return Run
 
-    def _render(self, start: int, stop: int) -> NDArray[np.float32]:
+    def _add(self, pressure: NDArray[Any], start: int) -> None:
         import pyopencl as cl
 
-        plan, length = self._plan, self.branch_signals.whole_blocks(start, stop)
-        pressure = np.empty((self.parts * plan.receiver_count, length), dtype=np.float32)
-        on_device = self._scratch.take("pressure", pressure.nbytes)
-        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)
+        plan, length = self._plan, self.branch_signals.whole_blocks(start, start + pressure.shape[1])
+        shape = self.parts * plan.receiver_count, length
+        size = 4 * shape[0] * shape[1]
+        on_device = self._scratch.take("pressure", size)
+        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
         for source in range(len(plan.source_filters)):
             feed = self.branch_signals.take(source, start, length)
             if feed is None:
@@ -179,8 +186,13 @@ class OpenclEngine:
                 for some in _batches(heard, per_segment, [self.maker(pair.index) for pair in heard]):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
-        cl.enqueue_copy(self._queue, pressure, on_device)
-        return pressure[:, : stop - start]
+        rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
+        self.put(rows[:, : pressure.shape[1]], pressure)
+        rows.base.release(self._queue)
+
+    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
+        """Add the rows of all receivers, `parts` of each, to the pressure."""
+        pressure += rows
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)

@@ -99,9 +99,9 @@ class HostTracks:
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
         beside = 1 if plan.delay_terms == 8 else _BESIDE
-        cubics = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
+        laid_out = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
         return HostNodes(
-            self._upload(whole), self._upload(cubics), None, error, np.zeros(len(error)), shortest, longest
+            self._upload(whole), self._upload(laid_out), None, error, np.zeros(len(error)), shortest, longest
         )
 
     def _upload(self, array: NDArray[Any]) -> Any:
