@@ -152,7 +152,8 @@ def test_a_failure_leaves_the_old_page(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.fixture(scope="module")
 def loaded(browser: Any, page: Path) -> Iterator[Any]:
-    tab = browser.new_page(viewport={"width": 1000, "height": 700})
+    tab = browser.new_page(viewport={"width": 800, "height": 550})
+    tab.set_default_timeout(120_000)  # of machines that do much else
     wrong: list[str] = []
     tab.on("pageerror", lambda error: wrong.append(str(error)))
     tab.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
@@ -271,7 +272,8 @@ def test_play_goes_on_until_pause(tab: Any) -> None:
 
 def test_a_scene_at_rest_has_no_slider(browser: Any, tmp_path: Path) -> None:
     path = write(tmp_path / "x.html", ends=[], times=TIMES[:1], frames=FRAMES[:1])
-    still = browser.new_page()
+    still = browser.new_page(viewport={"width": 400, "height": 300})
+    still.set_default_timeout(120_000)
     still.goto(path.as_uri())
     still.wait_for_function("window.clsim && clsim.ready.then(() => true)")
     assert not still.locator("#time").is_visible()

@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_responses import POROUS, ROUGH, Lopsided, OffCentre
+from mutants import Mutants
 from scipy.spatial.transform import Rotation, Slerp
 
 import clsim
-from clsim.opencl import compiler as compiler_module
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine
+from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 from clsim.render.reference import ReferenceEngine
 
@@ -94,12 +95,15 @@ def _near() -> PathSet:
 
 
 @pytest.fixture(scope="module")
-def difference_db() -> Callable[..., float]:
+def difference_db(once) -> Callable[..., float]:
     """Return what renders a scene by OpenCL, as the kernels are now, and compares it with the reference."""
-    plans = {kind: _plan(kind) for kind in KINDS}
-    wanted = {kind: ReferenceEngine(plan).render(FIRST, LAST)[0] for kind, plan in plans.items()}
+    plans: dict[str, Plan] = {}
+    wanted: dict[str, np.ndarray] = {}
 
     def compare(kind: str, layout: Layout | None = None) -> float:
+        if kind not in plans:
+            plan = plans[kind] = _plan(kind)
+            wanted[kind] = once(f"mutants, {kind}", lambda: ReferenceEngine(plan).render(FIRST, LAST)[0])
         engine = OpenclEngine(plans[kind], layout)
         engine.skips_silence = False  # what it changes is in test_silence.py
         try:
@@ -114,7 +118,7 @@ def difference_db() -> Callable[..., float]:
     return compare
 
 
-def _plan(kind: str):
+def _plan(kind: str) -> Plan:
     paths = _paths(kind)
     filters = clsim.Bandlimited(-100.0)  # blocks are 6 dB better
     return plan_render(
@@ -212,16 +216,25 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [*MUTANTS, *ELSEWHERE])
-def test_mutants_are_caught(name: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
-    kind, program, old, new = ELSEWHERE.get(name) or ("real", *MUTANTS[name])
-    original = compiler_module.kernel_source
-    assert original(program).count(old) == 1
+def _grouped() -> dict[tuple[str, str], dict[str, tuple[str, str]]]:
+    """Return the mutants by scene and program."""
+    grouped: dict[tuple[str, str], dict[str, tuple[str, str]]] = {}
+    for name, (program, old, new) in MUTANTS.items():
+        grouped.setdefault(("real", program), {})[name] = (old, new)
+    for name, (kind, program, old, new) in ELSEWHERE.items():
+        grouped.setdefault((kind, program), {})[name] = (old, new)
+    return grouped
 
-    def mutated(wanted: str) -> str:
-        text = original(wanted)
-        return text.replace(old, new) if wanted == program else text
 
-    monkeypatch.setattr(compiler_module, "kernel_source", mutated)
+GROUPED = _grouped()
+
+
+@pytest.mark.parametrize(("kind", "program"), GROUPED)
+def test_mutants_are_caught(kind: str, program: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
+    mutants = Mutants(program, GROUPED[kind, program])
+    mutants.play(monkeypatch)
+    assert difference_db(kind) < (NEAR_DB if kind == "near" else TOLERANCE_DB), "none of them is chosen"
+    found = {name: difference_db(kind) for name in mutants}
     # The smallest, the curve of a group of 32 samples, leaves -90 dB.
-    assert difference_db(kind) > TOLERANCE_DB + 6.0
+    assert {name: db for name, db in found.items() if not db > TOLERANCE_DB + 6.0} == {}
+    assert found.keys() == GROUPED[kind, program].keys()

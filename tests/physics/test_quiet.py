@@ -38,7 +38,7 @@ def test_what_is_lost_is_less_than_said(engine: str) -> None:
     world = scene()
     paths = clsim.find_paths(world, 5)
     whole, part = (
-        clsim.render(paths, RATE, engine=engine, duration=0.1, responses="centre", prune_below_db=level)
+        clsim.render(paths, RATE, engine=engine, duration=0.06, responses="centre", prune_below_db=level)
         for level in (None, -60.0)
     )
     said = next(note for note in part.notes if "left out" in note)
@@ -46,7 +46,7 @@ def test_what_is_lost_is_less_than_said(engine: str) -> None:
     assert 50 < int(count) < len(paths)
     assert whole.pressure.shape == part.pressure.shape
     lost = np.abs(whole.pressure - part.pressure).max()
-    strongest = np.abs(paths.table(np.linspace(0.0, 0.1, 50)).gain).max()
+    strongest = np.abs(paths.table(np.linspace(0.0, 0.06, 50)).gain).max()
     assert 0.0 < lost < strongest * 10 ** (float(bound) / 20)
     assert not any("left out" in note for note in whole.notes)
 
