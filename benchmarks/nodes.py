@@ -1,8 +1,8 @@
 """What a node costs (delay and gains of a path at an anchor of a block): one checkout of clsim against another.
 
 Each checkout has one process, on one core; only one of them works at a time. Timed are the kernels `coarse_delays` and
-`tracks` alone, by the device's own clock, and the least of several renderings is taken: other work on the machine makes
-figures larger, never smaller. The sum over paths is not launched.
+`tracks` alone, by the processor time of their launches, and of every launch the least of several renderings is taken: other
+work on the machine makes figures larger, never smaller. Nothing else is launched.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import math
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -50,50 +51,36 @@ def plan(receivers: int, order: int, functions: int, moving: bool, segments: int
     return clsim.plan_render(paths, RATE, duration=duration, **options)
 
 
-def timed_engine(made: Any) -> Any:
-    """Return an engine that carries out a plan but for the sum over paths, and the list of its timed launches."""
-    import pyopencl as cl
-
-    from clsim.opencl.launch import Launch
-    from clsim.render.opencl.engine import OpenclEngine
-
-    events, launch = [], Launch.__call__
-
-    def timed(self: Any, *arguments: Any, **named: Any) -> Any:
-        if self._name == "render":
-            return None
-        event = launch(self, *arguments, **named)
-        if self._name in PROGRAMS:
-            events.append(event)
-        return event
-
-    Launch.__call__ = timed
-    plain = cl.CommandQueue
-    cl.CommandQueue = lambda context: plain(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-    engine = OpenclEngine(made)
-    cl.CommandQueue, Launch.__call__ = plain, timed
-    return engine, events, launch
-
-
 def nanoseconds(case: list[Any], repeat: int) -> tuple[float, int]:
     """Return what a node of a case takes, ns, and how many functions of frequency there are."""
     from clsim.opencl.launch import Launch
+    from clsim.render.opencl.engine import OpenclEngine
 
     receivers, order, functions, moving = case
-    # About a million nodes, or as many as a second of sound has.
-    segments = max(2, min(10, 40000 // (receivers * (1561 if order == 10 else 63))))
+    # 50 000 paths or so, or half a second.
+    segments = max(1, min(4, 50000 // (receivers * (1561 if order == 10 else 63))))
     made = plan(receivers, order, functions, moving, segments)
-    engine, events, launch = timed_engine(made)
-    least = math.inf
+    engine, launch, spent = OpenclEngine(made), Launch.__call__, []
+
+    def timed(self: Any, queue: Any, *arguments: Any, **named: Any) -> Any:
+        if self._name not in PROGRAMS:
+            return None
+        queue.finish()
+        begun = time.process_time()
+        event = launch(self, queue, *arguments, **named)
+        queue.finish()
+        spent.append(time.process_time() - begun)
+        return event
+
+    Launch.__call__ = timed
+    least: list[float] = []
     for _ in range(repeat):
-        events.clear()
+        spent.clear()
         engine.render(SILENT * SEGMENT, made.samples)
-        for event in events:
-            event.wait()
-        least = min(least, sum(e.profile.end - e.profile.start for e in events))
+        least = [min(pair) for pair in zip(least, spent, strict=True)] if least else list(spent)
     Launch.__call__ = launch
     nodes = made.path_count * segments * (SEGMENT // made.blocks[0])
-    return least / nodes, len(made.source_filters[0].basis)
+    return 1e9 * sum(least) / nodes, len(made.source_filters[0].basis)
 
 
 def work(checkout: str) -> None:

@@ -19,7 +19,7 @@ typedef struct {
     reals x, y, z;
 } triples;
 
-#define INNER(a, b) (a.x * b.x + a.y * b.y + a.z * b.z)
+#define DOT(a, b) (a.x * b.x + a.y * b.y + a.z * b.z)
 
 // 1 / sqrt(x), by operators only where there are several: from the exponent's half, each step squares the error.
 static reals inverse_root(reals x)

@@ -36,10 +36,10 @@ static reals newton_step(const trajectory* path, triples receiver, triples recei
     locate(path, RETARDED ? time - a->delay : time, a);
     const triples from = cubics(a->knot, a->u), velocity = cubic_rates(a->knot, a->u);
     const triples apart = {receiver.x - from.x, receiver.y - from.y, receiver.z - from.z};
-    const reals squared = INNER(apart, apart), inverse = inverse_root(squared);
+    const reals squared = DOT(apart, apart), inverse = inverse_root(squared);
     const triples departure = {apart.x * inverse, apart.y * inverse, apart.z * inverse};
-    const reals mach = path->rate * path->slowness * INNER(departure, velocity);
-    const reals receding = STATIC_RECEIVERS ? (reals)0.0 : path->slowness * INNER(departure, receiver_velocity);
+    const reals mach = path->rate * path->slowness * DOT(departure, velocity);
+    const reals receding = STATIC_RECEIVERS ? (reals)0.0 : path->slowness * DOT(departure, receiver_velocity);
     const reals quasi_static = squared * inverse * path->slowness;
     a->departure = departure;
 #if RETARDED

@@ -168,7 +168,7 @@ MUTANTS = {
     "Mach exponent twice": ("tracks", "#if MACH_EXPONENT >= 2", "#if MACH_EXPONENT >= 1"),
     "rate without stretch": ("tracks", "(receding - mach) * a->mach_factor", "(receding - mach)"),
     "source's speed": ("tracks", "COLUMN(3) + u * (2 * COLUMN(6)", "COLUMN(3) + u * (COLUMN(6)"),
-    "receiver's speed dropped": ("tracks", "STATIC_RECEIVERS ? (reals)0.0 : path->slowness * INNER(departure, receiver_velocity)", "0.0"),
+    "receiver's speed dropped": ("tracks", "STATIC_RECEIVERS ? (reals)0.0 : path->slowness * DOT(departure, receiver_velocity)", "0.0"),
     "slope of the gain": ("tracks", "s0 = 0.25f", "s0 = -0.25f"),
     "slope of the delay": ("tracks", "e1 = node->rate[2]", "e1 = node->rate[1]"),
     "absorption twice": ("tracks", "nepers[b] * (distance - 1.0f)", "nepers[b] * (distance + distance - 1.0f)"),
