@@ -12,15 +12,15 @@ typedef struct {
     int stretch, made;                  // which one, and what of it: groups of nodes, by bits
     double delay[STRETCH + CELL_BLOCKS], rate[STRETCH + CELL_BLOCKS];
     gains gain[CELLS_EACH + 1][GAIN_VECTORS];
-    float strength[CELLS_EACH + 1];
+    float strength[CELLS_EACH + 1], unheld[CELLS_EACH + 1];
     int cell, smooth;                   // of the walk, and whether that cell's polynomials hold
     gains power[AMONG][GAIN_VECTORS];   // of the place in the cell from its middle, in lengths of it
-    float loudest, error;               // strength; error squared of the gains, as in block.h
+    float loudest, left_over;           // strength at the cell's louder end, and most of what no function holds
+    float error;                        // squared, of the gains, as in block.h
 } smooth_gains;
 
 // Solve a group of nodes of the stretch, if it is not, with the gains between cells.
-static void make_group(smooth_gains* s, path_nodes* nodes, int group, double speed_of_sound, const surroundings* around,
-                       float* unheld)
+static void make_group(smooth_gains* s, path_nodes* nodes, int group, double speed_of_sound, const surroundings* around)
 {
     if (s->made >> group & 1) return;
     s->made |= 1 << group;
@@ -30,9 +30,7 @@ static void make_group(smooth_gains* s, path_nodes* nodes, int group, double spe
         s->delay[group * GROUP + i] = delay_of_node(nodes, i);
         s->rate[group * GROUP + i] = rate_of_node(nodes, i);
     }
-    float rest;
-    s->strength[group] = gains_of_node(nodes, 1, speed_of_sound, around, s->gain[group], &rest);
-    *unheld = rest > *unheld ? rest : *unheld;
+    s->strength[group] = gains_of_node(nodes, 1, speed_of_sound, around, s->gain[group], s->unheld + group);
 }
 
 // Whether the delay in a cell's middle is what those of the nodes between cells say: gains follow what delays follow.
@@ -52,7 +50,7 @@ static int is_as_expected(const smooth_gains* s, int from, int cell, float large
 
 // Make the polynomials of a cell of the walk; whether their error, squared and relative to the strength, is small enough.
 static int make_cell(smooth_gains* s, path_nodes* nodes, int at, float largest, double speed_of_sound,
-                     const surroundings* around, float* unheld)
+                     const surroundings* around)
 {
     if (at == s->cell) return s->smooth;
     s->cell = at;
@@ -61,9 +59,10 @@ static int make_cell(smooth_gains* s, path_nodes* nodes, int at, float largest, 
     s->stretch = stretch;
     int from = cell - 1 < CELLS_EACH + 1 - AMONG ? cell - 1 : CELLS_EACH + 1 - AMONG;
     from = from < 0 ? 0 : from;
-    for (int i = 0; i < AMONG; i++) make_group(s, nodes, from + i, speed_of_sound, around, unheld);
-    s->loudest = 0.0f;
-    for (int i = 0; i < AMONG; i++) s->loudest = s->strength[from + i] > s->loudest ? s->strength[from + i] : s->loudest;
+    for (int i = 0; i < AMONG; i++) make_group(s, nodes, from + i, speed_of_sound, around);
+    // At the ends of the cell only: farther nodes may lie where the path is not heard.
+    s->loudest = s->strength[cell] > s->strength[cell + 1] ? s->strength[cell] : s->strength[cell + 1];
+    s->left_over = s->unheld[cell] > s->unheld[cell + 1] ? s->unheld[cell] : s->unheld[cell + 1];
     gains change = 0.0f;
     const float place = (float)(cell - from) + 0.5f;
     for (int v = 0; v < GAIN_VECTORS; v++) {

@@ -14,7 +14,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
-                     int nodes,                            // those of whole walks and three more, the first one before the run
+                     int nodes,                            // those of whole walks and some more, the first one before the run
                      __global const double* coarse_delays,  // [ends of walks][2][slots], of coarse_delays.cl
                      int first_walk,                       // one walk before the run's first sample
                      __global const double* knots, int knot_count, double first_knot, double knot_rate,
@@ -91,9 +91,10 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
 #endif
         float gain_error;
 #if DELAY_TERMS == 4
-        if (smooth > 0.0f && make_cell(&slow, &nodes_of_path, (block - first) / CELL_BLOCKS, smooth, speed_of_sound, &around, &rest)) {
+        if (smooth > 0.0f && make_cell(&slow, &nodes_of_path, (block - first) / CELL_BLOCKS, smooth, speed_of_sound, &around)) {
             terms_in_cell(&slow, block - first, &w, powers);
             gain_error = slow.error;
+            left_over = slow.left_over;
             solved = first - 1;
         } else
 #endif
@@ -113,7 +114,6 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             }
             terms_between(&w, powers);
             gain_error = gain_error_squared(&w, strengths);
-            rest = left_over > rest ? left_over : rest;
             solved = block + 3;
         }
         for (int i = 1; i < 3; i++) {
@@ -133,6 +133,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
         strength = w.strength[3] > strength ? w.strength[3] : strength;
+        rest = left_over > rest ? left_over : rest;
         const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
             const float squared = delay_error_squared(&w, angular_frequency, block_time) +

@@ -199,7 +199,7 @@ class DeviceTracks:
         found = np.empty((walks, batch.count, 4), dtype=np.float32)
         unheld = np.empty((walks, batch.count), dtype=np.float32)
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
-        receivers = self._receivers_at(batch, node_times(start, block, walks * (plan.segment // block) + 1, rate))
+        receivers = self._receivers_at(batch, node_times(start, block, walks * (plan.segment // block) + 4, rate))
         heard_from, heard_until = chunk.bounds.samples_from(start)
         around = self._surroundings[chunk.source]
         spread = filters.filter_half / rate  # by which the functions' filters are longer than what is emitted
