@@ -105,7 +105,7 @@ class PlainLoop:
     def __init__(self, launch: tuple, folder: Path) -> None:
         self._kernel, self._queue, self._items, self._arguments = launch
         given = self._arguments
-        assert given["first_block"] == given["first_row"] == 0
+        assert given["first_block"] == given["first_row"][0] == 0
         assert given["functions"] == 1
         self.samples = int(given["subblocks"]) * 32
         self._begin = int(given["first_sample"])

@@ -9,9 +9,10 @@ from importlib import import_module
 from typing import NoReturn
 
 from clsim.errors import ClsimError, InputError
-from clsim.workflow.console import one_line_warnings
+from clsim.workflow.console import built_programs, one_line_warnings
 
-# Each is a module of `clsim.commands` with `add_arguments(parser)` and `execute(options)`, imported once it is called.
+# Each is a module of `clsim.commands` (`warm_up` for warm-up) that has `add_arguments(parser)` and `execute(options)`,
+# imported once it is called.
 COMMANDS = {
     "run": "render a scene file into a folder of sound files, tables and pictures",
     "check": "check a scene file and say what would be computed",
@@ -22,6 +23,7 @@ COMMANDS = {
     "materials": "list or draw the built-in materials, with sources and uncertainty",
     "study": "render a scene many times with other values of some of its fields",
     "devices": "list the OpenCL devices of this machine",
+    "warm-up": "build the kernels that common scenes need, so that first renders need not",
     "schema": "print the JSON schema of scene files, for editors",
 }
 
@@ -30,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status: 0, 2 for an error, 130 when interrupted; 1 if members failed."""
     try:
         options = _options(sys.argv[1:] if arguments is None else arguments)
-        with one_line_warnings():
+        with one_line_warnings(), built_programs():
             status: int = options.execute(options)
             sys.stdout.flush()
             return status
@@ -69,7 +71,7 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     for name, text in COMMANDS.items():
         command = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
         if name == called:
-            module = import_module(f"clsim.commands.{name}")
+            module = import_module(f"clsim.commands.{name.replace('-', '_')}")
             module.add_arguments(command)
             command.set_defaults(execute=module.execute)
     return parser.parse_args(arguments)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+import traceback
 import warnings
+from pathlib import Path
 
 
 class ClsimError(Exception):
@@ -64,6 +66,16 @@ class DeviceError(ClsimError, RuntimeError):
 
 class ClsimWarning(UserWarning):
     """A result is right but perhaps not what was meant; the message says why."""
+
+
+def in_one_line(error: BaseException) -> str:
+    """Return an error in a line; for one that clsim did not expect, with its place."""
+    text = " ".join(str(error).split())[:500]
+    if isinstance(error, ClsimError):
+        return text
+    last = traceback.extract_tb(error.__traceback__)[-1:]
+    place = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in last)
+    return f"{type(error).__name__}: {text}{place}"
 
 
 def warn(message: str) -> None:

@@ -5,31 +5,26 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from clsim.commands.arguments import add_render_option, add_scene, as_path
-from clsim.errors import InputError, warn
+from clsim.cluster.workers import Workers, check_packages
+from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
+from clsim.errors import InputError
 from clsim.files.atomic import safe_path
 from clsim.output.stores import STORES, check_store
 from clsim.output.table import check_table, write_ground_truth, write_table
-from clsim.render.memory import within_memory
 from clsim.scene_file import load_scene
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
 from clsim.workflow.outputs import COMPLETED, GROUND_TRUTH, RunOutputs
 from clsim.workflow.pictures import draw_pictures
-from clsim.workflow.pipeline import input_files, plan_scene
+from clsim.workflow.pipeline import check_table_size, input_files, plan_scene, table_times
 from clsim.workflow.result_folder import ResultFolder
 
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from clsim.arrays import Floats
-    from clsim.render.plan import Plan
     from clsim.scene_file.scene import SceneFile
 
-_LARGEST_TABLE = 2_000_000  # paths times instants
 _OVERRIDES = {  # of the scene file's [render]
     "device": "OpenCL device, by id or part of its name (see `clsim devices`)",
     "engine": "instead of the scene file's",
@@ -56,12 +51,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--table-rate", type=float, default=100.0, metavar="HZ", help="rows per second (default: 100)")
     parser.add_argument("--no-plots", action="store_true", help="draw no pictures")
+    parser.add_argument(
+        "--workers", type=as_whole, metavar="N", help="processes of this machine that render (default: this one)"
+    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers render instead")
     for name, text in _OVERRIDES.items():
         add_render_option(parser, name, text)
 
 
 def execute(options: argparse.Namespace) -> int:
     """Render a scene file into a folder; return the exit status."""
+    workers = _workers(options)
     file = load_scene(options.scene)
     check_store(options.store, [receiver.name for receiver in file.scene.receivers])
     outputs = RunOutputs.of(file, options.store, options.table, pictures=not options.no_plots)
@@ -71,7 +71,7 @@ def execute(options: argparse.Namespace) -> int:
     )
     given = {name: getattr(options, name) for name in _OVERRIDES if getattr(options, name) is not None}
     with results.held():
-        made = _fill(results, outputs, file.with_render(**given), options)
+        made = _fill(results, outputs, file.with_render(**given), options, workers)
     if not made:
         print(f"clsim: nothing was missing: all results in {options.output} are as they were written", file=sys.stderr)
     for path in made or [options.output / COMPLETED]:
@@ -79,17 +79,40 @@ def execute(options: argparse.Namespace) -> int:
     return 0
 
 
-def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: argparse.Namespace) -> list[Path]:
+def _workers(options: argparse.Namespace) -> Workers | None:
+    """Return who renders, None for this process, once it is sure that they can be reached and can write the store."""
+    if options.workers is None and options.scheduler is None:
+        return None
+    workers = Workers(options.workers, options.scheduler)
+    field = "--scheduler" if options.scheduler else "--workers"
+    by_regions = [name for name, store in STORES.items() if store.by_regions]
+    if options.store not in by_regions:
+        raise InputError(
+            "--store", f"must be {' or '.join(by_regions)} for {field}, written by regions, but is {options.store}"
+        )
+    check_packages(field, "a run on workers")
+    workers.check_reach()
+    return workers
+
+
+def _fill(
+    results: ResultFolder,
+    outputs: RunOutputs,
+    file: SceneFile,
+    options: argparse.Namespace,
+    workers: Workers | None,
+) -> list[Path]:
     """Make what is missing in a folder; return its paths. Sound is moved there first: what fails later costs none."""
     planned = plan_scene(file, progress)
     paths, plan = planned.paths, planned.plan
-    times = _table_times(plan, options)
+    if options.table != "none":
+        check_table_size(plan, "--table", "must be none")
+    times = table_times(plan, options.table_rate, "--table-rate")
     identity = run_identity(planned) | {"options": {"store": options.store, "table_rate": options.table_rate}}
     sound = planned.stored_sound(results.folder)
     store = STORES[options.store](results.work, sound, outputs.receivers)
     results.begin(identity)
-    with within_memory(plan.largest_field, "rendering", plan.memory_bytes):
-        made = render_sound(results, plan, store, identity)
+    made = render_sound(results, plan, store, identity, workers)
     changing = bool((paths.start > times[0]).any() or (paths.end <= times[-1]).any())
     missing = [name for name in outputs.beside_sound(changing) if not results.is_whole(name)]
     if outputs.table in missing:
@@ -102,23 +125,3 @@ def _fill(results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: 
         with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(sound.scene, "utf-8")
     return made + results.take(missing, finished=True)
-
-
-def _table_times(plan: Plan, options: argparse.Namespace) -> Floats:
-    """Return the times of table and ground truth; fewer than asked where the table would grow beyond all use."""
-    rate = options.table_rate
-    if not 0.0 < rate <= plan.sampling_rate:
-        raise InputError("--table-rate", f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
-    if options.table != "none" and 2 * plan.path_count > _LARGEST_TABLE:
-        raise InputError(
-            "--table",
-            f"must be none for more than {_LARGEST_TABLE // 2} paths, but is {options.table} for {plan.path_count}",
-        )
-    count = int(plan.duration * rate) + 1
-    most = max(2, _LARGEST_TABLE // max(plan.path_count, 1))
-    if count > most:
-        warn(
-            f"--table-rate: {plan.path_count} paths at {rate:g} Hz are too much for one table; "
-            f"{most} instants are written, {most / plan.duration:.3g} a second"
-        )
-    return np.linspace(0.0, (count - 1) / rate, min(count, most))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 import uuid
 import warnings
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 _HEADER_READ = "-D_OPENCL_H_"  # by which the header of OpenCL C, 980 KiB of Clang's, knows that it was read
 
 _compilers: dict[Any, Compiler] = {}
+_log = logging.getLogger(__name__)
 _opening = threading.Lock()
 
 
@@ -75,8 +77,10 @@ class Compiler:
             if (text, options) not in self._built:
                 device = self.context.devices[0]
                 trial = Trial(program, f"{device.name} {device.driver_version}\n{text}", list(options))
+                begun = time.monotonic()
                 with trial.marked():
                     self._built[text, options] = self._build(program, text, trial.options), trial
+                _log.info("%s: program built, or found, in %.2f s", program, time.monotonic() - begun)
             built, trial = self._built[text, options]
         return Launch(program, TriedKernel(cl.Kernel(built, program), trial), PROGRAMS[program].arguments)
 

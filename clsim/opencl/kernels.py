@@ -131,14 +131,13 @@ PROGRAMS = {
         {
             "emitted": _in("float", "rows of emitted samples"),
             "first_emitted": _INT,
-            "taps": _in("float", "rows, TAPS"),
-            "width": _INT,
-            "stride": _INT,
-            "first_row": _INT,
+            "taps": _in("float", "rows, tap_count"),
+            "tap_count": _INT, "width": _INT, "stride": _INT, "first_row": _INT,
             "rows": _out("float", "rows, stride"),
+            "sparse": _INT,
             "following": _in("int", "cells"),
         },
-        frozenset({"LANES", "VECTORS", "TAPS", "OVERSAMPLING", "SPARSE", "CELL"}),
+        frozenset({"LANES", "VECTORS", "OVERSAMPLING", "CELL"}),
     ),
     "coarse_delays": Program(
         (*_PROPAGATION, "nodes/image.h", "nodes/coarse_delays.cl"),
@@ -284,9 +283,9 @@ PROGRAMS = {
         ),
         {
             **_BRANCHES,
-            "first_row": _INT,
+            "first_row": _in("int", "functions + 1"),
             "functions": _INT,
-            "first_function": _INT,
+            "first_function": _INT, "functions_here": _INT,
             **_BLOCKS,
             "first_slot": _in("int", "receivers + 1"),
             "block_subblocks": _INT,
@@ -297,7 +296,7 @@ PROGRAMS = {
         frozenset(
             {
                 "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
-                "DELAY_TERMS", "FUNCTIONS", "EACH_FUNCTION", "MOST_ROWS",
+                "DELAY_TERMS", "FUNCTIONS", "ROWS",
             }
         ),
     ),

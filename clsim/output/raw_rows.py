@@ -59,15 +59,15 @@ class RawRows:
                     ) from error
             os.truncate(number, max(size, os.fstat(number).st_size))
 
-    def write(self, start: int, samples: NDArray[Any]) -> None:
-        """Write samples (rows, n) of all rows from sample `start` on.
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write samples (n_rows, n) of rows from `first` and from sample `start` on.
 
         Raises
         ------
         OSError
             If they cannot be written; it names the file.
         """
-        for (path, begin), row in zip(self._places, samples, strict=True):
+        for (path, begin), row in zip(self._places[first : first + len(samples)], samples, strict=True):
             left = memoryview(np.ascontiguousarray(row, dtype=self._type).tobytes())
             at = begin + self._type.itemsize * start
             try:
@@ -91,3 +91,39 @@ class RawRows:
         for number in self._files.values():
             os.close(number)
         self._files = {}
+
+
+class SampleFile:
+    """Samples of several receivers in a file that is read as an array, in bounded memory.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    shape : (int, int)
+        Receivers and samples.
+    sample_type : str
+        NumPy's code of the samples.
+    """
+
+    def __init__(self, path: Path, shape: tuple[int, int], sample_type: str) -> None:
+        self._path, self._shape, self._type = path, shape, np.dtype(sample_type)
+        self._rows = RawRows([])
+
+    def open(self) -> None:
+        """Make ready to write."""
+        row = self._type.itemsize * self._shape[1]
+        self._path.touch()
+        self._rows = RawRows([(self._path, row * r) for r in range(self._shape[0])], self._type.str)
+
+    def write(self, start: int, samples: NDArray[Any]) -> None:
+        """Write samples (receivers, n) from sample `start` on."""
+        self._rows.write(start, samples)
+
+    def close(self) -> None:
+        """Write no more."""
+        self._rows.close()
+
+    def samples(self) -> NDArray[Any]:
+        """Return all samples (receivers, n); they are read where they are used."""
+        return np.asarray(np.memmap(self._path, self._type, "r", shape=self._shape))

@@ -122,11 +122,14 @@ class SoundStore(ABC):
     ----------
     packages : tuple of str
         That it needs.
+    by_regions : bool
+        Whether several processes, on several machines, may write chunks of it at a time.
     paths : list of Path
         Files or folders that make it up.
     """
 
     packages: ClassVar[tuple[str, ...]] = ()
+    by_regions: ClassVar[bool] = False
 
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
         self.paths = [folder / name for name in self.names(receivers)]
@@ -147,13 +150,16 @@ class SoundStore(ABC):
     def create(self) -> None:
         """Make all that is not sound; it is on the disk itself afterwards."""
 
+    def recover(self) -> None:  # noqa: B027  (most kinds have nothing to do)
+        """Delete what a process that was killed wrote in part; nobody is writing."""
+
     @abstractmethod
     def open(self) -> None:
         """Make ready to write."""
 
     @abstractmethod
-    def write(self, start: int, samples: NDArray[Any]) -> None:
-        """Write samples (receivers, n) from sample `start` on; written again they change nothing."""
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write samples (receivers, n) from sample `start` and receiver `first` on; again they change nothing."""
 
     @abstractmethod
     def to_disk(self) -> None:
@@ -192,8 +198,8 @@ class _RowStore(SoundStore):
             self.close()
         to_disk(self.paths[0].parent)
 
-    def write(self, start: int, samples: NDArray[Any]) -> None:
-        self._rows.write(start, samples)
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        self._rows.write(start, samples, first)
 
     def to_disk(self) -> None:
         self._rows.to_disk()
@@ -304,6 +310,7 @@ class _ZarrStore(SoundStore):
     """A Zarr group with one file per receiver and chunk."""
 
     packages = ("zarr", "xarray")
+    by_regions = True  # a chunk has a file of its own, which appears whole
 
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
         super().__init__(folder, sound, receivers)
@@ -329,16 +336,19 @@ class _ZarrStore(SoundStore):
         consolidate(path)
         tree_to_disk(path)
 
+    def recover(self) -> None:
+        for half in self.paths[0].rglob("*.partial"):  # chunks
+            half.unlink()
+
     def open(self) -> None:
         import zarr
 
-        for half in self.paths[0].rglob("*.partial"):  # chunks at which a process was killed
-            half.unlink()
         self._array = zarr.open_group(self.paths[0], mode="r+")["sound"]
 
-    def write(self, start: int, samples: NDArray[Any]) -> None:
-        self._array[:, start : start + samples.shape[1]] = samples
-        for r in range(len(samples)):
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        last = first + len(samples)
+        self._array[first:last, start : start + samples.shape[1]] = samples
+        for r in range(first, last):
             key = self._array.metadata.encode_chunk_key((r, start // self._sound.chunk))
             self._written.append(self.paths[0] / "sound" / key)
 

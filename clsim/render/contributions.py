@@ -44,6 +44,10 @@ class Adding(Protocol):
         """Add samples from `start` on to the pressure (receivers, n), Pa; in baseband to its complex envelope."""
         ...
 
+    def until(self, last: int) -> None:
+        """Take note that for now nothing will be asked for from sample `last` on: it need not be prepared."""
+        ...
+
     def state(self) -> State:
         """Return all that it remembers of the pieces so far and needs to go on bit for bit."""
         ...
@@ -59,6 +63,9 @@ class Adding(Protocol):
 
 class Stateless:
     """What most contributions have in common: a piece does not depend on those before."""
+
+    def until(self, last: int) -> None:
+        """Prepare nothing anyway."""
 
     def state(self) -> State:
         """Return nothing."""

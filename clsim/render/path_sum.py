@@ -79,11 +79,17 @@ class _Sum(Stateless):
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._engine: OpenclEngine | ReferenceEngine | None = None
+        self._last = plan.samples
+
+    def until(self, last: int) -> None:
+        """Have the engine prepare nothing from sample `last` on."""
+        self._last = last
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
         if self._engine is None:
             self._engine = _engine(self._plan)
+        self._engine.until(self._last)
         self._engine.add(pressure, start)
 
     def warn(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
@@ -95,6 +96,13 @@ def plan_tracks(
     segment, blocks = _blocks(tracks, options, heard_at)
     chunk = _chunk(tracks, options, samples, heard_at, segment)
     return Plan(options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, left_out, BUILDERS)
+
+
+def on_device(plan: Plan, device: str | None) -> Plan:
+    """Return a plan for a device of this machine; one that it names stays, and None is any."""
+    if device is None or plan.options.device is not None:
+        return plan
+    return replace(plan, options=replace(plan.options, device=device), builders=BUILDERS)
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:

@@ -23,29 +23,29 @@ _Kind = Literal["highpass", "lowpass"]
 
 
 class ReceiverChain:
-    """What all receivers of a plan do to the pressure; pieces must come in order.
+    """What receivers of a plan do to the pressure; pieces must come in order.
 
-    Attributes
+    Parameters
     ----------
-    clipped : list of int
-        Samples at each receiver that its converter clipped so far.
+    plan : Plan
+        Of which.
+    receivers : range, optional
+        Which of its receivers; all when left out.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, receivers: range | None = None) -> None:
+        self._plan, self._here = plan, receivers or range(plan.receiver_count)
         self._ends = {
-            i: ReceiverEnd(receiver, plan.sampling_rate)
-            for i, receiver in enumerate(plan.receivers)
-            if plan.baseband is None and (receiver.transducer is not None or receiver.electronics is not None)
+            i: ReceiverEnd(plan.receivers[i], plan.sampling_rate) for i in receivers_with_ends(plan) if i in self._here
         }
-        self._plan = plan
 
     @property
     def clipped(self) -> tuple[int, ...]:
         """Samples at each receiver that its converter clipped so far."""
-        return tuple(self._ends[i].clipped if i in self._ends else 0 for i in range(self._plan.receiver_count))
+        return tuple(self._ends[i].clipped if i in self._ends else 0 for i in self._here)
 
     def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[Any]:
-        """Return what is recorded of pressure (receivers, n) in Pa from sample `start` on.
+        """Return what these receivers record of the pressure (receivers, n) in Pa at them from sample `start` on.
 
         Raises
         ------
@@ -55,18 +55,19 @@ class ReceiverChain:
         with np.errstate(over="ignore"):  # what float32 does not hold is refused
             out = np.array(pressure, dtype=self._plan.sample_type)
             for i, end in self._ends.items():
-                out[i] = end(start, np.asarray(pressure[i], dtype=np.float64))
-        _check_finite(start, out)
+                row = i - self._here.start
+                out[row] = end(start, np.asarray(pressure[row], dtype=np.float64))
+        _check_finite(start, out, self._here.start)
         return out
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return all that the receivers remember of the pieces so far; noise and clocks remember nothing."""
-        return {f"{i}.{name}": value for i, end in self._ends.items() for name, value in end.state().items()}
+        return {f"receivers.{i}.{name}": value for i, end in self._ends.items() for name, value in end.state().items()}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on where another one of the same plan was; `state` is what that remembered."""
+        """Go on where others of the same plan were; `state` is what those remembered, and may hold more."""
         for i, end in self._ends.items():
-            end.restore({name: state[f"{i}.{name}"] for name in end.state()})
+            end.restore({name: state[f"receivers.{i}.{name}"] for name in end.state()})
 
     def describe(self) -> list[str]:
         """Return what the converters clipped, a line each."""
@@ -88,14 +89,21 @@ class ReceiverChain:
                 )
 
 
-def _check_finite(start: int, samples: NDArray[Any]) -> None:
-    """Refuse samples (receivers, n) from `start` on that are not finite."""
+def receivers_with_ends(plan: Plan) -> list[int]:
+    """Return the receivers that have a transducer or electronics, in whose samples those before ring on."""
+    if plan.baseband is not None:
+        return []
+    return [i for i, r in enumerate(plan.receivers) if r.transducer is not None or r.electronics is not None]
+
+
+def _check_finite(start: int, samples: NDArray[Any], first: int) -> None:
+    """Refuse samples (receivers, n) of receivers from `first` and of time from `start` on that are not finite."""
     parts = samples.view(np.float32)  # of envelopes, too
     if parts.size and np.isfinite(parts.max()) and np.isfinite(parts.min()):  # NaN is both
         return
     for i, k in np.argwhere(~np.isfinite(samples))[:1]:
         raise InputError(
-            f"receivers[{i}]",
+            f"receivers[{first + i}]",
             f"must hear what float32 holds, but sample {start + k} is {samples[i, k]}: lower amplitudes, sensitivities "
             "or gain_db",
         )

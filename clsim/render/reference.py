@@ -28,6 +28,9 @@ class ReferenceEngine:
     def warn(self) -> None:
         """Tell nothing: all is exact."""
 
+    def until(self, last: int) -> None:
+        """Prepare nothing anyway."""
+
     def render(self, start: int, stop: int) -> Floats | Complexes:
         """Return the pressure (receivers, stop - start) in Pa; in baseband its complex envelope."""
         plan = self._plan

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from clsim.render.plan import Plan
 
 
-class Rendering:
-    """A plan's contributions and receivers, with all that they remember of what is rendered.
+class PressureSum:
+    """What a plan's contributions add up to, chunk by chunk.
 
     Parameters
     ----------
@@ -37,6 +37,57 @@ class Rendering:
             find_device(plan.options.device)
         self._plan = plan
         self._adding = tuple(contribution.begin() for contribution in plan.contributions)
+
+    def __call__(self, start: int) -> NDArray[Any]:
+        """Return the pressure (receivers, n) of the chunk that begins with sample `start`, Pa."""
+        plan = self._plan
+        stop = min(start + plan.chunk, plan.samples)
+        pressure = np.zeros((plan.receiver_count, stop - start), plan.pressure_type)
+        for adding in self._adding:
+            adding.add(pressure, start)
+        return pressure
+
+    def until(self, last: int) -> None:
+        """Take note that for now no chunk from sample `last` on will be asked for."""
+        for adding in self._adding:
+            adding.until(last)
+
+    def state(self) -> State:
+        """Return all that is remembered of the chunks so far; nothing where each is for itself."""
+        parts: State = {}
+        for i, adding in enumerate(self._adding):
+            parts |= {f"contribution{i}.{name}": value for name, value in adding.state().items()}
+        return parts
+
+    def restore(self, state: State) -> None:
+        """Go on where another one of the same plan was; `state` (of any shape) is what that one's `state` returned."""
+        for i, adding in enumerate(self._adding):
+            mine = f"contribution{i}."
+            adding.restore({name.removeprefix(mine): state[name] for name in state if name.startswith(mine)})
+
+    def warn(self) -> None:
+        """Warn of what came out worse than asked."""
+        for adding in self._adding:
+            adding.warn()
+
+
+class Rendering:
+    """A plan's contributions and receivers, with all that they remember of what is rendered.
+
+    Parameters
+    ----------
+    plan : Plan
+        From `plan_render`.
+
+    Raises
+    ------
+    DeviceError
+        If the plan's device is missing, even where nothing needs it.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._pressure = PressureSum(plan)
         self._receivers = ReceiverChain(plan)
 
     @property
@@ -59,23 +110,14 @@ class Rendering:
         samples : ndarray (receivers, n)
             Pa or V.
         """
-        plan = self._plan
-        for start in range(first, plan.samples, plan.chunk):
-            stop = min(start + plan.chunk, plan.samples)
-            pressure = np.zeros((plan.receiver_count, stop - start), plan.pressure_type)
-            for adding in self._adding:
-                adding.add(pressure, start)
-            yield start, self._receivers(start, pressure)
-        for adding in self._adding:
-            adding.warn()
+        for start in range(first, self._plan.samples, self._plan.chunk):
+            yield start, self._receivers(start, self._pressure(start))
+        self._pressure.warn()
         self._receivers.warn()
 
     def state(self) -> State:
         """Return all that is remembered of the pieces so far: what another process needs to go on bit for bit."""
-        parts = {f"receivers.{name}": value for name, value in self._receivers.state().items()}
-        for i, adding in enumerate(self._adding):
-            parts |= {f"contribution{i}.{name}": value for name, value in adding.state().items()}
-        return parts
+        return self._pressure.state() | self._receivers.state()
 
     def restore(self, state: State) -> None:
         """Go on where another one of the same plan was.
@@ -85,15 +127,9 @@ class Rendering:
         state : dict of ndarray, of any shape
             What that one's `state` returned.
         """
-        self._receivers.restore(_below("receivers.", state))
-        for i, adding in enumerate(self._adding):
-            adding.restore(_below(f"contribution{i}.", state))
+        self._pressure.restore(state)
+        self._receivers.restore(state)
 
     def describe(self) -> list[str]:
         """Return what became of it, a line each."""
         return self._receivers.describe()
-
-
-def _below(prefix: str, state: State) -> State:
-    """Return the part of a state whose names begin with a prefix, without it."""
-    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import warn
+from clsim.errors import in_one_line, warn
 from clsim.files.atomic import safe_path
 from clsim.output.stores import consolidate, texts
-from clsim.study.member import PARTIAL, STORE, as_row, discard, in_one_line, root_attributes, row_of_group
+from clsim.study.member import PARTIAL, STORE, as_row, discard, root_attributes, row_of_group
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,10 +88,6 @@ class Index:
             self.rows[member.number] = MemberRow(member.number, member.parameters)
         else:
             self._take(row)
-
-    def found(self, number: int) -> dict[str, Any] | None:
-        """Return the row of a member whose group is in the store."""
-        return row_of_group(self._folder / STORE / f"m{number:06d}")
 
     @property
     def untouched(self) -> bool:

@@ -3,42 +3,71 @@
 from __future__ import annotations
 
 import errno
-import importlib
-import importlib.util
 import json
 import os
 import shutil
-import sys
 import time
-import traceback
 import uuid
 import warnings
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.errors import ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
-from clsim.output.stores import STORE_FORMAT, consolidate, texts
-from clsim.study.file import TAKEN, Member, Study
+from clsim.output.stores import STORE_FORMAT, consolidate
+from clsim.study.content import computed, metrics_function
+from clsim.study.file import Member, Study
 from clsim.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from clsim.paths.ground_truth import DirectPath
-    from clsim.paths.path_table import PathTable
-    from clsim.recording import Recording
-    from clsim.scene.scene import Scene
+    from clsim.cluster.dispatch import Call, Row
 
 STORE = "study.zarr"
 SETTINGS = "study.json"
-_OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 PARTIAL = ".partial"
 DONE = ("finished", "failed")
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+class MemberTasks:
+    """The members of a study, as workers do them.
+
+    Parameters
+    ----------
+    study : Study
+        Which.
+    folder : Path
+        Where its results go.
+    """
+
+    kind, several = "member", True
+
+    def __init__(self, study: Study, folder: Path) -> None:
+        render = study.content.get("render", {})
+        self.needs_device = render.get("engine", "opencl") == "opencl"
+        self._folder, self._device = folder, render.get("device")
+
+    def check(self) -> Call:
+        """Return a call of `check_worker`."""
+        return check_worker, (str(self._folder), self.needs_device, self._device)
+
+    def call(self, number: int) -> Call:
+        """Return a call of `run_member`."""
+        return run_member, (str(self._folder), number)
+
+    def found(self, number: int) -> Row | None:
+        """Return the row of a member whose group is in the store."""
+        return row_of_group(self._folder / STORE / f"m{number:06d}")
+
+    def failed(self, number: int, error: BaseException) -> Row:
+        """Return the row of a member whose call raised an error; a full disk stops all of them."""
+        if is_disk_full(error):
+            raise error
+        return {"member": number, "status": "failed", "error": in_one_line(error), "seconds": 0.0}
+
+    def over(self) -> None:
+        """Let workers be: a group appears whole or not at all."""
 
 
 def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
@@ -63,16 +92,21 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", ClsimWarning)
+        partial = Path(folder) / PARTIAL / f"{member.name}-{uuid.uuid4().hex}"
+        partial.mkdir(parents=True)
         try:
-            content, row["device"] = _computed(study, member, device)
+            content, group, row["device"] = computed(study, member, device, partial)
             row["seconds"] = round(time.perf_counter() - begun, 3)
             row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
             content.attrs["study_row"] = json.dumps(row)
-            _write(content, Path(folder), target)
+            _finish(content, group, target)
         except (Exception, SystemExit) as error:  # of the user's function, too: the others go on
             if is_disk_full(error):
                 raise
-            row |= {"status": "failed", "error": in_one_line(error)}
+            if not (isinstance(error, OSError) and row_of_group(target)):  # another worker was faster
+                row |= {"status": "failed", "error": in_one_line(error)}
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
     row["seconds"] = round(time.perf_counter() - begun, 3)
     row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
     return row
@@ -136,16 +170,6 @@ def is_disk_full(error: BaseException) -> bool:
     return isinstance(error, OSError) and error.errno in _DISK_FULL
 
 
-def in_one_line(error: BaseException) -> str:
-    """Return an error in a line; for one that clsim did not expect, with its place."""
-    text = " ".join(str(error).split())[:500]
-    if isinstance(error, ClsimError):
-        return text
-    last = traceback.extract_tb(error.__traceback__)[-1:]
-    place = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in last)
-    return f"{type(error).__name__}: {text}{place}"
-
-
 def _settings(folder: str) -> Study:
     path = Path(folder) / SETTINGS
     return _read_settings(folder, path.stat().st_mtime_ns)
@@ -175,147 +199,15 @@ def settings_to_study(settings: dict[str, Any]) -> Study:
     )  # fmt: skip
 
 
-def metrics_function(name: str, folder: Path) -> Callable[..., dict[str, Any]]:
-    """Return the function ``"module:function"``; a module beside the study file comes before installed ones.
-
-    Raises
-    ------
-    InputError
-        If there is none, or its module fails.
-    """
-    module, _, function = name.partition(":")
-    file = folder / f"{module}.py"
-    try:
-        found: Callable[..., dict[str, Any]] = getattr(
-            _module(module, file, file.stat().st_mtime_ns if file.exists() else 0), function
-        )
-    except Exception as error:
-        raise InputError("metrics", f"{name!r} cannot be loaded: {type(error).__name__}: {error}") from error
-    if not callable(found):
-        raise InputError("metrics", f"must be a function, but {name!r} is {found!r:.80}")
-    return found
-
-
-@lru_cache(maxsize=8)
-def _module(name: str, file: Path, changed: int) -> Any:
-    """Return a module from a file of its own, else the installed one."""
-    if not changed:
-        return importlib.import_module(name)
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def _computed(study: Study, member: Member, device: str | None) -> tuple[Any, str]:
-    """Return all that is kept of a member, an xarray Dataset, and the device that made it."""
-    from clsim.opencl.device import find_device
-    from clsim.scene_file.scene import build_scene
-    from clsim.workflow.checkpoint import run_identity
-    from clsim.workflow.pipeline import plan_scene
-
-    file = build_scene(study.content_of(member), study.base)
-    planned = plan_scene(file if device is None else file.on_device(device))
-    recording = planned.record()
-    sound = planned.stored_sound(study.base)
-    content = sound.coordinates()
-    content.attrs |= {
-        "parameters": json.dumps(member.parameters), "identity": json.dumps(run_identity(planned)),
-    }  # fmt: skip
-    if "recording" in study.keep:
-        content["sound"] = (("receiver", "time"), recording.samples, sound.sound_attributes)
-    times = _instants(study.table_rate, recording)
-    if "ground_truth" in study.keep:
-        _add_ground_truth(content, planned.ground_truth(times), planned.paths.scene)
-    if "paths" in study.keep:
-        _add_paths(content, planned.path_table(times))
-    if study.metrics:
-        function = metrics_function(study.metrics, study.folder)
-        metrics = function(recording, planned.paths, dict(member.parameters))
-        _add_metrics(content, metrics, {*TAKEN, *member.parameters})
-    if planned.plan.options.engine != "opencl":
-        return content, ""
-    used, _ = find_device(planned.plan.options.device)
-    return content, f"{used.id} {used.name}"
-
-
-def _instants(rate: float, recording: Recording) -> Any:
-    count = int(recording.samples.shape[1] / recording.sampling_rate * rate) + 1
-    return np.arange(count) / rate
-
-
-def _add_ground_truth(content: Any, found: DirectPath, scene: Scene) -> None:
-    over = ("source", "receiver", "times")
-    content.coords["times"] = ("times", found.times, _OF_RECEPTION)
-    content.coords["source"] = texts(s.name for s in scene.sources)
-    content["delay"] = (over, found.delay, {"units": "s"})
-    content["doppler_factor"] = (over, found.doppler_factor)
-    content["line_of_sight"] = (over, found.line_of_sight)
-    content["radial_speed"] = (over, found.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
-
-
-def _add_paths(content: Any, table: PathTable) -> None:
-    content.coords["times"] = ("times", table.times, _OF_RECEPTION)
-    for name in ("source", "receiver", "order", "direct"):
-        content[f"path_{name}"] = ("path", getattr(table, name))
-    content["path_interactions"] = (("path", "interaction"), table.interactions)
-    content["path_objects"] = (("path", "interaction"), table.objects, {"names": list(table.object_names)})
-    for name in ("delay", "doppler_factor", "doppler_shift", "gain"):
-        content[f"path_{name}"] = (("path", "times"), getattr(table, name))
-    for name in ("departure", "arrival"):
-        content[f"path_{name}"] = (("path", "times", "axis"), getattr(table, name))
-
-
-def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
-    """Add what the user's function returned: numbers, arrays, or arrays with dimensions of their own.
-
-    Raises
-    ------
-    InputError
-        If it is no dict of such.
-    """
-    import xarray
-
-    if not isinstance(found, dict):
-        raise InputError("metrics", f"must return a dict, but returned {found!r:.80}")
-    receivers = content.sizes["receiver"]
-    for name, value in found.items():
-        if not isinstance(name, str) or not name.isidentifier() or name in taken | set(content.variables):
-            raise InputError("metrics", f"must return names that are not taken yet, but returned {name!r:.80}")
-        if isinstance(value, xarray.DataArray):
-            content[name] = value
-            continue
-        array = np.asarray(value)
-        if array.dtype.kind not in "biufc":
-            raise InputError("metrics", f"must return numbers, but {name} is {value!r:.80}")
-        over = [f"{name}_{i}" for i in range(array.ndim)]
-        if array.ndim and array.shape[0] == receivers:
-            over[0] = "receiver"
-        content[name] = (over, array)
-    content.attrs["metrics"] = list(found)
-
-
-def _write(content: Any, folder: Path, target: Path) -> None:
-    """Write a group under another name, and give it its own when all is on the disk."""
-    partial = folder / PARTIAL / f"{target.name}-{uuid.uuid4().hex}"
-    partial.parent.mkdir(exist_ok=True)
-    try:
-        encoding = {"sound": {"chunks": (1, content.sizes["time"])}} if "sound" in content else {}
-        content.to_zarr(partial, mode="w-", consolidated=False, zarr_format=3, encoding=encoding)
-        consolidate(partial)
-        tree_to_disk(partial)
-        if row_of_group(target) is None:
-            discard(target)  # what is there is broken
-            os.rename(partial, target)  # noqa: PTH104  (fails where another worker was faster)
-        to_disk(target.parent)
-    except OSError:
-        if row_of_group(target) is None:
-            raise
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+def _finish(content: Any, group: Path, target: Path) -> None:
+    """Write all but the sound into a group, and give it its name when all is on the disk."""
+    content.to_zarr(group, mode="a", consolidated=False, zarr_format=3)
+    consolidate(group)
+    tree_to_disk(group)
+    if row_of_group(target) is None:
+        discard(target)  # what is there is broken
+        os.rename(group, target)  # noqa: PTH104  (fails where another worker was faster)
+    to_disk(target.parent)
 
 
 def discard(group: Path) -> None:

@@ -6,22 +6,22 @@ import hashlib
 import json
 import os
 import shutil
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clsim.cluster.workers import Workers, check_packages
 from clsim.errors import InputError
 from clsim.files.atomic import locked, safe_path
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
 
 if TYPE_CHECKING:
-    from clsim.study.dispatch import Dispatch
+    from clsim.cluster.dispatch import Dispatch
     from clsim.study.file import Study
     from clsim.study.index import Index, MemberRow
+    from clsim.study.member import MemberTasks
     from clsim.workflow.console import Progress
-
-_STARTS = 3  # of the processes of this machine, without any member done with in between
 
 
 def run_study(
@@ -81,14 +81,15 @@ def run_study(
     replaced, and what it was at is done by another; a member whose workers go on dying fails, and no other one with it.
     What the store holds counts: a member counts as finished when its group is there, and groups appear whole.
     """
-    _check_packages()
-    from clsim.study.dispatch import Dispatch
+    check_packages("study", "a study")
+    from clsim.cluster.dispatch import Dispatch
+    from clsim.study.content import metrics_function
     from clsim.study.file import DEFAULT_LIMIT, checked, load_study
     from clsim.study.index import Index, write_summary
-    from clsim.study.member import PARTIAL, STORE, metrics_function
+    from clsim.study.member import PARTIAL, STORE, MemberTasks
 
     progress = progress or no_progress
-    _check_where(workers, scheduler)
+    doing = Workers(workers, scheduler)
     study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()
     new = not (resume or retry)
@@ -105,7 +106,7 @@ def run_study(
         dispatch = Dispatch(index.todo(retry))
         try:
             index.rewrite()
-            _run(study, dispatch, index, folder, workers, scheduler, progress)
+            _run(MemberTasks(study, folder), dispatch, index, doing, progress)
         except BaseException as error:
             if any((folder / STORE / member.name).exists() for member in study.members):
                 error.add_note(f"what is finished is kept in {folder}: --resume goes on with it")
@@ -116,21 +117,6 @@ def run_study(
         index.rewrite()
         shutil.rmtree(folder / PARTIAL, ignore_errors=True)
     return tuple(index.rows[n] for n in sorted(index.rows))
-
-
-def _check_where(workers: int | None, scheduler: str | None) -> None:
-    if workers is not None and scheduler is not None:
-        raise InputError("--workers", "must be left out, because the scheduler has its own")
-    if workers is not None and workers < 1:
-        raise InputError("--workers", f"must be at least 1, but is {workers}")
-
-
-def _check_packages() -> None:
-    from importlib.util import find_spec
-
-    missing = [name for name in ("dask", "distributed", "xarray", "zarr") if find_spec(name) is None]
-    if missing:
-        raise InputError("study", f'a study needs {" and ".join(missing)}: pip install "clsim[study]"')
 
 
 def _refuse_begun(folder: Path) -> None:
@@ -206,36 +192,17 @@ def _made_by(study: Study, files: set[Path]) -> dict[str, Any]:
     }
 
 
-def _run(
-    study: Study,
-    dispatch: Dispatch,
-    index: Index,
-    folder: Path,
-    workers: int | None,
-    scheduler: str | None,
-    progress: Progress,
-) -> None:
-    """Run members on a cluster, and note what becomes of each; if all processes of this machine are lost, start new."""
-    from clsim.study.cluster import local_team, remote_team, worker_count
-    from clsim.study.dispatch import WorkersLostError
+def _run(tasks: MemberTasks, dispatch: Dispatch, index: Index, workers: Workers, progress: Progress) -> None:
+    """Run members on workers, and note what becomes of each."""
+    from clsim.cluster.team import local_devices
 
     if not dispatch.left:
         return
-    number = 0 if scheduler else min(worker_count(workers), dispatch.left)
-    tries, left = 0, dispatch.left
-    with progress("members", left) as advance:
-        while True:
-            team = remote_team(scheduler, study, folder) if scheduler else local_team(number, study, folder)
-            try:
-                with team as there:
-                    for row in dispatch.rows(there, index.found):
-                        index.add(row)
-                        advance(1.0)
-                return
-            except WorkersLostError as error:
-                if scheduler:
-                    raise InputError("--scheduler", f"must have workers, but {error}") from error
-                tries = tries + 1 if dispatch.left == left else 0
-                left = dispatch.left
-                if tries == _STARTS:
-                    raise
+    devices = local_devices() if tasks.needs_device and workers.scheduler is None else []
+    with (
+        progress("members", dispatch.left) as advance,
+        closing(workers.at_most(dispatch.left).rows(dispatch, tasks, devices)) as rows,
+    ):
+        for number, row in rows:
+            index.add({"member": number} | row)
+            advance(1.0)

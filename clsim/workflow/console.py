@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 import warnings
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
 
 _PATIENCE = 2.0  # s after which progress is shown
+_MOMENT = 0.3  # s of building after which it is told: programs that were built before take less
 
 
 @contextmanager
@@ -57,6 +59,44 @@ def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
 def no_progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
     """Yield a function that shows nothing: where no terminal is, or others show what is done."""
     yield lambda amount: None
+
+
+class BuiltPrograms(logging.Handler):
+    """Counts the programs that are built for a device, and says so once on a terminal if that takes more than a moment.
+
+    Attributes
+    ----------
+    count : int
+        Programs built, or found in a cache.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.count, self._seconds, self._told = 0, 0.0, not sys.stderr.isatty()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Take what the compiler logs of a program: its name, and seconds."""
+        _, seconds = record.args if isinstance(record.args, tuple) else ("", 0.0)
+        self.count, self._seconds = self.count + 1, self._seconds + float(str(seconds))
+        if self._seconds > _MOMENT and not self._told:
+            self._told = True
+            print("clsim: building kernels (once)", file=sys.stderr)
+
+
+@contextmanager
+def built_programs() -> Iterator[BuiltPrograms]:
+    """Yield what counts, and tells of, the programs that are built in this block."""
+    log, handler = logging.getLogger("clsim.opencl.compiler"), BuiltPrograms()
+    level, spreads = log.level, log.propagate
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    log.propagate = False  # else a root that shows all would show each program on the console
+    try:
+        yield handler
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
+        log.propagate = spreads
 
 
 @contextmanager

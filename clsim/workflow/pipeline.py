@@ -14,7 +14,6 @@ from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
 from clsim.render.planning import plan_render
-from clsim.render.render import record
 from clsim.scene_file.scene import completed_scene, referenced_files
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
@@ -27,10 +26,11 @@ if TYPE_CHECKING:
     from clsim.paths.ground_truth import DirectPath
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
-    from clsim.recording import Recording
     from clsim.render.plan import Plan
     from clsim.scene_file.scene import SceneFile
     from clsim.workflow.console import Progress
+
+LARGEST_TABLE = 2_000_000  # paths times instants
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,11 +50,6 @@ class PlannedScene:
     file: SceneFile
     paths: PathSet
     plan: Plan
-
-    def record(self) -> Recording:
-        """Return the recording, held in memory as a whole."""
-        with _errors_within("render"):
-            return record(self.plan)
 
     def path_table(self, times: Floats, receiver: int | None = None) -> PathTable:
         """Return the table of all paths, or of those to one receiver, as they are rendered, by time of reception, s."""
@@ -134,6 +129,48 @@ def _errors_within(table: str) -> Iterator[None]:
         if re.split(r"[.[]", error.field)[0] in ("room", "sources", "receivers"):
             raise
         raise error.within(table) from error
+
+
+def table_times(plan: Plan, rate: float, field: str) -> Floats:
+    """Return the times of tables and ground truth, s: ``k / rate``, fewer where tables would grow beyond all use.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of the recording, in which they lie.
+    rate : float
+        Hz.
+    field : str
+        What asks for the rate.
+
+    Raises
+    ------
+    InputError
+        If the rate is not above 0 and at most the sampling rate.
+
+    Warns
+    -----
+    ClsimWarning
+        If they are fewer.
+    """
+    if not 0.0 < rate <= plan.sampling_rate:
+        raise InputError(field, f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
+    count = int(plan.duration * rate) + 1
+    most = max(2, LARGEST_TABLE // max(plan.path_count, 1))
+    if count <= most:
+        return np.arange(count) / rate
+    warn(
+        f"{field}: {plan.path_count} paths at {rate:g} Hz are too much for one table; "
+        f"{most} instants are written, {most / plan.duration:.3g} a second"
+    )
+    return np.linspace(0.0, (count - 1) / rate, most)
+
+
+def check_table_size(plan: Plan, field: str, rule: str) -> None:
+    """Raise an InputError of a field if a plan has too many paths for a table; the rule is what must be instead."""
+    most = LARGEST_TABLE // 2
+    if plan.path_count > most:
+        raise InputError(field, f"{rule} for more than {most} paths, but there are {plan.path_count}")
 
 
 def input_files(scene: Path, file: SceneFile) -> list[Path]:

@@ -1,5 +1,6 @@
-// The fractional delay as a Farrow bank: Horner's scheme in mu over the branch signals. What the runtime gives as
-// EACH_FUNCTION is ADD(0, rows) ADD(1, rows) ..., with the number of branches of every function of frequency.
+// The fractional delay as a Farrow bank: Horner's scheme in mu over the branch signals. A single function of frequency has
+// ROWS of them, known to the compiler; where signals pause several functions are summed together (ROWS == 0), and
+// `first_row` says where those of each begin: a jump to code for as many costs less than a loop.
 
 // Add one path's share of one function; `branches` points at the subblock's first sample in the first of its `rows` rows.
 static void add_function(__global const float* branches, int stride, const int rows, const vec* sample, const vec* mu,
@@ -9,9 +10,10 @@ static void add_function(__global const float* branches, int stride, const int r
     vec value[VECTORS];
 #pragma unroll
     for (int j = 0; j < VECTORS; j++) value[j] = LOAD(row + (worker * VECTORS + j) * LANES);
+#if ROWS
 #pragma unroll
-    for (int q = 1; q < MOST_ROWS; q++) {  // with a bound that is known before functions are put into one another
-        if (q >= rows) break;
+#endif
+    for (int q = 1; q < rows; q++) {
         row -= stride;
 #pragma unroll
         for (int j = 0; j < VECTORS; j++) value[j] = value[j] * mu[j] + LOAD(row + (worker * VECTORS + j) * LANES);
@@ -26,9 +28,9 @@ static void add_function(__global const float* branches, int stride, const int r
     }
 }
 
-// Add one of the expanded paths; `branches` points at the subblock's first sample in the first row of the first function.
-static void add_path(__global const float* branches, int stride, const EXPANDED batch* paths, int p, int worker,
-                     vec sum[FUNCTIONS][VECTORS])
+// Add one of the expanded paths; `branches` points at the subblock's first sample in the first row of all.
+static void add_path(__global const float* branches, int stride, __global const int* first_row, int functions,
+                     const EXPANDED batch* paths, int p, int worker, vec sum[FUNCTIONS][VECTORS])
 {
     vec sample[VECTORS], mu[VECTORS];
 #pragma unroll
@@ -47,9 +49,21 @@ static void add_path(__global const float* branches, int stride, const EXPANDED 
 #else
 #define GAIN(k) paths->gain[k][p], paths->slope[k][p], 0.0f, 0.0f
 #endif
-#define ADD(k, rows)                                                            \
-    add_function(row, stride, rows, sample, mu, GAIN(k), worker, sum[k]); \
-    row += rows * (long)stride;
-    EACH_FUNCTION
-#undef ADD
+#define ADD(k, rows) add_function(row + first_row[k] * (long)stride, stride, rows, sample, mu, GAIN(k), worker, sum[k])
+#if ROWS
+    ADD(0, ROWS);
+#else
+    for (int k = 0; k < functions; k++) {
+        switch (first_row[k + 1] - first_row[k]) {
+        case 2: ADD(k, 2); break;
+        case 3: ADD(k, 3); break;
+        case 4: ADD(k, 4); break;
+        case 5: ADD(k, 5); break;
+        case 6: ADD(k, 6); break;
+        case 7: ADD(k, 7); break;
+        case 8: ADD(k, 8); break;
+        default: ADD(k, first_row[k + 1] - first_row[k]);
+        }
+    }
+#endif
 }

@@ -6,9 +6,9 @@ __kernel __attribute__((reqd_work_group_size(WORKERS, 1, 1)))
 void render(__global const float* branches,     // [rows][stride], those of one function after those of another
             int stride,
             int lead,                           // sample of `branches` emitted at the run's first sample
-            int first_row,                      // of the first function here
+            __global const int* first_row,      // [functions + 1]
             int functions,                      // in all
-            int first_function,
+            int first_function, int functions_here,
             __global const int* delay,          // [block][slots], whole samples
             __global const float* polynomials,  // as in polynomials.h, on [-1, 1]
             __global const int* activity,       // [block][slots]: subblocks in which it sounds, see activity.h
@@ -27,7 +27,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
     const int last_subblock = min(first_subblock + SUBBLOCKS, subblocks);
     const int receiver = get_global_id(1);
     const float per_sample = 2.0f / (float)(block_subblocks * SUBBLOCK);
-    __global const float* rows = branches + first_row * (long)stride + lead;
+    __global const float* rows = branches + lead;
     vec sum[SUBBLOCKS][FUNCTIONS][VECTORS];
     EXPANDED batch paths;
 #if SPARSE
@@ -62,14 +62,16 @@ void render(__global const float* branches,     // [rows][stride], those of one 
                 const int slot = tile + active[g - first_subblock][i];
                 expand(delay[row * slots + slot], polynomials + place_of(row, slot, functions, slots), functions,
                        first_function, t, per_sample, &paths);
-                add_path(rows + g * SUBBLOCK, stride, &paths, 0, worker, subblock_sum);
+                add_path(rows + g * SUBBLOCK, stride, first_row + first_function, functions_here, &paths, 0, worker, subblock_sum);
             }
 #else
             for (int slot = tile; slot < tile_end; slot += BATCH) {
                 expand(delay + row * slots + slot, polynomials + place_of(row, slot, functions, slots), functions,
                        first_function, t, per_sample, worker, &paths);
                 SYNCHRONISE;
-                for (int p = 0; p < BATCH; p++) add_path(rows + g * SUBBLOCK, stride, &paths, p, worker, subblock_sum);
+                for (int p = 0; p < BATCH; p++) {
+                    add_path(rows + g * SUBBLOCK, stride, first_row + first_function, 1, &paths, p, worker, subblock_sum);
+                }
                 SYNCHRONISE;
             }
 #endif

@@ -116,6 +116,7 @@ def rms(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(np.mean(values**2, axis=1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", ["line", "circle"])
 def test_a_moving_source_as_it_comes(theirs, engine: str, motion: str) -> None:
     """clsim's own amplitude is the geometric mean of Acoular's two, whose samples are taken at the same times."""

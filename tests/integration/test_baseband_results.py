@@ -59,6 +59,7 @@ def envelopes(out: Path) -> np.ndarray:
     return np.stack([frames[:, 0] + 1j * frames[:, 1] for frames, _ in found])
 
 
+@pytest.mark.slow
 def test_stores_hold_the_same_envelopes(scene: Path, tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("zarr")
@@ -127,6 +128,7 @@ values = [1e3, 2e3, 1.0]
 """
 
 
+@pytest.mark.slow
 def test_a_study_judges_envelopes(scene: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     xarray = pytest.importorskip("xarray")

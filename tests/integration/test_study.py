@@ -24,6 +24,7 @@ def folder(tmp_path: Path, device) -> Path:
     return write_scene(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
     arguments = write(folder, [0, 2], [1.0, 1.125])
     assert main([*arguments, "--workers", "2"]) == 1
@@ -92,7 +93,7 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
 def test_what_cannot_run_is_one_line(
     folder: Path, capsys, monkeypatch: pytest.MonkeyPatch, more: list[str], message: str
 ) -> None:
-    monkeypatch.setattr("clsim.study.cluster._REACH", 0.5)
+    monkeypatch.setattr("clsim.cluster.team._REACH", 0.5)
     assert main([*write(folder, [0, 1], [1.0]), *more]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"clsim: error: {message}")

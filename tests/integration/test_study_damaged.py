@@ -15,7 +15,7 @@ import clsim
 from clsim.cli import main
 from clsim.study.file import load_study
 from clsim.study.index import Index, create_store, metrics_of, write_summary
-from clsim.study.member import as_row, run_member, study_to_settings
+from clsim.study.member import MemberTasks, as_row, row_of_group, run_member, study_to_settings
 
 pytest.importorskip("distributed")
 pytest.importorskip("zarr")
@@ -129,7 +129,7 @@ def test_a_broken_member_is_run_again(folder: Path, damage: Any) -> None:
         group.with_name("m000002"), group
     )  # broken while another process runs: it belongs to another member
     assert run_member(str(out), 1, None)["status"] == "finished"
-    assert index.found(1)["member"] == 1
+    assert row_of_group(group)["member"] == 1
 
 
 def test_metrics_that_cannot_be_read_fail_one_member(folder: Path) -> None:
@@ -218,17 +218,19 @@ class Future(SimpleNamespace):
 def test_what_dask_tells_of_a_member_is_its_row(finished: Path, tmp_path: Path) -> None:
     from distributed import KilledWorker
 
-    from clsim.study.cluster import _row
+    from clsim.cluster.team import row_of
 
+    tasks = MemberTasks(load_study(finished / "study.toml"), finished / "out")
+    waiting = MemberTasks(load_study(finished / "study.toml"), tmp_path)
     killed = KilledWorker("clsim-3", SimpleNamespace(name="w", address="tcp://w"), 3)
-    assert _row(Future(status="error", error=killed), 3, tmp_path) is None
-    row = _row(Future(status="error", error=AttributeError("no such function")), 3, tmp_path)
+    assert row_of(Future(status="error", error=killed), 3, waiting) is None
+    row = row_of(Future(status="error", error=AttributeError("no such function")), 3, waiting)
     assert row == {"member": 3, "status": "failed", "error": "AttributeError: no such function", "seconds": 0.0}
     with pytest.raises(OSError, match="full"):
-        _row(Future(status="error", error=OSError(errno.ENOSPC, "full")), 3, tmp_path)
+        row_of(Future(status="error", error=OSError(errno.ENOSPC, "full")), 3, waiting)
     for status in ("lost", "cancelled", "pending"):  # its worker died while the result was fetched
-        assert _row(Future(status=status), 3, tmp_path) is None
-        assert _row(Future(status=status), 1, finished / "out" / "study.zarr" / "m000001")["status"] == "finished"
+        assert row_of(Future(status=status), 3, waiting) is None
+        assert row_of(Future(status=status), 1, tasks)["status"] == "finished"
 
 
 def test_a_row_is_itself() -> None:

@@ -1,7 +1,6 @@
 """Studies whose workers die, whose disk fills or that are stopped: nothing is lost, nothing is run twice."""
 
 import contextlib
-import json
 import os
 import random
 import shutil
@@ -13,10 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from made_clusters import made_cluster
 from made_studies import ENVIRONMENT, METRICS, index, runs, write, write_scene
 
 from clsim.cli import main
-from clsim.study import dispatch
+from clsim.cluster import dispatch
 
 psutil = pytest.importorskip("psutil")  # comes with distributed
 pytest.importorskip("distributed")
@@ -31,25 +31,9 @@ def folder(tmp_path: Path, device) -> Path:
 
 @pytest.fixture
 def cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
-    """A scheduler and two workers on loopback, processes of their own; the workers are not replaced."""
-    base = [sys.executable, "-m"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": ENVIRONMENT}
-    note = folder / "scheduler.json"
-    scheduler = subprocess.Popen(
-        [*base, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
-         "--scheduler-file", str(note)], **quiet,
-    )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while not (note.exists() and note.stat().st_size) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    address = json.loads(note.read_text("utf-8"))["address"]
-    worker = [*base, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
-    worker += ["--host", "127.0.0.1", "--local-directory", str(folder / "space")]
-    workers = [subprocess.Popen(worker, **quiet) for _ in range(2)]
-    yield address, workers
-    for process in [*workers, scheduler]:
-        process.kill()
-        process.wait()
+    """Start a scheduler and two workers."""
+    with made_cluster(folder, 2) as made:
+        yield made
 
 
 def workers_of(study: subprocess.Popen) -> list[int]:
@@ -163,6 +147,7 @@ def test_a_killed_study_goes_on(folder: Path) -> None:
     assert not (folder / "out" / ".partial").exists()
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
     disk = folder / "disk"
     disk.mkdir()
@@ -188,6 +173,7 @@ def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_is_one_line_and_its_workers_had_devices_of_their_own(folder: Path) -> None:
     lengths = [1.5 + 0.001 * i for i in range(40)]
     arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], lengths), "--workers", "2"]

@@ -80,6 +80,9 @@ class Ringing:
             rung, self.memory[i] = lfilter([LEVEL], [1.0, -pole], emitted, zi=self.memory[i])
             pressure += rung
 
+    def until(self, last: int) -> None:
+        pass
+
     def state(self) -> State:
         return {"memory": self.memory}
 
@@ -130,7 +133,7 @@ def test_its_samples_are_added_exactly(engine: str, chunk: int, registered: dict
     assert len(pieces) == -(-plan.samples // plan.chunk)
     np.testing.assert_array_equal(np.concatenate(pieces, axis=1), wanted.astype(np.float32))
     assert np.abs(wanted - alone).max() > 1e-3  # it is heard
-    assert rendering._adding[-1].warned
+    assert rendering._pressure._adding[-1].warned
     made = clsim.render(find_paths(), RATE, **options(engine, chunk))
     np.testing.assert_array_equal(made.samples, wanted.astype(np.float32))
     assert [line for line in made.notes if line in tail.describe()] == ["a toy tail of 0.2 s"]

@@ -82,6 +82,7 @@ def test_engines_agree(case: str) -> None:
     assert difference_db(pressure(plan(world, **options)), reference(world, **options)) < tolerance
 
 
+@pytest.mark.slow
 def test_layout_for_gpus_gives_the_same() -> None:
     made = plan(scene(clsim.Piston(0.006)), order=1, duration=0.02)
     assert difference_db(pressure(made, layout=GPU_LAYOUT), pressure(made)) < -120.0
@@ -100,6 +101,7 @@ def test_host_tracks_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     assert difference_db(pressure(made), on_device) < TOLERANCE_DB
 
 
+@pytest.mark.slow
 def test_host_tracks_carry_phases(monkeypatch: pytest.MonkeyPatch) -> None:
     chirp = clsim.Signal.chirp(36e3, 44e3, 0.03, RATE, window="hann")
     source = clsim.Source("s", chirp, TURNING, Lopsided())

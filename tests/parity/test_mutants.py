@@ -127,6 +127,7 @@ def _plan(kind: str) -> Plan:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", [None, GPU_LAYOUT])
 @pytest.mark.parametrize("kind", KINDS)
 def test_kernels_as_they_are_pass(difference_db, kind: str, layout: Layout | None) -> None:
@@ -134,8 +135,8 @@ def test_kernels_as_they_are_pass(difference_db, kind: str, layout: Layout | Non
 
 
 MUTANTS = {
-    "one tap further": ("branches", "TAPS - 1 - k]", "TAPS - 1 - (k + 1) % TAPS]"),
-    "tap order": ("branches", "row * TAPS + TAPS - 1 - k", "row * TAPS + k"),
+    "one tap further": ("branches", "tap_count - 1 - k]", "tap_count - 1 - (k + 1) % tap_count]"),
+    "tap order": ("branches", "(row + 1) * tap_count - 1 - k", "row * tap_count + k"),
     "row of the bank": ("render", "(rows - 1) * (long)stride", "(rows - 2) * (long)stride"),
     "a sample late": ("render", "PLACE(-paths->whole[p], stride)", "PLACE(-1 - paths->whole[p], stride)"),
     "rate's sign": ("render", "curve[p] + paths->rate[p])", "curve[p] - paths->rate[p])"),
@@ -149,7 +150,7 @@ MUTANTS = {
     "gain slope dropped": ("render", "sample[j] * slope + ", ""),
     "rate of the delay": ("render", "per_sample * CUBIC_SLOPE(c1, c2,", "per_sample * CUBIC_SLOPE(c1, -c2,"),
     "sign in Horner's scheme": ("render", "value[j] * mu[j] + LOAD", "-value[j] * mu[j] + LOAD"),
-    "a branch skipped": ("render", "for (int q = 1; q < MOST_ROWS", "for (int q = 2; q < MOST_ROWS"),
+    "a branch skipped": ("render", "for (int q = 1; q < rows", "for (int q = 2; q < rows"),
     "another block's row": ("render", ", row = first_block + block", ", row = first_block"),
     "reflection's sign": ("tracks", "* BIN_VECTORS + b] * air;", "* BIN_VECTORS + b] * s->reflection[(slot * PARTS + part) * BIN_VECTORS + b] * air;"),
     "another path's walls": ("tracks", "s->reflection[(slot * PARTS", "s->reflection[((slot ^ 1) * PARTS"),
@@ -178,7 +179,7 @@ MUTANTS = {
     "absorption twice": ("tracks", "nepers[b] * (distance - 1.0f)", "nepers[b] * (distance + distance - 1.0f)"),
     "source beam's sign": ("tracks", "(1.0 + cosine)", "(1.0 - cosine)"),
     "receiver beam's sign": ("tracks", "(1.0 - inner(receiver_frame", "(1.0 + inner(receiver_frame"),
-    "another function": ("render", "first_row * (long)stride + lead", "(first_row > 0 ? first_row - 1 : 0) * (long)stride + lead"),
+    "another function": ("render", "first_row + first_function, 1,", "first_row + (first_function > 0 ? first_function - 1 : 0), 1,"),
     "another frequency's air": ("tracks", "bins loss = s->nepers[b]", "bins loss = s->nepers[BIN_VECTORS - 1 - b]"),
     "another frequency's walls": ("tracks", "* BIN_VECTORS + b] * air;", "* BIN_VECTORS + BIN_VECTORS - 1 - b] * air;"),
     "another frequency's beam": ("tracks", "r->part[0][b] *= by->part[0][b]", "r->part[0][b] *= by->part[0][BIN_VECTORS - 1 - b]"),
@@ -222,6 +223,11 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
+def test_a_mutant_of_what_is_not_there_is_an_error() -> None:
+    with pytest.raises(ValueError, match=r"not exactly once in its text is what the mutants \['lost'\] change"):
+        Mutants("render", {"kept": MUTANTS["a branch skipped"][1:], "lost": ("no such words", "")})
+
+
 def _grouped() -> dict[tuple[str, str], dict[str, tuple[str, str]]]:
     """Return the mutants by scene and program."""
     grouped: dict[tuple[str, str], dict[str, tuple[str, str]]] = {}
@@ -235,6 +241,7 @@ def _grouped() -> dict[tuple[str, str], dict[str, tuple[str, str]]]:
 GROUPED = _grouped()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "program"), GROUPED)
 def test_mutants_are_caught(kind: str, program: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
     mutants = Mutants(program, GROUPED[kind, program])

@@ -100,6 +100,7 @@ def agree(wanted: dict[str, list[tuple[Candidates, Intervals]]]) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_both_find_the_same(wanted) -> None:
     assert agree(wanted)
     counts = {name: sum(len(found.path) for _, found in parts) for name, parts in wanted.items()}
@@ -184,6 +185,7 @@ MUTANTS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_mutants_are_caught(wanted, monkeypatch: pytest.MonkeyPatch) -> None:
     # Paths of the highest order in all scenes but one, whose order no other has: an order is a program to be built.
     fewer = {name: parts[-1:] for name, parts in wanted.items() if name != "pillar"}

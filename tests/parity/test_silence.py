@@ -154,7 +154,7 @@ MUTANTS = {
     "slope of another term": ("render", "CUBIC_SLOPE(c[1], c[2], c[3], t)", "CUBIC_SLOPE(c[1], c[2], c[2], t)"),
     "gains of other functions": ("render", "i * functions + first)", "i * functions + first + 1)"),
     "gain's slope of another term": ("render", "CUBIC_SLOPE(g[1], g[2], g[3], t)", "CUBIC_SLOPE(g[1], g[2], g[2], t)"),
-    "another function's sum": ("render", "worker, sum[k]);", "worker, sum[k / 2]);"),
+    "another function's sum": ("render", "worker, sum[k])", "worker, sum[k / 2])"),
 }  # fmt: skip
 
 

@@ -56,6 +56,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("case", CASES)
 def test_every_frequency_of_every_path(case: str) -> None:
@@ -202,6 +203,7 @@ def test_filters_that_would_be_endless_are_the_best_and_tell_their_error(monkeyp
     assert -1.0 < best.error_db < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("device")
 def test_a_measured_table_in_a_room(tmp_path) -> None:
     from scipy.io import savemat

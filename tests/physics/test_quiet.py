@@ -34,6 +34,7 @@ def test_bounds_are_bounds(beam, rng: np.random.Generator) -> None:
     assert np.median(bound / loudest) < 4.0 if isinstance(beam, clsim.Omni) else True
 
 
+@pytest.mark.slow
 def test_what_is_lost_is_less_than_said(engine: str) -> None:
     world = scene()
     paths = clsim.find_paths(world, 5)

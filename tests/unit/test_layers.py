@@ -28,6 +28,7 @@ LAYERS = [
     ("render",),
     ("output",),
     ("scene_file",),
+    ("cluster",),
     ("workflow",),
     ("study",),
     ("commands",),

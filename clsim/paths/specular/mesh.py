@@ -103,21 +103,8 @@ class MeshSearch:
         DeviceError
             If the device fails.
         """
-        c = scene.air.speed_of_sound
-        trajectories = [r.trajectory for r in scene.receivers]
-        mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
-        ends = trajectory_tables(source.trajectory, trajectories, mounts)
-        longest = (self.max_order + 1) * _diameter(room, ends) / c
-        last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
-        fastest = float(ends.scales[0, 2])
-        if fastest >= c:  # a bound: at a sharp corner up to twice the speed
-            raise InputError(
-                "sources.trajectory",
-                f"must surely stay below the speed of sound, {c:.6g} m/s, for paths in a mesh, but {source.name!r} is "
-                f"only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
-            )
-        resolution = self.resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
-        query = VisibilityQuery(room.walls, ends, c, np.zeros(len(last)), last, resolution)
+        query, longest = visibility_query(scene, room, source, self.max_order, self.resolution)
+        ends, last = query.trajectory_tables, query.last
         shoot = self._shoots(room.walls, ends)
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
@@ -127,7 +114,7 @@ class MeshSearch:
             centre, radius = ends.sphere(0, begin - longest, end)
             finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
             if shoot:
-                finder = ShotRays(room, source.trajectory, receivers, mounts[0])
+                finder = ShotRays(room, source.trajectory, receivers, find_mount(room, source))
             part = partial(report, progress, begin / last.max(), end / last.max())
             try:
                 parts.append(self._heard(query.during(begin, end), finder, source.name, part))
@@ -174,6 +161,42 @@ class MeshSearch:
             done += len(receiver)
             progress(finder.share * done / (done + waiting))
         return FoundPaths.joined(parts)
+
+
+def visibility_query(
+    scene: Scene, room: MeshRoom, source: Source, legs: int, resolution: float | None
+) -> tuple[VisibilityQuery, float]:
+    """Return what is asked of a search from one source, and how long sound takes at most for its paths, s.
+
+    Parameters
+    ----------
+    scene, room, source
+        What is where.
+    legs : int
+        Largest number of interactions of a path.
+    resolution : float, optional
+        As in `find_paths`, s.
+
+    Raises
+    ------
+    InputError
+        If the source may be as fast as sound.
+    """
+    c = scene.air.speed_of_sound
+    trajectories = [r.trajectory for r in scene.receivers]
+    mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
+    ends = trajectory_tables(source.trajectory, trajectories, mounts)
+    longest = (legs + 1) * _diameter(room, ends) / c
+    last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
+    fastest = float(ends.scales[0, 2])
+    if fastest >= c:  # a bound: at a sharp corner up to twice the speed
+        raise InputError(
+            "sources.trajectory",
+            f"must surely stay below the speed of sound, {c:.6g} m/s, for paths in a mesh, but {source.name!r} is "
+            f"only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
+        )
+    fine = resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
+    return VisibilityQuery(room.walls, ends, c, np.zeros(len(last)), last, fine), longest
 
 
 def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> SpecularPaths:

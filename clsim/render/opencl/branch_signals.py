@@ -59,6 +59,7 @@ class BranchSignals:
 
     def __init__(self, plan: Plan, queue: Any, compiler: Compiler, scratch: Scratch, lanes: int, parts: int) -> None:
         self._plan, self._queue, self._compiler, self._scratch = plan, queue, compiler, scratch
+        self.last = plan.samples  # from which on nothing is prepared
         self._lanes, self._parts = lanes, parts
         self._emitted: tuple[tuple[int, int], int, Any] | None = None  # rows and samples, and where they are not zero
         self._written: tuple[tuple[int, int], Activity] | None = None  # branches kept in memory, silent elsewhere
@@ -81,7 +82,7 @@ class BranchSignals:
         source, start = (source + 1, start) if source + 1 < len(plan.source_filters) else (0, start + plan.chunk)
         stop = min(start + plan.chunk, plan.samples)
         following = source, start, self.whole_blocks(start, stop)
-        if start < stop and self._ahead[0] != following:
+        if start < min(stop, self.last) and self._ahead[0] != following:
             self._ahead = following, self._feed(*following)
 
     def _active(self, source: int, start: int, length: int) -> list[ActivePaths]:
@@ -131,18 +132,16 @@ class BranchSignals:
         out, following = self._rows(self._parts * int(filters.rows[-1]), stride, found)
         emitted, samples = self._emit(feed)
         channel = _VECTORS * self._lanes
+        constants = {"LANES": self._lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
+        kernel = self._compiler.kernel("branches", constants)
         for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
             rows, taps = bank.taps.shape
-            constants = {
-                "LANES": self._lanes, "VECTORS": _VECTORS, "TAPS": taps, "OVERSAMPLING": filters.oversampling,
-                "CELL": CELL, "SPARSE": int(found is not None),
-            }  # fmt: skip
-            kernel = self._compiler.kernel("branches", constants)
             kernel(
                 self._queue, work(feed.width // channel, rows), emitted=emitted,
                 first_emitted=(k * self._parts + part) * samples + feed.before - _taps_before(bank),
-                taps=bank.taps, width=feed.width, stride=stride,
-                first_row=self._parts * filters.rows[k] + part * rows, rows=out, following=following,
+                taps=bank.taps, tap_count=taps, width=feed.width, stride=stride,
+                first_row=self._parts * filters.rows[k] + part * rows, rows=out,
+                sparse=found is not None, following=following,
             )  # fmt: skip
         return Branches(out, stride, feed.first, feed.least, feed.most, found)
 

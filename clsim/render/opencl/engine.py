@@ -118,6 +118,10 @@ class OpenclEngine:
                 "receivers at a time, or on another device (see `clsim devices`)"
             ) from error
 
+    def until(self, last: int) -> None:
+        """Prepare nothing from sample `last` on."""
+        self.branch_signals.last = last
+
     def warn(self) -> None:
         """Warn where responses came along that the functions of frequency hold worse than asked."""
         for i, filters in enumerate(self._plan.source_filters):
@@ -302,18 +306,17 @@ class Run:
         begin = segment * self._plan.segment
         subblocks = (end - begin) // subblock
         size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._batch.pairs))
-        counts = [len(bank.taps) for bank in filters.banks]
-        together = _TOGETHER if sparse else 1
-        for k in range(0, len(counts), together):
-            here = counts[k : k + together]
-            each = "".join(f"ADD({i},{count})" for i, count in enumerate(here))
-            functions: dict[str, int | str] = {"FUNCTIONS": len(here), "EACH_FUNCTION": each, "MOST_ROWS": max(here)}
-            kernel = engine._compiler.kernel("render", {**layout, **functions, "DELAY_TERMS": self._plan.delay_terms})
+        together = _TOGETHER if sparse and self._functions > 1 else 1
+        for k in range(0, self._functions, together):
+            rows = len(filters.banks[k].taps) if together == 1 else 0
+            constants = {**layout, "FUNCTIONS": together, "ROWS": rows, "DELAY_TERMS": self._plan.delay_terms}
+            kernel = engine._compiler.kernel("render", constants)
             kernel(
                 engine._queue, (size, (layout["WORKERS"], 1)), **self._branch_arguments(begin),
-                **self._block_arguments(nodes, first_block), first_row=filters.rows[k], functions=self._functions,
-                first_function=k, first_slot=self._first_slot, block_subblocks=block // subblock, subblocks=subblocks,
-                pressure_row=self._row, pressure=self._pressure, pressure_stride=self._length, first_sample=begin,
+                **self._block_arguments(nodes, first_block), first_row=filters.rows, functions=self._functions,
+                first_function=k, functions_here=min(together, self._functions - k), first_slot=self._first_slot,
+                block_subblocks=block // subblock, subblocks=subblocks, pressure_row=self._row, pressure=self._pressure,
+                pressure_stride=self._length, first_sample=begin,
             )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:

@@ -45,12 +45,12 @@ def test_each_command_has_its_help(name: str, capsys) -> None:
         cli.main([name, "--help"])
     assert ended.value.code == 0
     assert capsys.readouterr().out.startswith(f"usage: clsim {name} [-h]")
-    assert import_module(f"clsim.commands.{name}").execute.__doc__
+    assert import_module(f"clsim.commands.{name.replace('-', '_')}").execute.__doc__
 
 
 def test_commands_are_those_that_are_listed() -> None:
     folder = Path(clsim.commands.__file__).parent
-    there = {path.stem for path in folder.glob("*.py") if "def execute(" in path.read_text("utf-8")}
+    there = {path.stem.replace("_", "-") for path in folder.glob("*.py") if "def execute(" in path.read_text("utf-8")}
     assert there == set(cli.COMMANDS)
 
 

@@ -23,6 +23,7 @@ from clsim.scene.places import first_approach, first_refused, nearest_within
 from clsim.scene.room.contact import first_contact
 from clsim.tracks.pruning import pruned
 from clsim.tracks.tracks import SceneTracks, track
+from clsim.workflow.pipeline import check_table_size, table_times
 
 SIZE = (8.0, 6.0, 3.0)
 ROOM = clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.9))
@@ -253,12 +254,17 @@ def test_no_table_is_made_that_nobody_asked_for(tmp_path: Path, monkeypatch: pyt
 
 def test_a_table_of_too_many_paths_is_refused() -> None:
     plan: Any = SimpleNamespace(path_count=1_000_001, duration=1.0, sampling_rate=192e3)
-    options: Any = SimpleNamespace(table="npz", table_rate=100.0)
-    with pytest.raises(clsim.InputError, match="--table: must be none for more than 1000000 paths"):
-        run_command._table_times(plan, options)
-    options.table = "none"
+    with pytest.raises(
+        clsim.InputError, match="--table: must be none for more than 1000000 paths, but there are 1000001"
+    ):
+        check_table_size(plan, "--table", "must be none")
     with pytest.warns(clsim.ClsimWarning, match="--table-rate"):
-        assert len(run_command._table_times(plan, options)) == 2
+        assert len(table_times(plan, 100.0, "--table-rate")) == 2
+
+
+def test_instants_of_tables_are_the_nearest_to_multiples_of_the_period() -> None:
+    plan: Any = SimpleNamespace(path_count=10, duration=0.7, sampling_rate=192e3)
+    assert table_times(plan, 10.0, "table_rate").tolist() == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
 
 
 def test_errors_name_what_asks_for_memory() -> None:

@@ -115,6 +115,7 @@ def test_arrays_of_nothing_are_refused(name: str, positions, message: str) -> No
         clsim.receiver_array(name, positions)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("device")
 def test_a_run_tells_the_truth_about_all_and_draws_some(
     scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch

@@ -1,6 +1,7 @@
 """From a scene file to a recording there is one way: a run and a study's member differ in nothing but where results go."""
 
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -120,3 +121,32 @@ def test_a_device_of_this_machine_is_not_part_of_the_scene(tmp_path: Path) -> No
     assert (asked.render["device"], asked.paths["device"], asked.model.render.device) == ("some", "some", "some")
     assert (asked.render["duration"], asked.model.render.duration) == (0.125, 0.125)
     assert (file.render["device"], file.model.render.device, file.render["duration"]) == (None, None, None)
+
+
+@pytest.mark.filterwarnings("ignore::clsim.ClsimWarning")
+def test_members_are_rendered_in_bounded_memory(tmp_path: Path, device) -> None:
+    """Sound goes chunk by chunk into the store, and into the file that metrics read."""
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("zarr")
+    scene = (SCENE % "opencl").replace("[render]", "[render]\nchunk = 18432\nduration = 20.0")
+    (tmp_path / "scene.toml").write_text(scene, "utf-8")
+    (tmp_path / "judge.py").write_text(
+        "def last(recording, paths, parameters):\n    return {'last': recording.samples[:, -1], 'peak': abs(recording.samples[0, :9999]).max()}\n",
+        "utf-8",
+    )
+    study = STUDY.replace('"ground_truth", "paths"]', '"metrics"]\nmetrics = "judge:last"').replace("1.1]", "1.1, 1.2]")
+    (tmp_path / "study.toml").write_text(study, "utf-8")
+    (tmp_path / "study.json").write_text(json.dumps(study_to_settings(load_study(tmp_path / "study.toml"))), "utf-8")
+    (tmp_path / "study.zarr").mkdir()
+    assert run_member(str(tmp_path), 0, None)["status"] == "finished"  # which loads and builds what stays
+    tracemalloc.start()
+    row = run_member(str(tmp_path), 1, None)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert row["status"] == "finished", row["error"]
+    with xarray.open_zarr(tmp_path / "study.zarr" / "m000001") as member:
+        assert member.sound.shape == (2, 20 * 192_000)
+        assert member["peak"] == np.abs(member.sound.values[0, :9999]).max() > 0.0
+        np.testing.assert_array_equal(member["last"].values, member.sound.values[:, -1])
+    assert peak < 0.5 * 4 * 2 * 20 * 192_000
+    assert list((tmp_path / ".partial").iterdir()) == []

@@ -1,4 +1,4 @@
-"""Processes of this machine, or workers of any Dask cluster, as a team that runs members of a study."""
+"""Processes of this machine, or workers of any Dask cluster, as a team that does tasks."""
 
 from __future__ import annotations
 
@@ -6,48 +6,43 @@ import os
 import queue
 import sys
 import uuid
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from clsim.errors import ClsimError, DeviceError, InputError
-from clsim.study.dispatch import WorkersLostError
-from clsim.study.member import STORE, check_worker, in_one_line, is_disk_full, row_of_group, run_member
+from clsim.cluster.dispatch import WorkersLostError
+from clsim.errors import ClsimError, DeviceError, InputError, in_one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
-    from clsim.study.file import Study
+    from clsim.cluster.dispatch import Call, Row, Tasks
 
 _REACH = 10  # s, for a scheduler to answer
 
 
 class DaskTeam:
-    """Workers of a Dask scheduler, none of which is given a member before it can begin.
+    """Workers of a Dask scheduler, none of which is given a task before it can begin.
 
-    Left to itself Dask gives workers members in advance, and if one dies counts it against all that it was given.
+    Left to itself Dask gives workers tasks in advance, and if one dies counts it against all that it was given.
 
     Parameters
     ----------
     client : distributed.Client
         Of the scheduler.
-    folder : Path
-        Of the study.
+    tasks : Tasks
+        What is to be done.
     devices : list of str
         Over which workers of this machine are spread; empty elsewhere.
-    needs_device, device : bool, str or None
-        Whether members need an OpenCL device, and which.
     """
 
-    def __init__(self, client: Any, folder: Path, devices: list[str], needs_device: bool, device: str | None) -> None:
-        self._client, self._folder, self._devices = client, str(folder), devices
-        self._needs = needs_device, device
+    def __init__(self, client: Any, tasks: Tasks, devices: list[str]) -> None:
+        self._client, self._tasks, self._devices = client, tasks, devices
         self._known: set[str] = set()
         self._futures: dict[int, Any] = {}
         self._done: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
 
     def workers(self) -> dict[str, int]:
-        """Return the workers that are there and have been seen to work, and the threads of each.
+        """Return the workers that are there and have been seen to work, and how many tasks each does at a time.
 
         Raises
         ------
@@ -59,14 +54,12 @@ class DaskTeam:
         with _scheduler_there():
             there = self._client.nthreads()
             new = sorted(there.keys() - self._known)
-            answers = (
-                self._client.run(check_worker, self._folder, *self._needs, workers=new, on_error="return")
-                if new
-                else {}
-            )
+            answers = self._ask(self._tasks.check(), new, "return") if new else {}
         for address, found in answers.items():
-            if isinstance(found, ImportError):
+            if isinstance(found, ImportError) and found.name in (None, "clsim"):
                 raise InputError("--scheduler", f"its workers must have clsim installed, but: {found}")
+            if isinstance(found, ImportError | AttributeError):
+                raise InputError(f"worker {address}", f"must have the version of clsim that is here, but: {found}")
             if isinstance(found, Exception):  # it died meanwhile
                 continue
             problem, is_device = found
@@ -75,31 +68,26 @@ class DaskTeam:
             if problem:
                 raise InputError(f"worker {address}", problem)
             self._known.add(address)
-        return {address: threads for address, threads in there.items() if address in self._known}
+        return {a: threads if self._tasks.several else 1 for a, threads in there.items() if a in self._known}
 
     def begin(self, number: int, worker: str) -> None:
-        """Have a worker run a member."""
+        """Have a worker do a task."""
         with _scheduler_there():
             future = self._client.submit(
-                _on_worker, self._folder, number, self._devices, key=f"clsim-{number}-{uuid.uuid4().hex}", pure=False,
-                workers=[worker], allow_other_workers=False,
+                _on_worker, *self._tasks.call(number), self._devices,
+                key=f"clsim-{self._tasks.kind}-{number}-{uuid.uuid4().hex}", pure=False, workers=[worker],
+                allow_other_workers=False,
             )  # fmt: skip
         self._futures[number] = future
         future.add_done_callback(lambda done: self._done.put((number, done)))
 
     def forget(self, number: int) -> None:
-        """Want nothing more of a member."""
+        """Want nothing more of a task."""
         with _scheduler_there():
             self._futures.pop(number).cancel()
 
-    def done(self, seconds: float) -> tuple[int, dict[str, Any] | None] | None:
-        """Return a member that is done with and its row, None if its worker died; None if there is none in time.
-
-        Raises
-        ------
-        OSError
-            If the disk is full.
-        """
+    def done(self, seconds: float) -> tuple[int, Row | None] | None:
+        """Return a task that is done with and its row, None if its worker died; None if there is none in time."""
         try:
             number, future = self._done.get(timeout=seconds)
         except queue.Empty:
@@ -107,12 +95,26 @@ class DaskTeam:
         if self._futures.get(number) is not future:  # it was forgotten
             return None
         try:
-            row = _row(future, number, Path(self._folder, STORE, f"m{number:06d}"))
+            row = row_of(future, number, self._tasks)
         except TimeoutError:  # its worker died before it could tell; if not, it will
             self._done.put((number, future))
             return None
         self._futures.pop(number).release()
         return number, row
+
+    def end(self) -> None:
+        """Want nothing more at all, and wait for workers that have to be waited for."""
+        for future in self._futures.values():
+            future.cancel()
+        asked = self._tasks.over()
+        if asked is not None:
+            self._ask(asked, sorted(self._known), "ignore")
+
+    def _ask(self, call: Call, workers: list[str], on_error: str) -> dict[str, Any]:
+        """Return what workers answer to a call, by their addresses."""
+        function, arguments = call
+        answers: dict[str, Any] = self._client.run(function, *arguments, workers=workers, on_error=on_error)
+        return answers
 
 
 @contextmanager
@@ -125,40 +127,40 @@ def _scheduler_there() -> Iterator[None]:
         raise ClsimError(f"the connection to the scheduler was lost: {in_one_line(error)}") from error
 
 
-def _on_worker(folder: str, number: int, devices: list[str]) -> dict[str, Any]:
-    """Run a member on the device of this worker: workers of this machine are called 0, 1, 2, ..."""
+def _on_worker(function: Callable[..., Row], arguments: tuple[Any, ...], devices: list[str]) -> Row:
+    """Do a task on the device of this worker: workers of this machine are called 0, 1, 2, ..."""
     from distributed import get_worker
 
     name = get_worker().name
     device = devices[name % len(devices)] if devices and isinstance(name, int) else None
-    return run_member(folder, number, device)
+    return function(*arguments, device)
 
 
-def _row(future: Any, number: int, group: Path) -> dict[str, Any] | None:
-    """Return the row of a member that is done with, None if its worker died before it could tell.
+def row_of(future: Any, number: int, tasks: Tasks) -> Row | None:
+    """Return the row of a task that is done with, None if its worker died before it could tell.
 
-    Raises
-    ------
-    OSError
-        If the disk is full.
+    Parameters
+    ----------
+    future : distributed.Future
+        Of its call.
+    number : int
+        Of the task.
+    tasks : Tasks
+        Among which it is.
     """
     from distributed import KilledWorker
 
-    row: dict[str, Any] | None = row_of_group(group)
+    row = tasks.found(number)
     if row is None and future.status == "finished":
         row = future.result(timeout=_REACH)
     if row is not None or future.status != "error":
         return row
     error = future.exception(timeout=_REACH)
-    if isinstance(error, KilledWorker):
-        return None
-    if is_disk_full(error):
-        raise error
-    return {"member": number, "status": "failed", "error": in_one_line(error), "seconds": 0.0}
+    return None if isinstance(error, KilledWorker) else tasks.failed(number, error)
 
 
 @contextmanager
-def remote_team(scheduler: str, study: Study, folder: Path) -> Iterator[DaskTeam]:
+def remote_team(scheduler: str, tasks: Tasks) -> Iterator[DaskTeam]:
     """Yield the workers of a running scheduler.
 
     Raises
@@ -166,20 +168,51 @@ def remote_team(scheduler: str, study: Study, folder: Path) -> Iterator[DaskTeam
     InputError
         If it cannot be reached.
     """
-    from distributed import Client
-
-    with _quiet():
+    with _quiet(), _client(scheduler) as client:
+        team = DaskTeam(client, tasks, [])
         try:
-            client = Client(scheduler, timeout=_REACH, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            raise InputError("--scheduler", f"{scheduler} cannot be reached: {in_one_line(error)}") from error
-        with client:
-            yield DaskTeam(client, folder, [], *_needs(study))
+            yield team
+        finally:
+            with suppress(OSError, RuntimeError, ValueError):  # the scheduler may be lost
+                team.end()
+
+
+def check_reach(scheduler: str) -> None:
+    """See that a scheduler can be reached, before there is anything to do.
+
+    Raises
+    ------
+    InputError
+        If it cannot.
+    """
+    with _quiet(), _client(scheduler):
+        pass
 
 
 @contextmanager
-def local_team(number: int, study: Study, folder: Path) -> Iterator[DaskTeam]:
+def _client(scheduler: str) -> Iterator[Any]:
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, timeout=_REACH, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError("--scheduler", f"{scheduler} cannot be reached: {in_one_line(error)}") from error
+    with client:
+        yield client
+
+
+@contextmanager
+def local_team(number: int, tasks: Tasks, devices: list[str]) -> Iterator[DaskTeam]:
     """Yield processes of this machine that end with the block.
+
+    Parameters
+    ----------
+    number : int
+        How many.
+    tasks : Tasks
+        What they do.
+    devices : list of str
+        Over which they are spread.
 
     Raises
     ------
@@ -200,8 +233,6 @@ def local_team(number: int, study: Study, folder: Path) -> Iterator[DaskTeam]:
         "distributed.nanny.pre-spawn-environ": dask.config.get("distributed.nanny.pre-spawn-environ", {}) | environment,
         "distributed.deploy.lost-worker-timeout": "1h",  # else one that takes 15 s to start again is given up
     }
-    needs_device, device = _needs(study)
-    devices = _devices() if needs_device else []  # first, so that workers keep kernels where this process does
     with dask.config.set(settings), _quiet():
         try:
             with _deaf_to_interrupts():
@@ -212,7 +243,7 @@ def local_team(number: int, study: Study, folder: Path) -> Iterator[DaskTeam]:
         except (OSError, RuntimeError) as error:
             raise WorkersLostError(f"no worker could be started: {in_one_line(error)}") from error
         with cluster, Client(cluster, set_as_default=False) as client:
-            yield DaskTeam(client, folder, devices, needs_device, device)
+            yield DaskTeam(client, tasks, devices)
 
 
 @contextmanager
@@ -232,12 +263,6 @@ def _quiet() -> Iterator[None]:
         loop.setLevel(old)
 
 
-def _needs(study: Study) -> tuple[bool, str | None]:
-    """Return whether the members of a study need an OpenCL device, and which the scene asks for."""
-    render = study.content.get("render", {})
-    return render.get("engine", "opencl") == "opencl", render.get("device")
-
-
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
     """Have processes that are started here ignore Ctrl-C, which a terminal sends to all: this process ends them."""
@@ -254,8 +279,11 @@ def _deaf_to_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, old)
 
 
-def _devices() -> list[str]:
-    """Return the devices over which workers of this machine are to be spread: GPUs, else all of the usual platform."""
+def local_devices() -> list[str]:
+    """Return the devices over which workers of this machine are to be spread: GPUs, else all of the usual platform.
+
+    To be asked for before workers are started, so that they keep kernels where this process does.
+    """
     from clsim.opencl.device import find_device, list_devices
 
     found = list_devices()

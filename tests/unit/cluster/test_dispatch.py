@@ -1,21 +1,19 @@
-"""Which member is run when: none is blamed for another, none waits for ever. The workers are make-believe."""
+"""Which task is done when: none is blamed for another, none waits for ever. The workers are make-believe."""
 
 import itertools
 import random
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from clsim.cluster import dispatch as dispatch_module
+from clsim.cluster.dispatch import Dispatch, WorkersLostError
+from clsim.cluster.workers import Workers
 from clsim.errors import InputError
-from clsim.study import dispatch as dispatch_module
-from clsim.study.dispatch import Dispatch, WorkersLostError
-from clsim.study.run import _run
-from clsim.workflow.console import no_progress
 
 
 class MadeTeam:
@@ -71,17 +69,17 @@ class MadeTeam:
                 return None
             del self.running[number]
             self.finished.append(number)
-            return number, {"member": number, "status": "finished"}
+            return number, {"status": "finished"}
         return None
 
 
 def run(team: MadeTeam, members: int, **options: Any) -> dict[int, dict[str, Any]]:
     def found(number: int) -> dict[str, Any] | None:
-        return {"member": number, "status": "finished"} if number in team.stored else None
+        return {"status": "finished"} if number in team.stored else None
 
     rows = list(Dispatch(list(range(members)), **options).rows(team, found))
-    assert sorted(row["member"] for row in rows) == list(range(members)), "each has one row"
-    return {row["member"]: row for row in rows}
+    assert sorted(number for number, _ in rows) == list(range(members)), "each has one row"
+    return dict(rows)
 
 
 @pytest.mark.parametrize("threads", [1, 4])
@@ -117,6 +115,15 @@ def test_workers_killed_at_random_blame_nobody(seed: int) -> None:
     assert set(Counter(team.finished).values()) == {1}
 
 
+def test_what_becomes_ready_comes_before_what_waits() -> None:
+    team, dispatch = MadeTeam(1), Dispatch([0, 10, 20])
+    for number, _ in dispatch.rows(team, lambda number: None):
+        if number % 10 < 2:
+            dispatch.add(number + 1)
+    assert team.finished == [0, 1, 2, 10, 11, 12, 20, 21, 22]
+    assert dispatch.left == 0
+
+
 def test_what_was_stored_before_its_worker_died_is_done() -> None:
     team = MadeTeam(1, kills=lambda number, beside: team.stored.add(number) or number == 1)
     assert {row["status"] for row in run(team, 3).values()} == {"finished"}
@@ -150,7 +157,7 @@ def test_nothing_waits_for_ever_without_workers(monkeypatch: pytest.MonkeyPatch,
         until_they_leave()
     assert dispatch.left == 3 - len(rows)
     rows += dispatch.rows(MadeTeam(1), lambda number: None)  # another team goes on
-    assert sorted(row["member"] for row in rows) == [0, 1, 2]
+    assert sorted(number for number, _ in rows) == [0, 1, 2]
 
 
 class Leaving(MadeTeam):
@@ -161,7 +168,7 @@ class Leaving(MadeTeam):
 
 
 def run_with(monkeypatch: pytest.MonkeyPatch, teams: Iterator[MadeTeam | None], scheduler: str | None) -> list[int]:
-    """Run three members by team after team, None for one that does not start; return what was done with."""
+    """Do three tasks by team after team, None for one that does not start; return what was done with."""
 
     @contextmanager
     def made(*_: Any) -> Iterator[MadeTeam]:
@@ -170,13 +177,11 @@ def run_with(monkeypatch: pytest.MonkeyPatch, teams: Iterator[MadeTeam | None], 
             raise WorkersLostError("no worker could be started")
         yield team
 
-    monkeypatch.setattr("clsim.study.cluster.local_team", made)
-    monkeypatch.setattr("clsim.study.cluster.remote_team", made)
-    rows: list[int] = []
-    index = SimpleNamespace(add=lambda row: rows.append(row["member"]), found=lambda number: None)
-    workers = None if scheduler else 1
-    _run(None, Dispatch([0, 1, 2], patience=0.0), index, Path(), workers, scheduler, no_progress)
-    return rows
+    monkeypatch.setattr("clsim.cluster.team.local_team", made)
+    monkeypatch.setattr("clsim.cluster.team.remote_team", made)
+    tasks: Any = SimpleNamespace(found=lambda number: None)
+    workers = Workers(None if scheduler else 1, scheduler)
+    return [number for number, _ in workers.rows(Dispatch([0, 1, 2], patience=0.0), tasks, [])]
 
 
 def test_processes_that_do_not_come_back_are_started_again(monkeypatch: pytest.MonkeyPatch) -> None:

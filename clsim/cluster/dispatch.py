@@ -1,4 +1,4 @@
-"""Which member of a study is run when and by which worker, so that none is blamed for what another one did."""
+"""Which task is done when and by which worker, so that none is blamed for what another one did."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from clsim.errors import ClsimError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+Row = dict[str, Any]  # what became of a task: "status" ("finished", "failed"), "error", "seconds", and what is its own
+Call = tuple["Callable[..., Any]", tuple[Any, ...]]  # a function and its arguments, for a worker
+
 PATIENCE = 60.0  # s without a worker
-_TOGETHER = 2  # times that a member is run beside others though its worker died
-_ALONE = 3  # times that it is run alone after that
+_TOGETHER = 2  # times that a task is done beside others though its worker died
+_ALONE = 3  # times that it is done alone after that
 _TICK = 0.25  # s after which the workers are looked at
 
 
@@ -21,40 +24,70 @@ class WorkersLostError(ClsimError):
     """There was no worker for too long."""
 
 
+class Tasks(Protocol):
+    """Numbered tasks, each a call that any worker can make.
+
+    Attributes
+    ----------
+    kind : str
+        What they are, a word.
+    several : bool
+        Whether a process does several at a time, if it has threads for them.
+    """
+
+    kind: str
+    several: bool
+
+    def check(self) -> Call:
+        """Return what a new worker is asked; it tells what keeps it from working, or "", and if that is its device."""
+
+    def call(self, number: int) -> Call:
+        """Return what a worker is to call, with its device as the last argument; that returns the task's row."""
+
+    def found(self, number: int) -> Row | None:
+        """Return the row of a task whose results are there, although its worker died before it could say so."""
+
+    def failed(self, number: int, error: BaseException) -> Row:
+        """Return the row of a task that raised an error, or raise it."""
+
+    def over(self) -> Call | None:
+        """Take note that nothing more is wanted; return what workers are to be asked, and waited for, if anything."""
+
+
 class Team(Protocol):
-    """Processes that run members."""
+    """Processes that do tasks."""
 
     def workers(self) -> dict[str, int]:
-        """Return the workers that are there, and how many members each runs at a time."""
+        """Return the workers that are there, and how many tasks each does at a time."""
 
     def begin(self, number: int, worker: str) -> None:
-        """Have a worker, and no other, run a member."""
+        """Have a worker, and no other, do a task."""
 
     def forget(self, number: int) -> None:
-        """Want nothing more of a member whose worker died."""
+        """Want nothing more of a task whose worker died."""
 
-    def done(self, seconds: float) -> tuple[int, dict[str, Any] | None] | None:
-        """Return a member that is done with and its row, None if its worker died; None if there is none in time."""
+    def done(self, seconds: float) -> tuple[int, Row | None] | None:
+        """Return a task that is done with and its row, None if its worker died; None if there is none in time."""
 
 
 class Dispatch:
-    """Members that are still to be run.
+    """Tasks that are still to be done.
 
-    A worker is given only what it begins at once. If it dies, what it was at is run again; a member whose workers go on
-    dying is run with nothing else beside it, when all others are done with. Only what dies then too is given up: it
+    A worker is given only what it begins at once. If it dies, what it was at is done again; a task whose workers go on
+    dying is done with nothing else beside it, when all others are done with. Only what dies then too is given up: it
     needs more than there is, or ends its process.
 
     Parameters
     ----------
     todo : list of int
-        Numbers of members.
+        Numbers of tasks.
     patience : float
         Longest time without a worker, s.
 
     Attributes
     ----------
     left : int
-        How many members are not done with.
+        How many tasks are not done with.
     begun : bool
         Whether any was given to a worker.
     """
@@ -67,15 +100,20 @@ class Dispatch:
         self._deaths: Counter[int] = Counter()
         self._patience = patience
 
-    def rows(self, team: Team, found: Callable[[int], dict[str, Any] | None]) -> Iterator[dict[str, Any]]:
-        """Run the members that are left; yield the row of each as soon as it is known.
+    def add(self, number: int) -> None:
+        """Take one more task, to be done before those that wait: between two rows, too."""
+        self._waiting.appendleft(number)
+        self.left += 1
+
+    def rows(self, team: Team, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
+        """Have the tasks done that are left; yield number and row of each as soon as it is known.
 
         Parameters
         ----------
         team : Team
-            That runs them.
+            That does them.
         found : callable
-            Returns the row of a member whose results are there, although its worker died before it could say so.
+            As of `Tasks`.
 
         Raises
         ------
@@ -104,7 +142,7 @@ class Dispatch:
                 yield self._settled(number, row)
 
     def _chosen(self, there: dict[str, int]) -> Iterator[tuple[int, str]]:
-        """Yield what is to be begun, and by whom: members on all free workers, or a suspect on one of them."""
+        """Yield what is to be begun, and by whom: tasks on all free workers, or a suspect on one of them."""
         busy = Counter(self._running.values())
         free = [worker for worker, count in there.items() for _ in range(count - busy[worker])]
         if self._waiting:
@@ -113,8 +151,8 @@ class Dispatch:
         elif self._suspects and not self._running and free:
             yield self._suspects.popleft(), free[0]
 
-    def _died(self, number: int, found: Callable[[int], dict[str, Any] | None]) -> Iterator[dict[str, Any]]:
-        """Have a member whose worker died run again, or yield its row if it is done with."""
+    def _died(self, number: int, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
+        """Have a task whose worker died done again, or yield its row if it is done with."""
         row = found(number)
         if row is not None:
             yield self._settled(number, row)
@@ -122,16 +160,15 @@ class Dispatch:
         del self._running[number]
         self._deaths[number] += 1
         if self._deaths[number] < _TOGETHER:
-            self._waiting.append(number)
+            self._waiting.appendleft(number)
         elif self._deaths[number] < _TOGETHER + _ALONE:
             self._suspects.append(number)
         else:
             deaths = f"its worker died {self._deaths[number]} times, the last {_ALONE} while it ran nothing else"
-            yield self._settled(
-                number, {"member": number, "status": "failed", "error": f"{deaths} (out of memory?)", "seconds": 0.0}
-            )
+            row = {"status": "failed", "error": f"{deaths} (out of memory?)", "seconds": 0.0}
+            yield self._settled(number, row)
 
-    def _settled(self, number: int, row: dict[str, Any]) -> dict[str, Any]:
+    def _settled(self, number: int, row: Row) -> tuple[int, Row]:
         self._running.pop(number, None)
         self.left -= 1
-        return row
+        return number, row

@@ -1,0 +1,203 @@
+"""What is kept of a member of a study: sound, ground truth, paths, and what the user's function makes of them."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import sys
+from collections import deque
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.opencl.device import find_device
+from clsim.output.raw_rows import SampleFile
+from clsim.output.stores import STORES, texts
+from clsim.recording import Recording
+from clsim.render.rendering import Rendering
+from clsim.scene_file.scene import build_scene
+from clsim.study.file import TAKEN
+from clsim.workflow.checkpoint import run_identity
+from clsim.workflow.pipeline import check_table_size, plan_scene, table_times
+from clsim.workflow.streaming import render_into
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from clsim.output.stores import SoundStore
+    from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.path_table import PathTable
+    from clsim.scene.scene import Scene
+    from clsim.study.file import Member, Study
+    from clsim.workflow.pipeline import PlannedScene
+    from clsim.workflow.streaming import Sink
+
+_OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
+
+
+def computed(study: Study, member: Member, device: str | None, folder: Path) -> tuple[Any, Path, str]:
+    """Render a member into a group, if its sound is kept.
+
+    Parameters
+    ----------
+    study, member : Study, Member
+        Which.
+    device : str or None
+        On which; None for the scene's, or the best.
+    folder : Path
+        Empty, for the group and for what is needed in between.
+
+    Returns
+    -------
+    content : xarray.Dataset
+        All that is kept, but for the sound.
+    group : Path
+        The Zarr group that holds the sound, or will hold the content alone.
+    device : str
+        The OpenCL device that was used, by id and name; "" for none.
+
+    Raises
+    ------
+    InputError
+        If something breaks a rule.
+    """
+    file = build_scene(study.content_of(member), study.base)
+    planned = plan_scene(file if device is None else file.on_device(device))
+    plan, sound = planned.plan, planned.stored_sound(study.base)
+    content = sound.coordinates()
+    content.attrs |= {
+        "parameters": json.dumps(member.parameters), "identity": json.dumps(run_identity(planned)),
+    }  # fmt: skip
+    store = STORES["zarr"](folder, sound, ())
+    recording = _recorded(planned, store if "recording" in study.keep else None, folder if study.metrics else None)
+    if "ground_truth" in study.keep or "paths" in study.keep:
+        _add_tables(content, study, planned)
+    if study.metrics:
+        function = metrics_function(study.metrics, study.folder)
+        metrics = function(recording, planned.paths, dict(member.parameters))
+        _add_metrics(content, metrics, {*TAKEN, *member.parameters})
+    used = None if plan.options.engine != "opencl" else find_device(plan.options.device)[0]
+    return content, store.paths[0], "" if used is None else f"{used.id} {used.name}"
+
+
+def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | None) -> Recording | None:
+    """Render into a store, and into a file of a folder, from which the recording is read; None is neither."""
+    plan, rendering = planned.plan, Rendering(planned.plan)
+    sinks: list[Sink] = []
+    if store is not None:
+        store.create()
+        sinks.append(store)
+    file = None
+    if folder is not None:
+        shape = plan.receiver_count, plan.samples
+        file = SampleFile(folder / "samples", shape, np.dtype(plan.sample_type).str)
+        sinks.append(file)
+    if sinks:
+        deque(render_into(sinks, plan, rendering), maxlen=0)
+    if file is None:
+        return None
+    notes = (*plan.describe(), *rendering.describe())
+    return Recording(
+        file.samples(), plan.sampling_rate, plan.tracks.receiver_names, planned.paths, notes, plan.units,
+        rendering.clipped, plan.carrier,
+    )  # fmt: skip
+
+
+def _add_tables(content: Any, study: Study, planned: PlannedScene) -> None:
+    if "paths" in study.keep:
+        check_table_size(planned.plan, "keep", 'must leave out "paths"')
+    times = table_times(planned.plan, study.table_rate, "table_rate")
+    if "ground_truth" in study.keep:
+        _add_ground_truth(content, planned.ground_truth(times), planned.paths.scene)
+    if "paths" in study.keep:
+        _add_paths(content, planned.path_table(times))
+
+
+def _add_ground_truth(content: Any, found: DirectPath, scene: Scene) -> None:
+    over = ("source", "receiver", "times")
+    content.coords["times"] = ("times", found.times, _OF_RECEPTION)
+    content.coords["source"] = texts(s.name for s in scene.sources)
+    content["delay"] = (over, found.delay, {"units": "s"})
+    content["doppler_factor"] = (over, found.doppler_factor)
+    content["line_of_sight"] = (over, found.line_of_sight)
+    content["radial_speed"] = (over, found.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
+
+
+def _add_paths(content: Any, table: PathTable) -> None:
+    content.coords["times"] = ("times", table.times, _OF_RECEPTION)
+    for name in ("source", "receiver", "order", "direct"):
+        content[f"path_{name}"] = ("path", getattr(table, name))
+    content["path_interactions"] = (("path", "interaction"), table.interactions)
+    content["path_objects"] = (("path", "interaction"), table.objects, {"names": list(table.object_names)})
+    for name in ("delay", "doppler_factor", "doppler_shift", "gain"):
+        content[f"path_{name}"] = (("path", "times"), getattr(table, name))
+    for name in ("departure", "arrival"):
+        content[f"path_{name}"] = (("path", "times", "axis"), getattr(table, name))
+
+
+def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
+    """Add what the user's function returned: numbers, arrays, or arrays with dimensions of their own.
+
+    Raises
+    ------
+    InputError
+        If it is no dict of such.
+    """
+    import xarray
+
+    if not isinstance(found, dict):
+        raise InputError("metrics", f"must return a dict, but returned {found!r:.80}")
+    receivers = content.sizes["receiver"]
+    for name, value in found.items():
+        if not isinstance(name, str) or not name.isidentifier() or name in taken | set(content.variables):
+            raise InputError("metrics", f"must return names that are not taken yet, but returned {name!r:.80}")
+        if isinstance(value, xarray.DataArray):
+            content[name] = value
+            continue
+        array = np.asarray(value)
+        if array.dtype.kind not in "biufc":
+            raise InputError("metrics", f"must return numbers, but {name} is {value!r:.80}")
+        over = [f"{name}_{i}" for i in range(array.ndim)]
+        if array.ndim and array.shape[0] == receivers:
+            over[0] = "receiver"
+        content[name] = (over, array)
+    content.attrs["metrics"] = list(found)
+
+
+def metrics_function(name: str, folder: Path) -> Callable[..., dict[str, Any]]:
+    """Return the function ``"module:function"``; a module beside the study file comes before installed ones.
+
+    Raises
+    ------
+    InputError
+        If there is none, or its module fails.
+    """
+    module, _, function = name.partition(":")
+    file = folder / f"{module}.py"
+    try:
+        found: Callable[..., dict[str, Any]] = getattr(
+            _module(module, file, file.stat().st_mtime_ns if file.exists() else 0), function
+        )
+    except Exception as error:
+        raise InputError("metrics", f"{name!r} cannot be loaded: {type(error).__name__}: {error}") from error
+    if not callable(found):
+        raise InputError("metrics", f"must be a function, but {name!r} is {found!r:.80}")
+    return found
+
+
+@lru_cache(maxsize=8)
+def _module(name: str, file: Path, changed: int) -> Any:
+    """Return a module from a file of its own, else the installed one."""
+    if not changed:
+        return importlib.import_module(name)
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module

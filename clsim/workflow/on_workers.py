@@ -1,0 +1,218 @@
+"""One run cut into pieces for many workers, and what is whole of it at any moment."""
+
+from __future__ import annotations
+
+import re
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+from clsim.cluster.dispatch import Dispatch
+from clsim.errors import ClsimError, warn
+from clsim.files.atomic import remove_leftovers
+from clsim.render.memory import within_memory
+from clsim.render.receiver_chain import ReceiverChain
+from clsim.render.rendering import PressureSum
+from clsim.workflow.pieces import Handed, Piece, PlanFile, check_worker, device_of, do_piece, idle, versions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from clsim.cluster.dispatch import Call, Row
+    from clsim.cluster.workers import Workers
+    from clsim.output.stores import SoundStore
+    from clsim.render.contributions import State
+    from clsim.render.plan import Plan
+
+_WORTH = 2e9  # path-samples of a piece, about: seconds, so that handing it out costs nothing
+_PIECES = 64  # into which a run is cut at least along time, as far as it has chunks
+_BLOCKS = 2  # of receivers for each worker
+_UNKNOWN = 16  # workers that a scheduler is taken to have
+
+
+def render_on_workers(
+    workers: Workers,
+    folder: Path,
+    plan: Plan,
+    store: SoundStore,
+    begun: tuple[int, State],
+    note: Callable[[int, State], None],
+    advance: Callable[[float], None],
+) -> None:
+    """Render a plan into a store by workers, from where it was.
+
+    Parameters
+    ----------
+    workers : Workers
+        Who do it.
+    folder : Path
+        Of what is not whole yet, which they see.
+    plan : Plan
+        What to render.
+    store : SoundStore
+        Created; one that is written by regions.
+    begun : (int, dict)
+        Samples that are there, and what was remembered behind them.
+    note : callable
+        Called with the same, whenever more is there without a gap, on the disk itself.
+    advance : callable
+        Called with samples that were rendered.
+
+    Raises
+    ------
+    ClsimError
+        If a piece cannot be rendered, or workers are lost.
+    """
+    here = workers.count()
+    handed = Handed.of(plan, store, _BLOCKS * (here or _UNKNOWN))
+    with within_memory(plan.largest_field, f"rendering by {here} processes", here * plan.memory_bytes):
+        remove_leftovers(folder)
+    pieces = Pieces(handed, PlanFile.write(folder, handed), *begun)
+    dispatch, told = Dispatch(pieces.todo()), set[str]()
+    try:
+        with closing(workers.at_most(pieces.count).rows(dispatch, pieces, _devices(workers, plan))) as rows:
+            for number, row in rows:
+                if row["status"] == "failed":
+                    piece = pieces.piece(number)
+                    raise ClsimError(f"samples {piece.first} to {piece.last} were not rendered: {row['error']}")
+                _tell(row["warnings"], told)
+                for ready in pieces.settle(number, row["state"]):
+                    dispatch.add(ready)
+                advance(pieces.rendered(number))
+                note(*pieces.whole())
+    finally:
+        pieces.file.remove()
+    receivers = ReceiverChain(plan)
+    receivers.restore(pieces.whole()[1])
+    receivers.warn()
+
+
+def _tell(warnings: list[str], told: set[str]) -> None:
+    """Warn of what pieces warned of: each has its own numbers, and the first stands for all."""
+    for text in warnings:
+        without_numbers = re.sub(r"[\d.]+", "", text)
+        if without_numbers not in told:
+            told.add(without_numbers)
+            warn(text)
+
+
+def _devices(workers: Workers, plan: Plan) -> list[str]:
+    """Return devices of this machine over which its workers are spread: those of the kind that the plan is for."""
+    from clsim.cluster.team import local_devices
+    from clsim.render.planning import on_device
+
+    if workers.scheduler is not None or plan.options.engine != "opencl" or plan.options.device is not None:
+        return []
+    kind = device_of(plan)
+    return [device for device in local_devices() if device_of(on_device(plan, device)) == kind]
+
+
+class Pieces:
+    """All pieces of a run, which of them can be done, and what is whole.
+
+    Pieces are numbered stretch by stretch: pressure first, then each block of receivers in which something rings on.
+    A chain is a block's pieces, or those of pressure where a contribution remembers something.
+
+    Parameters
+    ----------
+    handed : Handed
+        What workers have.
+    file : PlanFile
+        From which.
+    done : int
+        Samples that are there.
+    state : dict of ndarray, of any shape
+        What was remembered behind them.
+    """
+
+    kind, several = "piece", False
+
+    def __init__(self, handed: Handed, file: PlanFile, done: int, state: State) -> None:
+        plan = handed.plan
+        self.file, self._plan, self._later = file, plan, handed.later()
+        chunks = -(-(plan.samples - done) // plan.chunk)
+        worth = round(_WORTH / (max(plan.path_count, 1) * plan.chunk))
+        step = plan.chunk * max(1, min(worth, chunks // _PIECES))
+        self._edges = [*range(done, plan.samples, step), plan.samples]
+        self._rendered: set[int] = set()  # stretches whose pressure is there
+        self._next = [0] * (1 + len(self._later))  # stretch before which all are there, of pressure and each block
+        self._states: list[dict[int, State]] = [{0: state} for _ in self._next]
+        self._is_chain = bool(PressureSum(plan).state())
+
+    @property
+    def count(self) -> int:
+        """Number of pieces."""
+        return (len(self._edges) - 1) * len(self._next)
+
+    def todo(self) -> list[int]:
+        """Return the pieces that can be done at once."""
+        every = range(0, self.count, len(self._next))
+        return list(every[:1] if self._is_chain else every)
+
+    def piece(self, number: int) -> Piece:
+        """Return a piece."""
+        stretch, chain = divmod(number, len(self._next))
+        first, last = self._edges[stretch : stretch + 2]
+        return Piece(first, last, self._later[chain - 1] if chain else None)
+
+    def rendered(self, number: int) -> int:
+        """Return how many samples of pressure a piece adds."""
+        piece = self.piece(number)
+        return 0 if piece.receivers is not None else piece.last - piece.first
+
+    def check(self) -> Call:
+        """Return a call of `check_worker`."""
+        return check_worker, (self.file, device_of(self._plan), versions())
+
+    def call(self, number: int) -> Call:
+        """Return a call of `do_piece` with what is remembered before it."""
+        stretch, chain = divmod(number, len(self._next))
+        state = self._states[chain][stretch] if chain or self._is_chain else {}
+        mine = [f"receivers.{i}." for i in self._later[chain - 1]] if chain else ["contribution"]
+        return do_piece, (
+            self.file, self.piece(number), {n: v for n, v in state.items() if n.startswith(tuple(mine))},
+        )  # fmt: skip
+
+    def found(self, number: int) -> Row | None:
+        """Return nothing: only what a worker tells is known of a piece."""
+        return None
+
+    def failed(self, number: int, error: BaseException) -> Row:
+        """Raise the error: no other worker would do better."""
+        raise error
+
+    def over(self) -> Call:
+        """Have workers write nothing more; return a call that waits until they do not."""
+        self.file.remove()
+        return idle, ()
+
+    def settle(self, number: int, state: State) -> list[int]:
+        """Take a piece as done; return those that can be done now."""
+        stretch, chain = divmod(number, len(self._next))
+        ready = []
+        if chain == 0:
+            self._rendered.add(stretch)
+            while self._next[0] in self._rendered:
+                self._next[0] += 1
+            ready = [number + k for k in range(1, len(self._next)) if self._next[k] == stretch]
+        else:
+            piece = self.piece(number)
+            assert piece.receivers is not None
+            for start in range(piece.first, piece.last, self._plan.chunk):
+                self.file.between(start, piece.receivers).unlink(missing_ok=True)
+            self._next[chain] += 1
+        following = number + len(self._next)
+        self._states[chain][stretch + 1] = state
+        if stretch + 2 < len(self._edges) and (self._is_chain if chain == 0 else stretch + 1 in self._rendered):
+            ready.append(following)
+        return ready
+
+    def whole(self) -> tuple[int, State]:
+        """Return how many samples are there without a gap, and what is remembered behind them."""
+        stretch = min(self._next)
+        state: State = {}
+        for states in self._states:
+            for old in [at for at in states if at < stretch]:
+                del states[old]
+            state |= states.get(stretch, {})
+        return self._edges[stretch], state

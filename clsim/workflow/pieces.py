@@ -1,0 +1,311 @@
+"""Pieces of a run, as a worker does them: pressure for a stretch of time, or what some receivers make of it.
+
+All workers have one plan, from one file: nothing is planned twice, and nothing can be planned otherwise. Pressure is
+cut along time, at chunks: it does not depend on what was before. What rings on in receivers' ends does, so for each
+block of receivers there is a chain of pieces, each of which is handed what the one before remembered; pressure waits
+for it in files. Pressure is not cut along receivers: the lengths of blocks are chosen for a batch of receivers at once,
+so another batch would change it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import pickle
+import threading
+import time
+import warnings
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from clsim.errors import ClsimError, ClsimWarning, DeviceError, in_one_line
+from clsim.files.atomic import atomic_path, safe_path, temporary_path
+from clsim.opencl.device import find_device
+from clsim.render.memory import within_memory
+from clsim.render.planning import on_device
+from clsim.render.receiver_chain import ReceiverChain, receivers_with_ends
+from clsim.render.rendering import PressureSum
+from clsim.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from clsim.cluster.dispatch import Row
+    from clsim.output.stores import SoundStore
+    from clsim.render.contributions import State
+    from clsim.render.plan import Plan
+
+_busy = threading.Lock()  # a process does one piece at a time: engines are not shared
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what samples depend on."""
+    import scipy
+
+    return {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
+
+
+def device_of(plan: Plan) -> str:
+    """Return the kind of device on which a plan is rendered here, with its driver.
+
+    Raises
+    ------
+    DeviceError
+        If it is missing.
+    """
+    if plan.options.engine != "opencl":
+        return "none"
+    info, _ = find_device(plan.options.device)
+    return f"{info.name} ({info.platform}, {info.version})"
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Some chunks of a run.
+
+    Attributes
+    ----------
+    first, last : int
+        Samples, the last one not among them.
+    receivers : range or None
+        Whose ends are to take the pressure; None for the pressure itself.
+    """
+
+    first: int
+    last: int
+    receivers: range | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Handed:
+    """What all workers of a run have of it.
+
+    Attributes
+    ----------
+    plan : Plan
+        What is rendered.
+    store : SoundStore
+        Into which; created.
+    blocks : tuple of range
+        Receivers whose samples are written together.
+    blas_threads : int
+        Of the linear algebra, where the run is begun: on others it may round otherwise.
+    """
+
+    plan: Plan
+    store: SoundStore
+    blocks: tuple[range, ...]
+    blas_threads: int
+
+    @classmethod
+    def of(cls, plan: Plan, store: SoundStore, blocks: int) -> Handed:
+        """Return what workers are to have, with receivers in so many blocks."""
+        edges = np.linspace(0, plan.receiver_count, min(blocks, plan.receiver_count) + 1).astype(int).tolist()
+        threads = [int(pool["num_threads"]) for pool in threadpool_info() if pool["user_api"] == "blas"]
+        return cls(plan, store, tuple(map(range, edges[:-1], edges[1:])), max(threads, default=1))
+
+    def later(self) -> list[range]:
+        """Return the blocks in which something rings on, whose pieces are a chain."""
+        ends = receivers_with_ends(self.plan)
+        return [block for block in self.blocks if any(i in block for i in ends)]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFile:
+    """A file from which workers take a run; what they write for each other stands beside it.
+
+    Attributes
+    ----------
+    path : str
+        The same on all machines.
+    digest : str
+        SHA-256 of what it holds.
+    """
+
+    path: str
+    digest: str
+
+    @classmethod
+    def write(cls, folder: Path, handed: Handed) -> PlanFile:
+        """Write one into a folder of what is not whole yet."""
+        content, path = pickle.dumps(handed, pickle.HIGHEST_PROTOCOL), temporary_path(folder.absolute() / "run.plan")
+        with safe_path(path) as temporary:
+            temporary.write_bytes(content)
+        return cls(str(path), hashlib.sha256(content).hexdigest())
+
+    def load(self) -> Handed:
+        """Return what it holds.
+
+        Raises
+        ------
+        ClsimError
+            If it holds another plan.
+        """
+        content = Path(self.path).read_bytes()
+        if hashlib.sha256(content).hexdigest() != self.digest:
+            raise ClsimError(f"{self.path} must hold the plan of this run, but holds another one")
+        handed: Handed = pickle.loads(content)
+        return handed
+
+    def between(self, start: int, block: range) -> Path:
+        """Return the file in which a block's pressure, for the chunk from `start` on, waits for its receivers."""
+        path = Path(self.path)
+        return path.with_name(f"{path.stem}.{start}-{block.start}.npy")
+
+    def remove(self) -> None:
+        """Delete it and all that stands beside it; a worker that is still at this run writes nothing any more."""
+        path = Path(self.path)
+        path.unlink(missing_ok=True)
+        for left in path.parent.glob(f"{path.stem}.*"):
+            left.unlink(missing_ok=True)
+
+
+def check_worker(plan: PlanFile, device: str, wanted: dict[str, str]) -> tuple[str, bool]:
+    """Return what keeps a worker from rendering like the others, or "", and whether that is its device.
+
+    Parameters
+    ----------
+    plan : PlanFile
+        What it will render.
+    device : str
+        From `device_of`, where the run is begun.
+    wanted : dict of str
+        From `versions`, there.
+    """
+    for name, mine in versions().items():
+        if mine != wanted[name]:
+            return f"must have {name} {wanted[name]}, with which the run was begun, but has {mine}", False
+    if not Path(plan.path).exists():
+        folder = Path(plan.path).parents[1]
+        return f"must see {folder} under the same path, but does not", False
+    try:
+        here = device_of(_handed(plan).plan)
+    except Exception as error:
+        return in_one_line(error), isinstance(error, DeviceError)
+    return ("" if here == device else f"must render on {device}, with which the run was begun, but has {here}"), False
+
+
+def do_piece(plan: PlanFile, piece: Piece, state: State, device: str | None) -> Row:
+    """Render a piece into the store, on the disk itself; return its row with what the next one is to remember.
+
+    Parameters
+    ----------
+    plan : PlanFile
+        Of the run.
+    piece : Piece
+        Which.
+    state : dict of ndarray, of any shape
+        What the piece before remembered; empty where nothing is.
+    device : str or None
+        Of this machine; None for the plan's, or the best.
+
+    Raises
+    ------
+    ClsimError
+        If the run is over, or what is rendered breaks a rule.
+    OSError
+        If the disk is full.
+    """
+    begun = time.process_time()
+    with _busy, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", ClsimWarning)
+        site = _site(plan, device)
+        rendered = site.handed.plan
+        with (
+            within_memory(rendered.largest_field, "rendering", rendered.memory_bytes),
+            threadpool_limits(site.handed.blas_threads, "blas"),
+        ):
+            remembered = site.do(piece, state)
+    told = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
+    seconds = time.process_time() - begun
+    return {"status": "finished", "state": remembered, "warnings": told, "seconds": seconds}
+
+
+async def idle() -> None:
+    """Wait until this worker does no piece any more."""
+    while _busy.locked():
+        await asyncio.sleep(0.02)
+
+
+@lru_cache(maxsize=1)
+def _handed(plan: PlanFile) -> Handed:
+    return plan.load()
+
+
+@lru_cache(maxsize=1)
+def _site(plan: PlanFile, device: str | None) -> _Site:
+    return _Site(plan, device)
+
+
+class _Site:
+    """What a worker keeps of a run from piece to piece."""
+
+    def __init__(self, plan: PlanFile, device: str | None) -> None:
+        self.handed, self._file = _handed(plan), plan
+        self._plan = on_device(self.handed.plan, device)
+        self._later = self.handed.later()
+        self._pressure: PressureSum | None = None
+        self._chains: dict[range, ReceiverChain] = {}
+
+    def do(self, piece: Piece, state: State) -> State:
+        """Do a piece; return what the next one is to remember."""
+        store = self.handed.store
+        store.open()
+        try:
+            remembered = self._sum(piece, state) if piece.receivers is None else self._taken(piece, state)
+            store.to_disk()
+        finally:
+            store.close()
+        return remembered
+
+    def _sum(self, piece: Piece, state: State) -> State:
+        """Render pressure; write what is sound by that, and leave the rest to the receivers' pieces."""
+        if self._pressure is None:
+            self._pressure = PressureSum(self._plan)
+        if state:
+            self._pressure.restore(state)
+        self._pressure.until(piece.last)
+        for start in self._chunks(piece):
+            pressure = self._pressure(start)
+            for block in self.handed.blocks:
+                here = pressure[block.start : block.stop]
+                if block in self._later:
+                    with atomic_path(self._file.between(start, block)) as path:
+                        np.save(path, here)
+                else:
+                    self._write(start, ReceiverChain(self._plan, block)(start, here), block)
+        self._pressure.warn()
+        return self._pressure.state()
+
+    def _taken(self, piece: Piece, state: State) -> State:
+        """Have receivers take pressure that others rendered."""
+        block = piece.receivers
+        assert block is not None
+        if block not in self._chains or not state:
+            self._chains[block] = ReceiverChain(self._plan, block)
+        chain = self._chains[block]
+        if state:
+            chain.restore(state)
+        for start in self._chunks(piece):
+            self._write(start, chain(start, np.load(self._file.between(start, block), allow_pickle=False)), block)
+        return chain.state()
+
+    def _chunks(self, piece: Piece) -> Iterator[int]:
+        for start in range(piece.first, piece.last, self._plan.chunk):
+            self._check_on()
+            yield start
+
+    def _write(self, start: int, samples: Any, block: range) -> None:
+        self._check_on()
+        self.handed.store.write(start, samples, block.start)
+
+    def _check_on(self) -> None:
+        """See that the run goes on: another one may have begun where it was."""
+        if not Path(self._file.path).exists():
+            raise ClsimError("the run is over")
