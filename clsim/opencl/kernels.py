@@ -64,7 +64,7 @@ def _both(kind: str, shape: str) -> Argument:
 
 _INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
-_TRIPLES = ("common/triple.h",)
+_TRIPLES = ("common/triple.h", "common/side_by_side.h")
 _PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _POLYNOMIALS = ("common/polynomials.h",)
@@ -132,7 +132,7 @@ _INTERVALS = {
     "resolution": _DOUBLE, "smallest_move": _DOUBLE, "graze": _DOUBLE, "budget": _INT,
     "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
 }  # fmt: skip
-_DELAY_CONSTANTS = {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}
+_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
 
@@ -177,7 +177,7 @@ PROGRAMS = {
             "speed_of_sound": _DOUBLE,
             "delays": _out("double", "ends, 2, slots"),
         },
-        frozenset(_DELAY_CONSTANTS),
+        frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL"}),
     ),
     "tracks": Program(
         (
@@ -192,6 +192,7 @@ PROGRAMS = {
             *_POLYNOMIALS,
             "nodes/septic.h",
             "nodes/block.h",
+            "nodes/smooth.h",
             *_MASK,
             "nodes/activity.h",
             "nodes/tracks.cl",
@@ -220,6 +221,7 @@ PROGRAMS = {
             "emitted_first": _DOUBLE,
             "emitted_last": _DOUBLE,
             "angular_frequency": _FLOAT,
+            "smooth": _FLOAT,
             "wall_tables": _in("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
             "source_directivity": _in("bins", "a table"),
             "receiver_directivities": _in("bins", "tables"),
@@ -241,7 +243,6 @@ PROGRAMS = {
             | {
                 "BLOCK",
                 "WALK",
-                "NODES_AT_ONCE",
                 "SUBBLOCK",
                 "FINE",
                 "OVERSAMPLING",
@@ -263,6 +264,7 @@ PROGRAMS = {
                 "AXIAL",
                 "SPHERICAL",
                 "GAIN_ERROR",
+                "SMOOTH_ERROR",
             }
         ),
     ),

@@ -100,7 +100,7 @@ class DeviceSearch:
         states = self._beginning(query.first[receiver], query.last[receiver])
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
-            "STATIC_RECEIVERS": 0, "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
+            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
             "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
             "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
             "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),

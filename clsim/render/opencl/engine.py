@@ -103,14 +103,20 @@ class OpenclEngine:
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._makers: dict[PathFamily | None, NodeMaker] = {}  # None: the host, whatever the kind of paths
 
-    def render(self, start: int, stop: int) -> NDArray[np.float32]:
+    def render(self, start: int, stop: int) -> NDArray[Any]:
         """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
+        pressure = np.zeros((self._plan.receiver_count, stop - start), dtype=self._plan.sample_type)
+        self.add(pressure, start)
+        return pressure
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what is heard from sample `start` on, a whole number of segments, to the pressure (receivers, n), Pa."""
         import pyopencl as cl
 
         most = self.limits.most_samples
         try:
-            pieces = [self._render(at, min(at + most, stop)) for at in range(start, stop, most)]
-            return pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=1)
+            for first in range(0, pressure.shape[1], most):
+                self._add(pressure[:, first : first + most], start + first)
         except cl.Error as error:
             raise DeviceError(
                 f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
@@ -164,13 +170,14 @@ class OpenclEngine:
         """What renders a batch of receivers."""
         return Run
 
-    def _render(self, start: int, stop: int) -> NDArray[np.float32]:
+    def _add(self, pressure: NDArray[Any], start: int) -> None:
         import pyopencl as cl
 
-        plan, length = self._plan, self.branch_signals.whole_blocks(start, stop)
-        pressure = np.empty((self.parts * plan.receiver_count, length), dtype=np.float32)
-        on_device = self._scratch.take("pressure", pressure.nbytes)
-        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)
+        plan, length = self._plan, self.branch_signals.whole_blocks(start, start + pressure.shape[1])
+        shape = self.parts * plan.receiver_count, length
+        size = 4 * shape[0] * shape[1]
+        on_device = self._scratch.take("pressure", size)
+        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
         for source in range(len(plan.source_filters)):
             feed = self.branch_signals.take(source, start, length)
             if feed is None:
@@ -188,8 +195,13 @@ class OpenclEngine:
                 for some in _batches(heard, slots, [self.maker(pair.index) for pair in heard]):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
-        cl.enqueue_copy(self._queue, pressure, on_device)
-        return pressure[:, : stop - start]
+        rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
+        self.put(rows[:, : pressure.shape[1]], pressure)
+        rows.base.release(self._queue)
+
+    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
+        """Add the rows of all receivers, `parts` of each, to the pressure."""
+        pressure += rows
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)
