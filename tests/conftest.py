@@ -1,6 +1,5 @@
 """What all tests share: seeded random numbers, and the engines."""
 
-import fcntl
 import hashlib
 import os
 import pickle
@@ -36,6 +35,7 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
 @pytest.fixture(scope="session")
 def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[], Any]], Any]:
     """Return what makes a thing once in a run of the tests, by its name; what one process made, all others read."""
+    fcntl = pytest.importorskip("fcntl", reason="this system has no locks of files as POSIX has them")
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # that of the run

@@ -27,6 +27,8 @@ def execute(options: argparse.Namespace) -> int:
     file = load_scene(options.scene)
     for line in file.scene.describe():  # before the search, which may take long or give up
         print(line, flush=True)
+    if file.paths["diffraction"]:
+        print(*file.scene.room.edges().describe(), sep="\n", flush=True)
     planned = plan_scene(file, progress)
     passing = [] if file.scene.room.is_convex else [_comings_and_goings(planned.paths)]
     for line in [*passing, *planned.plan.describe()]:
@@ -40,7 +42,7 @@ def execute(options: argparse.Namespace) -> int:
 
 def _comings_and_goings(paths: PathSet) -> str:
     always = np.isneginf(paths.start) & np.isposinf(paths.end)
-    others = np.column_stack([paths.source, paths.receiver, paths.walls])[~always]
+    others = np.column_stack([paths.source, paths.receiver, paths.objects])[~always]
     count = len(np.unique(others, axis=0))
     return (
         f"paths: {always.sum() + count}, of which {always.sum()} are heard all the time "

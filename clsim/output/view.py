@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.output.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+from clsim.paths.family import DIFFRACTION
+from clsim.scene.room.edges import Edges
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,13 +25,17 @@ _SEEN = 1e-4  # m, to which the page rounds
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What a page shows: walls, ends, and the paths at F times, s; see `view_page`. Notes tell what it leaves out."""
+    """What a page shows: walls, ends, and the paths at F times, s; see `view_page`. Notes tell what it leaves out.
+
+    Edges (E, 2, 3) m are those that diffract, where paths over edges were looked for.
+    """
 
     walls: tuple[ViewedWall, ...]
     ends: tuple[ViewedEnd, ...]
     times: Floats
     frames: tuple[ViewedPaths, ...]
     notes: tuple[str, ...]
+    edges: Floats
 
 
 def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: Any) -> None:
@@ -48,8 +54,9 @@ def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: A
     """
     view = viewed(paths, **options)
     write_page(
-        page, title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes
-    )
+        page, title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes,
+        edges=view.edges,
+    )  # fmt: skip
 
 
 def viewed(
@@ -98,7 +105,10 @@ def viewed(
     still = tuple(replace(end, positions=end.positions[kept]) for end in ends)
     most = max(len(frame.order) for frame in shown)
     notes = (f"Only the {limit} strongest paths are drawn and counted.",) if most == limit else ()
-    return View(tuple(_walls(scene)), still, times[kept], tuple(shown), notes)
+    edges = scene.room.edges() if np.any(paths.interactions == DIFFRACTION) else Edges.none()
+    return View(
+        tuple(_walls(scene)), still, times[kept], tuple(shown), notes, np.stack([edges.start, edges.stop], axis=1)
+    )
 
 
 def _alike(one: Floats, other: Floats) -> bool:

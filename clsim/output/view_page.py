@@ -27,6 +27,7 @@ _MATERIALS = (
     "#882255", "#6b4c1e",
 )  # fmt: skip
 _ORDERS = ("#c1272d", "#3b0f70", "#2c728e", "#21a685", "#8bc34a", "#c0b000", "#e69f00", "#999999")
+_EDGES = "#b8860b"
 _SOURCE, _RECEIVER = "#c1272d", "#111111"
 
 
@@ -71,6 +72,7 @@ def write_page(
     times: Floats,
     frames: Sequence[ViewedPaths],
     notes: Sequence[str] = (),
+    edges: Floats | None = None,
 ) -> None:
     """Write one HTML file that holds everything, the drawing library included.
 
@@ -88,6 +90,8 @@ def write_page(
         One per time.
     notes : sequence of str
         Lines below the title.
+    edges : ndarray (E, 2, 3), optional
+        Ends of the edges at which sound is diffracted, m.
 
     Raises
     ------
@@ -99,7 +103,7 @@ def write_page(
         _check_paths(f"frames[{i}]", frame)
     from plotly.offline import get_plotlyjs
 
-    text = json.dumps(_document(walls, ends, times, frames), separators=(",", ":"), allow_nan=False)
+    text = json.dumps(_document(walls, ends, times, frames, edges), separators=(",", ":"), allow_nan=False)
     parts = {
         "title": html.escape(title),
         "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
@@ -146,13 +150,17 @@ def _check_paths(field: str, paths: ViewedPaths) -> None:
 
 
 def _document(
-    walls: Sequence[ViewedWall], ends: Sequence[ViewedEnd], times: Floats, frames: Sequence[ViewedPaths]
+    walls: Sequence[ViewedWall],
+    ends: Sequence[ViewedEnd],
+    times: Floats,
+    frames: Sequence[ViewedPaths],
+    edges: Floats | None,
 ) -> dict[str, Any]:
     """Return all that the page draws: traces that stay, those that change, and per frame what goes into them."""
     last = max(int(np.max(f.order, initial=0)) for f in frames)
     return {
         "times": [float(f"{t:.9g}") for t in times],
-        "fixed": [*_wall_traces(walls), *_trail_traces(ends)],
+        "fixed": [*_wall_traces(walls), *_edge_traces(edges), *_trail_traces(ends)],
         "marks": _mark_trace(ends),
         "places": [[_rounded(end.positions[i]) for end in ends] for i in range(len(times))],
         "orders": [_order_trace(n) for n in range(last + 1)],
@@ -182,6 +190,14 @@ def _wall_traces(walls: Sequence[ViewedWall]) -> list[dict[str, Any]]:
         edges = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
         traces.append(_lines(edges, color="#555555", width=1.5, name="edges") | {"legendgroup": group})
     return traces
+
+
+def _edge_traces(edges: Floats | None) -> list[dict[str, Any]]:
+    """Return the edges that diffract, which a legend entry toggles."""
+    if edges is None or not len(edges):
+        return []
+    points = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+    return [_lines(points, color=_EDGES, width=5.0, name="edges that diffract") | {"showlegend": True}]
 
 
 def _surface(walls: Sequence[ViewedWall], color: str) -> dict[str, Any]:

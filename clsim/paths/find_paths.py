@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
+from clsim.paths.diffraction.search import edge_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
 from clsim.paths.specular.mesh import FINDERS, mesh_paths
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import PathFamily
 
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
+LARGEST_DIFFRACTION = 1
 ENGINES = ("opencl", "reference")
 
 
@@ -28,6 +30,7 @@ def find_paths(
     scene: Scene,
     max_order: int,
     *,
+    diffraction: int = 0,
     path_limit: int = DEFAULT_PATH_LIMIT,
     finder: str = "auto",
     resolution: float | None = None,
@@ -43,6 +46,9 @@ def find_paths(
         What sounds where.
     max_order : int
         Largest number of reflections, 0 for the direct sound alone.
+    diffraction : int
+        Largest number of edges that a path turns round: 0, or 1 for paths with one edge and up to `max_order`
+        reflections before and after it.
     path_limit : int
         Number of paths above which the search is refused or given up.
     finder : {"auto", "beam-tree", "shooting"}
@@ -87,8 +93,11 @@ def find_paths(
     if resolution is not None:
         resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
     limit = as_count("path_limit", path_limit, at_least=1)
-    search = PathSearch(max_order, limit, finder, resolution, engine, device, progress or (lambda share: None))
-    return PathSet(scene, tuple(find(scene, search) for find in FAMILY_FINDERS.values()))
+    edges = as_count("diffraction", diffraction, at_most=LARGEST_DIFFRACTION)
+    report = progress or (lambda share: None)
+    search = PathSearch(max_order, edges, limit, finder, resolution, engine, device, report)
+    found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
+    return PathSet(scene, found if not edges else (*found, edge_paths(scene, search, found)))
 
 
 @contextmanager

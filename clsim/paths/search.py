@@ -18,7 +18,9 @@ class PathSearch:
     Attributes
     ----------
     max_order : int
-        Largest number of interactions; at least 0, and how many there may be is the finder's to say.
+        Largest number of reflections; at least 0, and how many there may be is the finder's to say.
+    diffraction : int
+        Largest number of edges that a path turns round, 0 or 1.
     path_limit : int
         Number of paths of a kind above which the search is refused or given up.
     finder : str
@@ -32,6 +34,7 @@ class PathSearch:
     """
 
     max_order: int
+    diffraction: int
     path_limit: int
     finder: str
     resolution: float | None

@@ -63,6 +63,7 @@ class MeshModel(Model):
     scale: float = 1.0
     up: Literal["x", "y", "z"] = "z"
     flatness: float = FLATNESS
+    sheets_below: float = 0.0
     materials: Materials
 
     def build(self, base: Path) -> MeshRoom:
@@ -70,11 +71,12 @@ class MeshModel(Model):
         materials = within("materials", lambda: _build_materials(self.materials, base))
         file = base / self.path
         try:
-            return MeshRoom.from_file(file, self.scale, self.up, materials, flatness=self.flatness)
+            mesh = MeshRoom.from_file(file, self.scale, self.up, materials, flatness=self.flatness)
         except InputError as error:
             if error.field != str(file):
                 raise
             raise InputError("path", f"{file}: {error.problem}") from error
+        return within("sheets_below", lambda: mesh.with_sheets(self.sheets_below)) if self.sheets_below else mesh
 
 
 class PlanModel(Model):

@@ -115,6 +115,7 @@ class _Source(_End):
 
 class _Paths(Model):
     max_order: int
+    diffraction: int = 0
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
     path_limit: int = DEFAULT_PATH_LIMIT

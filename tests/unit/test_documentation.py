@@ -36,6 +36,7 @@ OWN = {
     "band_filters": "derived: least squares of a filter's real and imaginary part",
     "band_taper": "a product of two functions of scipy",
     "bank_error": "a maximum",
+    "end_detour": "derived: differences of lengths without cancellation",
     "fit_delay": "derived: least squares of phases of neighbours' products",
     "largest_hole": "a maximum",
     "merged": "a mean",

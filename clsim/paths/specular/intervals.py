@@ -16,10 +16,17 @@ from clsim.paths.specular.visibility import Reach, mirrored, path_status
 from clsim.paths.trajectory_tables import PERTURBATIONS, TrajectoryTables
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.scene.room.walls import Walls
+
+    Evaluation = Callable[
+        ["VisibilityQuery", NDArray[np.int32], NDArray[np.int64], Floats, Floats],
+        tuple[NDArray[np.bool_], Floats, Floats],
+    ]
 
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
 GRAZE = 1e-6  # of the room's size; paths that pass an edge nearer than this run along it
@@ -87,7 +94,12 @@ class Intervals:
     evaluations: int
 
 
-def find_intervals(query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
+def find_intervals(
+    query: VisibilityQuery,
+    sequence: NDArray[np.int32],
+    receiver: NDArray[np.int64],
+    evaluation: Evaluation | None = None,
+) -> Intervals:
     """Return the intervals in which paths are valid.
 
     Parameters
@@ -98,7 +110,10 @@ def find_intervals(query: VisibilityQuery, sequence: NDArray[np.int32], receiver
         Walls of each path from the source's side.
     receiver : ndarray (n,) int
         Receiver of each path.
+    evaluation : callable, optional
+        What says whether other paths than those by walls are valid, and how far their ends may move; as `evaluate`.
     """
+    evaluate_at = evaluation or evaluate
     path = np.flatnonzero(query.first[receiver] < query.last[receiver])
     stack = [(path, query.first[receiver[path]], query.last[receiver[path]])]
     found: list[tuple[Any, Any, Any]] = [(path[:0], np.empty(0), np.empty(0))]
@@ -110,13 +125,13 @@ def find_intervals(query: VisibilityQuery, sequence: NDArray[np.int32], receiver
             path, begin, end = path[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
         half = 0.5 * (end - begin)
         middle = begin + half
-        valid, clear, reach = evaluate(query, sequence[path], receiver[path], middle, half)
+        valid, clear, reach = evaluate_at(query, sequence[path], receiver[path], middle, half)
         evaluations += len(path)
         done = (clear > reach) | (2.0 * half <= query.resolution) | (reach < SMALLEST_MOVE * query.walls.size)
         grazing = np.flatnonzero(~done & (clear < GRAZE * query.walls.size) & (half <= 0.5 * GRAZE_TIME))
         for instant in (begin, end):
             still = np.zeros(len(grazing))
-            seen, _, _ = evaluate(query, sequence[path[grazing]], receiver[path[grazing]], instant[grazing], still)
+            seen, _, _ = evaluate_at(query, sequence[path[grazing]], receiver[path[grazing]], instant[grazing], still)
             grazing = grazing[seen == valid[grazing]]
             evaluations += len(still)
         done[grazing] = True

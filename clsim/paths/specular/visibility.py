@@ -28,6 +28,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.paths.specular.occlusion import INNER
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -39,7 +41,6 @@ if TYPE_CHECKING:
 
 
 EVER = 1e300  # m, next to no bound
-INNER = 1e-9  # share of a segment at either end in which nothing blocks it
 PARALLEL = 1e-14  # square of the sine of an angle below which segments are parallel
 
 
@@ -293,7 +294,11 @@ def _edge_clearance(walls: Walls, paths: Unfolded) -> Floats:
 
 def _edges_apart(walls: Walls, wall: int, a: Floats, b: Floats) -> Floats:
     """Return the distance from segments a to b (n, 3) to the nearest edge of a wall, (n,) m."""
-    edges = walls.edges_of(wall)
+    return np.asarray(segments_apart(walls.edges_of(wall), a, b).min(axis=1, initial=np.inf))
+
+
+def segments_apart(edges: Floats, a: Floats, b: Floats) -> Floats:
+    """Return the distances (n, E) from segments a to b (n, 3) to edges (E, 2, 3), m."""
     u, v = (b - a)[:, None], (edges[:, 1] - edges[:, 0])[None]
     w = a[:, None] - edges[None, :, 0]
     uu, uv, vv, uw, vw = (np.sum(x * y, axis=2) for x, y in ((u, u), (u, v), (v, v), (u, w), (v, w)))
@@ -303,4 +308,4 @@ def _edges_apart(walls: Walls, wall: int, a: Floats, b: Floats) -> Floats:
         t = np.clip((uv * s + vw) / vv, 0.0, 1.0)
         s = np.where(uu > 0.0, np.clip((uv * t - uw) / uu, 0.0, 1.0), 0.0)
     apart = w + s[..., None] * u - t[..., None] * v
-    return np.asarray(np.sqrt(np.sum(apart * apart, axis=2).min(axis=1, initial=np.inf)))
+    return np.asarray(np.sqrt(np.sum(apart * apart, axis=2)))

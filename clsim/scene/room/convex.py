@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import NEAREST, Contact, first_of
 
 if TYPE_CHECKING:
@@ -123,6 +124,16 @@ class ConvexRoom(ABC):
         on = self.walls_at(position)
         hint = f", on the wall {self.faces.names[on[0]]}; an end in a wall needs flush=True" if len(on) == 1 else ""
         return Contact(index, "must stay inside the room", "is", hint)
+
+    def edges(self) -> Edges:
+        """Return none: no wall ends in the air, and no corner points inwards.
+
+        Returns
+        -------
+        Edges
+            None of them.
+        """
+        return Edges.none()
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
         """Return the walls whose planes a position (3,) is on.

@@ -14,10 +14,12 @@ from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read
 from clsim.errors import InputError
 from clsim.scene.material.material import Material
 from clsim.scene.room.contact import first_contact, first_off, walls_at
+from clsim.scene.room.edges import Edges, find_edges
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
 from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, mesh_shape
 from clsim.scene.room.report import describe_mesh
+from clsim.scene.room.sheets import thin_panels
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls
 
 if TYPE_CHECKING:
@@ -260,6 +262,41 @@ class MeshRoom:
             scales.pop() if len(scales) == 1 else None,
         )
 
+    def with_sheets(self, thinner_than: float) -> MeshRoom:
+        """Return the room with thin panels as sheets, which sound goes round as round one edge.
+
+        Parameters
+        ----------
+        thinner_than : float
+            Panels of less thickness, each a shell of its own, become one layer in their middle, 0 to 10 m; two
+            wavelengths are a good choice with `find_paths(…, diffraction=1)`.
+
+        Returns
+        -------
+        MeshRoom
+            The room; its notes tell what was done. Of a panel's two sides one gives the material.
+
+        Raises
+        ------
+        InputError
+            If the thickness is out of bounds.
+
+        Examples
+        --------
+        >>> from clsim import Shoebox
+        >>> door = Shoebox((0.9, 0.005, 2.0), Material.from_reflection(0.9)).as_mesh()
+        >>> sheet = door.with_sheets(0.017)
+        >>> len(sheet.walls), set(sheet.edges().n.tolist()), sheet.extent[0][1].round(9)
+        (1, {2.0}, np.float64(0.0025))
+        """
+        thickness = as_number("thinner_than", thinner_than, at_least=0.0, at_most=_BENT, unit="m")
+        labels, materials = tuple(self.labels or ()), self.triangle_materials
+        vertices, triangles, origin, notes = thin_panels(self.vertices, self.triangles, labels, thickness)
+        return MeshRoom(
+            vertices, triangles, [materials[i] for i in origin], self.flatness, [labels[i] for i in origin],
+            (*self.notes, *notes), self.scale,
+        )  # fmt: skip
+
     @property
     def extent(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner, (3,) m each."""
@@ -417,6 +454,24 @@ class MeshRoom:
         """
         found = walls_at(self.walls, position)
         return found[np.unique(self.walls.plane[found], return_index=True)[1]]
+
+    def edges(self) -> Edges:
+        """Return the edges at which sound turns round corners: of screens, of what stands in the room, of its corners.
+
+        Returns
+        -------
+        Edges
+            In a watertight mesh those with air of the inside about them; of walls as they are merged, so that the
+            triangles they are made of do not matter.
+
+        Examples
+        --------
+        >>> corners = [(0, 0), (8, 0), (8, 5), (4, 5), (4, 9), (0, 9)]
+        >>> edges = MeshRoom.from_plan(corners, 3.0, Material.from_reflection(0.9)).edges()
+        >>> edges.names, edges.n.round(9).tolist(), edges.length.tolist()
+        (('edge wall 3 | wall 2',), [1.5], [3.0])
+        """
+        return find_edges(self.walls, self.faces, self.contains if self.is_closed else None)
 
     def as_mesh(self) -> MeshRoom:
         """Return the room itself.

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.scene.room.edges import Edges
     from clsim.scene.room.faces import Contact, Mount
     from clsim.scene.room.mesh import MeshRoom
 
@@ -102,6 +103,10 @@ class Room(Protocol):
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
         """Return the walls that a position (3,) in m is on, one for each plane, (k,)."""
+        ...
+
+    def edges(self) -> Edges:
+        """Return the edges at which sound turns round corners."""
         ...
 
     def as_mesh(self) -> MeshRoom:

@@ -10,6 +10,7 @@ from clsim.output.response_files import _is_box
 from clsim.output.view import _walls
 from clsim.scene.flush import find_mount
 from clsim.scene.room.convex import ConvexRoom
+from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
 from clsim.scene.room.protocol import ROOM_MEMBERS, Room, is_room
 
@@ -44,6 +45,9 @@ class HalfSpace:
 
     def walls_at(self, position):
         return np.flatnonzero(np.abs(position[2:]) < 1e-6)
+
+    def edges(self):
+        return Edges.none()
 
     def as_mesh(self):
         corners = [(-10, -10, 0), (10, -10, 0), (10, 10, 0), (-10, 10, 0)]

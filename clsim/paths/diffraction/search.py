@@ -1,0 +1,305 @@
+"""Every path over one edge up to a number of reflections: candidates from beams of both ends, and their intervals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.diffraction import TERMS
+from clsim.arrays import as_count, read_only
+from clsim.errors import InputError
+from clsim.paths.diffraction.family import EdgePaths
+from clsim.paths.diffraction.visibility import EdgeCandidates, EdgeVisibility
+from clsim.paths.family import DIFFRACTION, NONE, SPECULAR
+from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
+from clsim.paths.specular.intervals import find_intervals
+from clsim.paths.specular.mesh import BEAM_LIMIT, LARGEST_MESH_ORDER, image_isometries, visibility_query
+from clsim.paths.specular.visibility import mirrored
+from clsim.paths.trajectory_tables import BoundingSpheres
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.family import PathFamily
+    from clsim.paths.search import PathSearch
+    from clsim.paths.specular.intervals import VisibilityQuery
+    from clsim.scene.room.edges import Edges
+    from clsim.scene.room.walls import Walls
+    from clsim.scene.scene import Scene
+
+    Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
+
+_ON = 1e-7  # of the room's size
+_BATCH = 20_000  # candidates searched at a time
+_SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
+_FARTHEST = 8  # resolutions, the same where that is more
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pieces:
+    """Stretches of candidates between boundaries."""
+
+    candidates: EdgeCandidates
+    row: NDArray[np.int64]
+    begin: Floats
+    end: Floats
+    sides: NDArray[np.int8]  # (n, 5), see `EdgeVisibility.sides`
+
+
+def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> EdgePaths:
+    """Return every path over one edge with up to `max_order` reflections before and after it.
+
+    Parameters
+    ----------
+    scene : Scene
+        What sounds where.
+    search : PathSearch
+        What is asked.
+    others : tuple of PathFamily
+        Paths without edges: where an edge path takes over from one of them, that one's time is taken.
+
+    Raises
+    ------
+    InputError
+        If the order is out of range, or there are more paths or beams than the limits.
+
+    Notes
+    -----
+    A path with as many reflections as are asked for keeps only the terms of the two boundaries past its edge: the
+    partners of the two others have one reflection more, and are not there.
+    """
+    order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
+    edges = scene.room.edges()
+    rows: list[dict[str, Any]] = []
+    if len(edges):
+        for source in range(len(scene.sources)):
+            rows += _source_rows(scene, edges, source, order, search, _Partners(others, source))
+    return _family(scene, edges, order, rows)
+
+
+def _source_rows(
+    scene: Scene, edges: Edges, source: int, order: int, search: PathSearch, partners: _Partners
+) -> list[dict[str, Any]]:
+    """Return the paths of a source, one by one, sorted by receiver."""
+    room = scene.room.as_mesh()
+    query, longest = visibility_query(scene, room, scene.sources[source], order + 1, search.resolution)
+    tables, found = query.trajectory_tables, []
+    spheres = BoundingSpheres(0.5 * (edges.start + edges.stop), 0.5 * edges.length)
+    from_source = _sequences(room.walls, tables.sphere(0, -longest), edges, spheres, order)
+    for receiver in range(len(scene.receivers)):
+        from_receiver = _sequences(room.walls, tables.sphere(receiver + 1), edges, spheres, order)
+        for candidates in _candidates(room.walls, from_source, from_receiver, edges, order, receiver):
+            pieces = _pieces(query, edges, candidates, order)
+            found += [{**row, "source": source, "receiver": receiver} for row in _rows(query, edges, pieces, partners)]
+            if len(found) > search.path_limit:
+                raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
+        search.progress((source + (receiver + 1) / len(scene.receivers)) / len(scene.sources))
+    return found
+
+
+def _sequences(walls: Walls, sphere: tuple[Floats, float], edges: Edges, spheres: BoundingSpheres, order: int) -> Sides:
+    """Return the sequences of walls by which each edge may be reached from a sphere, by number of walls."""
+    found: list[list[list[Any]]] = [[[] for _ in range(order + 1)] for _ in range(len(edges))]
+    tree = BeamTree(walls, *sphere, spheres, BEAM_LIMIT)
+    try:
+        for batch in tree.candidates(order):
+            count = batch.sequence.shape[1]
+            for edge in np.unique(batch.receiver).tolist():
+                sequence = batch.sequence[batch.row[batch.receiver == edge]]
+                found[edge][count].append(sequence[_may_reach(walls, sphere, edges, edge, sequence)])
+    except TooManyBeamsError as error:
+        raise InputError("max_order", str(error)) from error
+    return [
+        [np.concatenate([np.empty((0, n), np.int32), *parts]) for n, parts in enumerate(of_edge)] for of_edge in found
+    ]
+
+
+def _may_reach(
+    walls: Walls, sphere: tuple[Floats, float], edges: Edges, edge: int, sequence: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Return which sequences (n, N) may lead to an edge: not from inside its wedge, nor by walls that it lies in.
+
+    As seen from the last walls of a sequence the edge may lie in the plane of an earlier one: such a path would meet
+    that wall at the edge's image, at its very end.
+    """
+    reaches, image = np.ones(len(sequence), dtype=bool), np.tile(sphere[0], (len(sequence), 1))
+    for wall in sequence.T:
+        image = mirrored(walls, wall, image)
+    reaches &= ~np.any(
+        _in_planes(walls, edges.start[edge], sequence) & _in_planes(walls, edges.stop[edge], sequence), axis=1
+    )
+    r, angle, _ = edges.cylindrical(np.full(len(image), edge), image)
+    beyond = np.maximum(-angle, angle - np.pi * edges.n[edge])
+    depth = np.where(beyond < 0.5 * np.pi, r * np.sin(np.clip(beyond, 0.0, 0.5 * np.pi)), r)
+    return reaches & (depth <= sphere[1] + _ON * walls.size)
+
+
+def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return which walls of sequences (n, N) a place (3,) lies in the plane of, seen by the walls behind each."""
+    found, seen = np.zeros(sequence.shape, dtype=bool), np.tile(place, (len(sequence), 1))
+    for k in range(sequence.shape[1] - 1, -1, -1):
+        wall = sequence[:, k]
+        height = np.einsum("ni,ni->n", seen, walls.normal[wall]) - walls.offset[wall]
+        found[:, k] = np.abs(height) <= _ON * walls.size
+        seen = mirrored(walls, wall, seen)
+    return found
+
+
+def _candidates(
+    walls: Walls, from_source: Sides, from_receiver: Sides, edges: Edges, order: int, receiver: int
+) -> Iterator[EdgeCandidates]:
+    """Yield all pairs of sequences to the same edge, and to its free ends, by numbers of walls."""
+    for n in range(order + 1):
+        for m in range(order + 1 - n):
+            parts: list[tuple[Any, Any, Any, Any]] = []
+            waiting = 0
+            for edge in range(len(edges)):
+                ends = edges.start[edge], edges.stop[edge]
+                for end in (-1, *np.flatnonzero(edges.free[edge]).tolist()):
+                    before, after = from_source[edge][n], from_receiver[edge][m]
+                    if end >= 0:  # nothing comes to an end by a wall that it lies in
+                        before, after = (x[~_in_planes(walls, ends[end], x).any(axis=1)] for x in (before, after))
+                    i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
+                    parts.append((before[i], after[j], np.full(len(i), edge), np.full(len(i), end)))
+                    waiting += len(i)
+                if waiting >= _BATCH:
+                    yield _together(parts, receiver)
+                    parts, waiting = [], 0
+            if waiting:
+                yield _together(parts, receiver)
+
+
+def _together(parts: list[tuple[Any, Any, Any, Any]], receiver: int) -> EdgeCandidates:
+    before, after, edge, end = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return EdgeCandidates(before, after, edge, end, np.full(len(edge), receiver))
+
+
+def _pieces(query: VisibilityQuery, edges: Edges, candidates: EdgeCandidates, order: int) -> _Pieces:
+    """Return the intervals in which candidates are there, cut at the boundaries of their terms."""
+    visibility = EdgeVisibility(edges, candidates)
+    everyone = np.arange(len(candidates.edge), dtype=np.int32)[:, None]
+    there = find_intervals(query, everyone, candidates.receiver, visibility.evaluate)
+    ignored = np.zeros((len(candidates.edge), TERMS + 1), dtype=bool)
+    if candidates.before.shape[1] + candidates.after.shape[1] == order:
+        ignored[:, 2:TERMS] = True
+    stack, found = [(there.path, there.begin, there.end)], []
+    while stack:
+        row, begin, end = stack.pop()
+        half = 0.5 * (end - begin)
+        sides, sure = visibility.sides(query, row, begin + half, half)
+        sides[ignored[row]] = 0
+        done = sure | (2.0 * half <= query.resolution)
+        found.append((row[done], begin[done], end[done], sides[done]))
+        row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
+        if len(row):
+            middle = begin + half
+            stack.append((np.append(row, row), np.append(begin, middle), np.append(middle, end)))
+    row, begin, end, sides = (np.concatenate(column) for column in zip(*found, strict=True))
+    rank = np.lexsort((begin, row))
+    row, begin, end, sides = row[rank], begin[rank], end[rank], sides[rank]
+    first = np.append(True, (row[1:] != row[:-1]) | (begin[1:] != end[:-1]) | np.any(sides[1:] != sides[:-1], axis=1))
+    starts = np.flatnonzero(first[: len(row)])
+    stops = np.append(starts[1:], len(row))[: len(starts)] - 1
+    return _Pieces(candidates, row[starts], begin[starts], end[stops], sides[starts])
+
+
+class _Partners:
+    """When paths without edges begin and end, by receiver and walls."""
+
+    def __init__(self, others: tuple[PathFamily, ...], source: int) -> None:
+        self._events: dict[tuple[int, ...], list[float]] = {}
+        for family in others:
+            walls = family.walls
+            for row in np.flatnonzero(family.source == source).tolist():
+                events = [float(t) for t in (family.start[row], family.end[row]) if np.isfinite(t)]
+                if events and np.all(family.interactions[row] <= SPECULAR):
+                    key = (int(family.receiver[row]), *(w for w in walls[row].tolist() if w >= 0))
+                    self._events.setdefault(key, []).extend(events)
+
+    def nearest(self, receiver: int, walls: tuple[int, ...], time: float, within: float) -> float:
+        """Return when a path begins or ends near a time, s; the time itself where none does."""
+        events = self._events.get((receiver, *walls), [])
+        event = min(events, key=lambda t: abs(t - time), default=np.inf)
+        return event if abs(event - time) <= within else time
+
+
+def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Partners) -> Iterator[dict[str, Any]]:
+    """Yield paths, with the times of their partners."""
+    asked, within = pieces.candidates, max(_SAME_EVENT, _FARTHEST * query.resolution)
+    begin, end = pieces.begin.copy(), pieces.end.copy()
+    for i in range(1, len(pieces.row)):
+        row = pieces.row[i]
+        if row != pieces.row[i - 1] or begin[i] != end[i - 1]:
+            continue
+        before, after = asked.before[row].tolist(), asked.after[row][::-1].tolist()
+        time = float(begin[i])
+        for term in np.flatnonzero(pieces.sides[i, :TERMS] != pieces.sides[i - 1, :TERMS]).tolist():
+            face = [] if term < 2 else [int(edges.faces[asked.edge[row], term - 2])]
+            time = partners.nearest(int(asked.receiver[row]), (*before, *face, *after), float(begin[i]), within)
+            if time != begin[i]:
+                break
+        begin[i] = end[i - 1] = time
+    last = query.last[asked.receiver[pieces.row]]
+    begin, end = np.where(begin <= 0.0, -np.inf, begin), np.where(end >= last, np.inf, end)
+    for i, row in enumerate(pieces.row.tolist()):
+        if begin[i] < end[i]:
+            yield {
+                "before": asked.before[row], "after": asked.after[row], "edge": int(asked.edge[row]),
+                "end_of": int(asked.end[row]), "start": begin[i], "end": end[i], "sides": pieces.sides[i],
+            }  # fmt: skip
+
+
+def _family(scene: Scene, edges: Edges, order: int, rows: list[dict[str, Any]]) -> EdgePaths:
+    """Return paths as columns, sorted by source, receiver, order, objects and time."""
+    rows = sorted(rows, key=lambda r: (r["source"], r["receiver"], len(r["before"]) + len(r["after"]),
+                                       r["edge"], r["end_of"], *r["before"], *r["after"], r["start"]))  # fmt: skip
+    count = len(rows)
+    before, after = (_padded([r[side] for r in rows], order) for side in ("before", "after"))
+    edge, end = (np.array([r[name] for r in rows], dtype=np.int64) for name in ("edge", "end_of"))
+    objects = np.full((count, order + 1), -1, dtype=np.int32)
+    kinds = np.full((count, order + 1), NONE, dtype=np.int8)
+    for i, r in enumerate(rows):
+        n, m = len(r["before"]), len(r["after"])
+        thing = r["edge"] if r["end_of"] < 0 else len(edges) + 2 * r["edge"] + r["end_of"]
+        objects[i, : n + m + 1] = [*r["before"], thing, *r["after"][::-1]]
+        kinds[i, : n + m + 1] = [SPECULAR] * n + [DIFFRACTION] + [SPECULAR] * m
+    sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, TERMS + 1)
+    isometries = [(np.empty((0, 3, 3)), np.empty((0, 3)))] * 2
+    if count:
+        walls = scene.room.as_mesh().walls
+        isometries = [image_isometries(walls, w) for w in (before, after)]
+    frame = np.stack([edges.start, edges.across, edges.out, edges.along], axis=1)
+    columns: dict[str, Any] = {
+        "source": np.array([r["source"] for r in rows], dtype=np.int32),
+        "receiver": np.array([r["receiver"] for r in rows], dtype=np.int32),
+        "order": np.sum(objects >= 0, axis=1).astype(np.int32),
+        "start": np.array([r["start"] for r in rows], dtype=np.float64),
+        "end": np.array([r["end"] for r in rows], dtype=np.float64),
+        "interactions": kinds,
+        "objects": objects,
+        "before_matrix": isometries[0][0],
+        "before_offset": isometries[0][1],
+        "after_matrix": isometries[1][0],
+        "after_offset": isometries[1][1],
+        "frame": frame[edge],
+        "n": edges.n[edge],
+        "faces": edges.faces[edge],
+        "lit": sides[:, :TERMS],
+        "end_place": np.where(end < 0, np.nan, np.where(end == 0, 0.0, edges.length[edge])),
+        "end_side": sides[:, TERMS],
+    }
+    held = {name: read_only(column) for name, column in columns.items()}
+    return EdgePaths(scene=scene, **held, edge_names=edges.names)
+
+
+def _padded(sequences: list[NDArray[np.int32]], width: int) -> NDArray[np.int32]:
+    """Return sequences (n, width), filled up with -1."""
+    found = np.full((len(sequences), width), -1, dtype=np.int32)
+    for row, sequence in zip(found, sequences, strict=True):
+        row[: len(sequence)] = sequence
+    return found

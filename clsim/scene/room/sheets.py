@@ -1,0 +1,86 @@
+"""Thin panels as sheets: one layer in the middle, whose edges diffract as those of screens."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.scene.room.mesh_cleaning import clusters, cross_products
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+
+_FLAT = 1e-3  # of a panel's thickness, by which its two sides may be uneven
+
+
+def thin_panels(
+    vertices: Floats, triangles: NDArray[np.int64], labels: Sequence[str], thinner_than: float
+) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], list[str]]:
+    """Return a mesh with one layer for every separate shell that is a flat panel and thin.
+
+    Parameters
+    ----------
+    vertices, triangles : ndarray (V, 3), (T, 3)
+        Corners, m, and their indices.
+    labels : sequence of str
+        Of each triangle.
+    thinner_than : float
+        Of which thickness on panels stay as they are, m.
+
+    Returns
+    -------
+    vertices : ndarray (V + X, 3)
+        With those of the layers behind, m.
+    triangles : ndarray (U, 3) int
+        Of what stays, and of the layers.
+    origin : ndarray (U,) int
+        Which of the old triangles each is from.
+    notes : list of str
+        What was done.
+
+    Notes
+    -----
+    A panel is a shell all of whose corners lie in one of two planes along its largest triangle. Its layer is the one of
+    its two sides that faces along that triangle's normal, moved half-way to the other.
+    """
+    _, part = clusters(len(vertices), triangles[:, [0, 1, 1, 2]].reshape(-1, 2))
+    shell, area = part[triangles[:, 0]], np.linalg.norm(cross_products(vertices[triangles]), axis=1)
+    made, moved, origin, notes = [], [vertices], [], []
+    count = len(vertices)
+    for one in np.unique(shell):
+        mine = np.flatnonzero(shell == one)
+        side, shift, thickness = _side(vertices[triangles[mine]], area[mine])
+        if not 0.0 < thickness < thinner_than:
+            made.append(triangles[mine])
+            origin.append(mine)
+            continue
+        corners, index = np.unique(triangles[mine[side]], return_inverse=True)
+        moved.append(vertices[corners] + shift)
+        made.append(count + index.reshape(-1, 3))
+        origin.append(mine[side])
+        count += len(corners)
+        notes.append(f"{labels[mine[0]] or 'a panel'} of {1e3 * thickness:.3g} mm is taken as a sheet")
+    return np.concatenate(moved), np.concatenate(made), np.concatenate(origin), notes
+
+
+def _side(corners: Floats, area: Floats) -> tuple[NDArray[np.int64], Floats, float]:
+    """Return the triangles (n,) of one side of a panel, how to move them to its middle, and its thickness, m.
+
+    The thickness is 0 of what is flat already, or no panel.
+    """
+    largest = corners[np.argmax(area)]
+    normal = np.cross(largest[1] - largest[0], largest[2] - largest[0])
+    normal /= np.linalg.norm(normal)
+    height = corners @ normal
+    low, high = float(height.min()), float(height.max())
+    thickness = high - low
+    uneven = np.minimum(height - low, high - height).max()
+    if uneven > _FLAT * thickness or thickness <= 0.0:
+        return np.arange(0), normal, 0.0
+    side = np.flatnonzero(np.all(height > 0.5 * (low + high), axis=1))
+    return side, -0.5 * thickness * normal, thickness if len(side) else 0.0

@@ -1,0 +1,110 @@
+"""Paths over edges from the command line to the files: what every command makes of `[paths] diffraction = 1`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.cli import main
+from clsim.output.view import viewed
+from clsim.paths.path_set import PathSet
+from clsim.paths.response import SceneResponse
+from clsim.scene_file.scene import completed_scene
+
+SCENE = """
+format = 1
+[room]
+kind = "plan"
+outline = [[0, 0], [8, 0], [8, 5], [4, 5], [4, 9], [0, 9]]
+height = 3.0
+materials = { default = { reflection = 0.8 } }
+[air]
+absorption = false
+[[sources]]
+name = "beacon"
+signal = { kind = "tone", frequency = 40e3, duration = 0.06, sampling_rate = 192e3, fade = 0.005 }
+trajectory = { kind = "fixed", position = [6.0, 2.0, 1.2] }
+[[receivers]]
+name = "robot"
+trajectory = { kind = "line", start = [2.95, 6.9, 1.0], end = [3.1, 7.0, 1.0], duration = 0.1 }
+[[receivers]]
+name = "shelf"
+trajectory = { kind = "fixed", position = [3.3, 7.5, 1.5] }
+[paths]
+max_order = 1
+diffraction = 1
+[render]
+sampling_rate = 192e3
+duration = 0.09
+"""
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("edges") / "scene.toml"
+    path.write_text(SCENE, "utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def paths(scene: Path) -> PathSet:
+    file = clsim.load_scene(scene)
+    assert file.paths["diffraction"] == 1
+    return clsim.find_paths(file.scene, **file.paths)
+
+
+def error_db(got: np.ndarray, wanted: np.ndarray) -> float:
+    return float(20.0 * np.log10(np.linalg.norm(got - wanted) / np.linalg.norm(wanted) + 1e-300))
+
+
+def test_check_and_paths_name_edges(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(scene)]) == 0
+    said = capsys.readouterr().out
+    assert "edges: 1 that diffract, 3 m together" in said
+    assert "270 degrees of air" in said
+    assert main(["paths", str(scene), "--at", "0.05"]) == 0
+    assert "edge wall" in capsys.readouterr().out
+
+
+def test_the_page_draws_edges(paths: PathSet) -> None:
+    view = viewed(paths, duration=0.09, frames=2)
+    assert view.edges.shape == (1, 2, 3)
+    assert any("edge wall" in label for label in view.frames[0].labels)
+    assert viewed(PathSet(paths.scene, paths.families[:1]), duration=0.09, frames=2).edges.shape == (0, 2, 3)
+
+
+def test_the_truth_is_out_of_sight(paths: PathSet) -> None:
+    """The direct sound is not heard behind the corner, and the first arrival is that over the edge."""
+    from clsim.paths.ground_truth import direct_path
+
+    truth, table = direct_path(paths, np.array([0.05])), paths.table(np.array([0.05]))
+    assert not truth.line_of_sight.any()
+    for receiver in (0, 1):
+        heard = np.flatnonzero((table.receiver == receiver) & table.heard[:, 0])
+        first = heard[np.argmin(table.delay[heard, 0])]
+        assert table.name_way(first).startswith("edge wall")
+        assert table.delay[first, 0] > truth.delay[0, receiver, 0]
+
+
+def test_engines_and_pairs_at_rest_agree(paths: PathSet, device: None) -> None:
+    both = clsim.render(paths, 192e3, duration=0.08).pressure
+    exact = clsim.render(paths, 192e3, duration=0.08, engine="reference").pressure
+    assert error_db(both[0], exact[0]) < -80.0  # the robot: path by path
+    assert error_db(both[1], exact[1]) < -80.0  # the shelf: one convolution
+    alone = clsim.render(PathSet(paths.scene, paths.families[:1]), 192e3, duration=0.08).pressure
+    assert error_db(alone, both) > -20.0
+
+
+def test_bounds_of_gains_hold(paths: PathSet) -> None:
+    times, frequencies = np.linspace(0.01, 0.09, 5), np.array([30e3, 40e3])
+    at = SceneResponse(paths.scene, frequencies)
+    for pair in paths.families[1].pairs():
+        found = pair.arrivals(times)
+        level = np.abs(pair.response(found, times, at)) * found.length[..., None]
+        assert np.all(level <= pair.family.gain_bound(pair.rows, at)[:, None])
+
+
+def test_completed_scenes_tell_it(scene: Path, tmp_path: Path) -> None:
+    text = completed_scene(clsim.load_scene(scene), tmp_path, duration=0.09, chunk=18432)
+    assert "diffraction = 1" in text

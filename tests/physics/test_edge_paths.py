@@ -1,0 +1,214 @@
+"""Paths over edges against the exact field of a half-plane, and what must hold where they meet other paths."""
+
+from dataclasses import fields, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from edge_fields import field, jumps
+from scipy.signal.windows import tukey
+from wedge_oracle import half_plane
+
+import clsim
+from clsim.acoustics.diffraction import edge_way, lit_angles, transition, wedge_terms
+from clsim.paths.path_set import PathSet
+
+HARD = clsim.Material.from_reflection(1.0)
+C, RATE, TONE = 343.0, 192e3, 40e3
+FAR = 80.0  # m, to the other edges of a screen that stands for a half-plane
+L_PLAN = [(0, 0), (8, 0), (8, 5), (4, 5), (4, 9), (0, 9)]
+
+
+def fixed(*place: float) -> clsim.Trajectory:
+    return clsim.Trajectory.fixed(place)
+
+
+def behind_a_screen(signal: clsim.Signal, receiver: clsim.Trajectory, source: clsim.Trajectory) -> PathSet:
+    """Return the paths at a screen in the plane y = 0, at x < 0, with its edge along z."""
+    corners = [(0, 0, -FAR), (0, 0, FAR), (-FAR, 0, FAR), (-FAR, 0, -FAR)]
+    screen = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], HARD)
+    air = clsim.Air(absorption=False, speed_of_sound=C)
+    scene = clsim.Scene(screen, air, [clsim.Source("s", signal, source)], [clsim.Receiver("r", receiver)])
+    specular, edge = clsim.find_paths(scene, 1, diffraction=1).families
+    near = edge.arrivals(slice(None), np.zeros(1)).length[:, 0] < 0.5 * FAR  # what the other edges send is late
+    return PathSet(scene, (specular, edge.part(np.flatnonzero(near))))
+
+
+def polar(place: np.ndarray) -> tuple[float, float, float]:
+    """Return r, the angle from the screen through y < 0, and z."""
+    x, y, z = place
+    return float(np.hypot(x, y)), float(np.arctan2(-y, -x) % (2.0 * np.pi)), float(z)
+
+
+def decibels(value: float) -> float:
+    return float(20.0 * np.log10(value + 1e-300))
+
+
+@pytest.mark.parametrize("speed", [1.0, 6.0])
+def test_a_walk_behind_a_half_plane(speed: float, engine: str) -> None:
+    """A tone as rendered at default settings, against the exact field at every place, relative to the free field."""
+    length, start = (0.05, -0.01) if speed == 1.0 else (0.04, -0.1)
+    way = clsim.Trajectory.line((start, 1.5, 0.2), (start + speed * length, 1.5, 0.2), length)
+    source = np.array([-0.02, -2.0, 0.0])
+    paths = behind_a_screen(clsim.Signal.tone(TONE, length - 0.012, RATE, fade=0.001), way, fixed(*source))
+    heard = clsim.render(paths, RATE, duration=length - 0.001, engine=engine).pressure[0]
+    n = np.arange(round(0.014 * RATE), len(heard) - round(0.002 * RATE), 47)
+    places = way.position(n / RATE)
+    assert places[0, 0] < 0.013 < 0.017 < places[-1, 0]  # the boundary of the shadow is at x = 0.015 m
+    exact = np.array([half_plane(polar(source), polar(x), 2.0 * np.pi * TONE / C) for x in places])
+    wanted = np.imag(exact * np.exp(2j * np.pi * TONE * n / RATE))
+    assert decibels(np.abs(heard[n] - wanted).max() * 3.5) < -75.0
+
+
+def test_a_chirp_behind_a_half_plane(device: None) -> None:
+    """20 to 45 kHz at 6 m/s: the sum over frequencies of the field at the place of each sample."""
+    length, speed = 0.04, 6.0
+    way = clsim.Trajectory.line((-0.05, 1.5, 0.2), (-0.05 + speed * length, 1.5, 0.2), length)
+    chirp = clsim.Signal.chirp(20e3, 45e3, 0.016, RATE, window="hann")
+    source = np.array([-0.02, -2.0, 0.0])
+    paths = behind_a_screen(chirp, way, fixed(*source))
+    heard = clsim.render(paths, RATE, duration=length - 0.001).pressure[0]
+    n = np.arange(round(0.011 * RATE), round(0.026 * RATE), 41)
+    samples = chirp.read(0, chirp.count)
+    size = 2 * len(heard)
+    spectrum, f = np.fft.rfft(samples, size), np.fft.rfftfreq(size, 1.0 / RATE)
+    band = (f > 15e3) & (f < 55e3)
+    wanted = np.empty(len(n))
+    for i, place in enumerate(way.position(n / RATE)):
+        exact = _screen_field(polar(source), polar(place), 2.0 * np.pi * f[band] / C)
+        turned = spectrum[band] * exact * np.exp(2j * np.pi * f[band] * n[i] / RATE)
+        wanted[i] = 2.0 * np.sum(turned.real) / size
+    assert decibels(np.abs(heard[n] - wanted).max() / np.abs(wanted).max()) < -60.0
+
+
+def _screen_field(source, receiver, k):
+    """Return the geometrical and the diffracted field at a half-plane, at wave numbers (F,)."""
+    (rs, ts, zs), (rr, tr, zr) = source, receiver
+    way = edge_way(*(np.float64(x) for x in (rs, zs, rr, zr)))
+    weight, root = wedge_terms(2.0, lit_angles(2.0, ts, tr))
+    terms = 0.5 * weight * transition(root * np.sqrt(k * way.breadth)[:, None])
+    total = np.exp(-1j * k * way.length) / way.length * terms.sum(axis=1)
+    if tr - ts < np.pi:
+        apart = np.sqrt(rs**2 + rr**2 + (zs - zr) ** 2 - 2.0 * rs * rr * np.cos(tr - ts))
+        total = total + np.exp(-1j * k * apart) / apart
+    return total
+
+
+def test_what_a_moving_source_sends_round_an_edge() -> None:
+    """At 5 m/s across the boundary, against the integral over times of emission of what each one's place sends."""
+    t, velocity = 0.05, np.array([0.3, 4.9, 0.4])
+    start = np.array([-0.03, -1.25, 0.1])  # at emission some 2 mm off the boundary, in the shadow
+    way = clsim.Trajectory.line(start, start + 0.08 * velocity, 0.08)
+    receiver = np.array([0.0, 0.8, 0.0])
+    paths = behind_a_screen(clsim.Signal.tone(TONE, 0.079, RATE), fixed(*receiver), way)
+    found = field(paths, np.array([t]), TONE)[0] * np.exp(2j * np.pi * TONE * t)
+    # A window of 3 ms about the delay holds all that is sent round: its edges are smooth.
+    step, delay = 1.0 / 160e3, 1.83 / C
+    emitted = t - delay + step * np.arange(-240, 241)
+    window = tukey(481, 0.5)
+    f = TONE + np.linspace(-6e3, 6e3, 121)
+    total = 0j
+    k = 2.0 * np.pi * f / C
+    for w, at in zip(window, emitted, strict=True):
+        sent = _screen_field(polar(way.position(np.array([at]))[0]), polar(receiver), k)
+        total += w * np.exp(2j * np.pi * TONE * at) * np.sum(sent * np.exp(2j * np.pi * f * (t - at)))
+    wanted = total * step * (f[1] - f[0])
+    assert decibels(abs(found - wanted) * 1.85) < -75.0
+
+
+@cache
+def l_room(order: int) -> PathSet:
+    """Return the paths of a robot that walks out of sight of a source that moves too."""
+    tone = clsim.Signal.tone(TONE, 4.9, RATE)
+    room = clsim.MeshRoom.from_plan(L_PLAN, 3.0, clsim.Material.from_reflection(0.9))
+    source = clsim.Source("s", tone, clsim.Trajectory.line((6.0, 2.0, 1.2), (6.5, 2.2, 1.3), 5.0))
+    receiver = clsim.Receiver("r", clsim.Trajectory.line((1.5, 3.0, 1.5), (3.3, 8.0, 1.4), 5.0))
+    return clsim.find_paths(clsim.Scene(room, clsim.Air(absorption=False), [source], [receiver]), order, diffraction=1)
+
+
+def test_no_jump_where_reflections_begin_and_end() -> None:
+    """In an L-shaped room, order 2: -75 dB of the strongest path at every birth and death, without any transition.
+
+    Where two walls of a path are met in another order, one path ends and another begins within a sample: one event.
+    """
+    paths = l_room(2)
+    specular = paths.families[0]
+    times = np.concatenate([specular.start, specular.end])
+    rows = np.tile(np.arange(len(specular)), 2)[np.isfinite(times)]
+    times = times[np.isfinite(times)]
+    swaps = np.array([np.sum(np.abs(times - t) < 1e-6) > 1 for t in times])
+    assert np.sum(~swaps) >= 14
+    found = jumps(paths, times[~swaps], TONE)
+    names = paths.table(np.zeros(1)).name_way
+    loud = [f"{names(row)} at {t:.4f} s: {decibels(jump):.1f} dB" for row, t, jump in zip(rows[~swaps], times[~swaps], found, strict=True) if jump > 10 ** (-75 / 20)]  # fmt: skip
+    assert not loud, "\n".join(loud)
+    # The same is loud without edges, and without the partner rule it would be at boundaries of the highest order.
+    alone = PathSet(paths.scene, paths.families[:1])
+    assert decibels(jumps(alone, times[~swaps], TONE).max()) > -6.0
+
+
+def test_edge_paths_of_the_highest_order_keep_two_terms() -> None:
+    edge = l_room(1).families[1]
+    reflections = edge.order - 1
+    assert set(reflections) == {0, 1}
+    assert np.all(edge.lit[reflections == 1][:, 2:] == 0)
+    assert np.all(edge.lit[reflections == 0] != 0)
+
+
+def test_ways_are_the_shortest_ones() -> None:
+    """Corners of paths lie on walls and on the edge; their sum is the delay; rates are derivatives."""
+    paths = l_room(2)
+    time, edge = 1.0, paths.families[1]
+    corners, heard = paths.vertices(time)[len(paths.families[0]) :], (edge.start <= time) & (edge.end > time)
+    assert heard.sum() > 20
+    found = edge.arrivals(slice(None), np.array([time - 1e-4, time, time + 1e-4]))
+    legs = np.nansum(np.linalg.norm(np.diff(corners, axis=1), axis=2), axis=1)
+    np.testing.assert_allclose(legs[heard] / paths.scene.air.speed_of_sound, found.delay[heard, 1], rtol=1e-12)
+    slope = (found.delay[:, 2] - found.delay[:, 0]) / 2e-4
+    np.testing.assert_allclose(slope, found.delay_rate[:, 1], atol=1e-8)
+    ends = paths.scene.room.edges()
+    for path in np.flatnonzero(heard):
+        for kind, thing, place in zip(edge.interactions[path], edge.objects[path], corners[path, 1:-1], strict=True):
+            if kind == 1:
+                assert np.linalg.norm(np.cross(place - ends.start[thing], ends.along[thing])) < 1e-9
+            elif kind == 0:
+                faces = paths.scene.room.faces
+                assert abs(faces.normals[thing] @ place - faces.offsets[thing]) < 1e-9
+    departure = np.diff(corners[heard][:, :2], axis=1)[:, 0]
+    departure /= np.linalg.norm(departure, axis=1, keepdims=True)
+    np.testing.assert_allclose(found.departure[heard, 1], departure, atol=1e-9)
+
+
+def test_both_ends_are_alike() -> None:
+    tone = clsim.Signal.tone(TONE, 0.1, RATE)
+    room = clsim.MeshRoom.from_plan(L_PLAN, 3.0, clsim.Material.from_reflection(0.8))
+    places, sums = [fixed(6.0, 2.0, 1.2), fixed(3.3, 7.0, 1.4)], []
+    for one, other in (places, places[::-1]):
+        scene = clsim.Scene(room, clsim.Air(), [clsim.Source("s", tone, one)], [clsim.Receiver("r", other)])
+        paths = clsim.find_paths(scene, 2, diffraction=1)
+        sums.append((field(paths, np.array([0.05]), TONE)[0], len(paths)))
+    assert sums[0][1] == sums[1][1]
+    assert abs(sums[0][0] - sums[1][0]) < 1e-10 * abs(sums[0][0])
+
+
+def test_nothing_changes_without() -> None:
+    tone = clsim.Signal.tone(TONE, 0.1, RATE)
+    room = clsim.MeshRoom.from_plan(L_PLAN, 3.0, HARD)
+    ends = clsim.Source("s", tone, fixed(6, 2, 1.2)), clsim.Receiver("r", fixed(3.3, 7.0, 1.4))
+    scene = clsim.Scene(room, clsim.Air(), [ends[0]], [ends[1]])
+    without, given = clsim.find_paths(scene, 1), clsim.find_paths(scene, 1, diffraction=0)
+    assert len(without.families) == 1
+    assert without.digest() == given.digest()
+    assert clsim.find_paths(scene, 1, diffraction=1).families[0].digest() == without.families[0].digest()
+    with pytest.raises(clsim.InputError, match="diffraction: must be"):
+        clsim.find_paths(scene, 1, diffraction=3)
+
+
+def test_any_change_of_any_column_changes_the_digest() -> None:
+    family = l_room(1).families[1]
+    for column in fields(family):
+        value = getattr(family, column.name)
+        if isinstance(value, np.ndarray):
+            changed = np.array(value)
+            changed.flat[0] = 3 if not np.issubdtype(value.dtype, np.floating) else 0.123
+            assert replace(family, **{column.name: changed}).digest() != family.digest(), column.name
