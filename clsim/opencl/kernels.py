@@ -100,10 +100,16 @@ _ENVELOPE = {
     "half_turns_per_sample": _FLOAT,
 }
 _FADES = {
-    "slot_of": _in("int", "fades"), "start": _in("float", "fades"), "end": _in("float", "fades"),
-    "first": _in("int", "places + 1"), "row": _in("int", "places"), "block": _in("int", "places"),
-    "per_ramp": _FLOAT, "block_samples": _INT, "samples": _INT,
-}  # fmt: skip
+    "slot_of": _in("int", "fades"),
+    "start": _in("float", "fades"),
+    "end": _in("float", "fades"),
+    "first": _in("int", "places + 1"),
+    "row": _in("int", "places"),
+    "block": _in("int", "places"),
+    "per_ramp": _FLOAT,
+    "block_samples": _INT,
+    "samples": _INT,
+}
 _ROOM = {
     "tolerance": _DOUBLE, "thickness": _DOUBLE, "plane": _in("double4", "walls"), "sphere": _in("double4", "walls"),
     "same": _in("int", "walls"), "first_edge": _in("int", "walls + 1"), "first_piece": _in("int", "walls + 1"),
@@ -115,10 +121,9 @@ _ROOM = {
 _MEETINGS = {
     **_ROOM, "half_spaces": _in("double4", "beams, half_space_count"), "half_space_count": _INT, "beams": _INT,
     "centre": _in("double", "beams, 3"), "radius": _DOUBLE, "slack": _DOUBLE, "last_wall": _in("int", "beams"),
-    "side": _in("int", "wall_count"), "receivers": _in("double4", "receiver_count"),
-    "seen": _in("double4", "half-spaces"), "first_seen": _in("int", "receiver_count * wall_count + 1"),
-    "receiver_count": _INT, "wall_count": _INT, "capacity": _INT, "found": _out("int2", "capacity"),
-    "found_count": _both("int", "1"),
+    "side": _in("int", "wall_count"), "receivers": _in("double4", "receiver_count"), "seen": _in("double4", "sides"),
+    "first_seen": _in("int", "receiver_count * wall_count + 1"), "receiver_count": _INT, "wall_count": _INT,
+    "capacity": _INT, "found": _out("int2", "capacity"), "found_count": _both("int", "1"),
 }  # fmt: skip
 _CROSSINGS = {
     **_ROOM, "start": _in("double", "segments, 3"), "stop": _in("double", "segments, 3"), "segments": _INT,
@@ -132,6 +137,7 @@ _INTERVALS = {
     "resolution": _DOUBLE, "smallest_move": _DOUBLE, "graze": _DOUBLE, "budget": _INT,
     "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
 }  # fmt: skip
+_CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
@@ -155,10 +161,7 @@ PROGRAMS = {
             "emitted": _in("float", "rows of emitted samples"),
             "first_emitted": _INT,
             "taps": _in("float", "rows, tap_count"),
-            "tap_count": _INT,
-            "width": _INT,
-            "stride": _INT,
-            "first_row": _INT,
+            "tap_count": _INT, "width": _INT, "stride": _INT, "first_row": _INT,
             "rows": _out("float", "rows, stride"),
             "sparse": _INT,
             "following": _in("int", "cells"),
@@ -181,21 +184,9 @@ PROGRAMS = {
     ),
     "tracks": Program(
         (
-            *_PROPAGATION,
-            *_ROUNDING,
-            *_GAINS,
-            "nodes/spectrum.h",
-            "nodes/lookup_tables.h",
-            "nodes/response.h",
-            "nodes/image.h",
-            "nodes/solve_nodes.h",
-            *_POLYNOMIALS,
-            "nodes/septic.h",
-            "nodes/block.h",
-            "nodes/smooth.h",
-            *_MASK,
-            "nodes/activity.h",
-            "nodes/tracks.cl",
+            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
+            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h",
+            "nodes/smooth.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **_IMAGES,
@@ -241,68 +232,25 @@ PROGRAMS = {
         frozenset(
             _DELAY_CONSTANTS
             | {
-                "BLOCK",
-                "WALK",
-                "SUBBLOCK",
-                "FINE",
-                "OVERSAMPLING",
-                "CELL",
-                "SPARSE",
-                "DELAY_TERMS",
-                "FUNCTIONS",
-                "FREQUENCIES",
-                "PARTS",
-                "CELLS",
-                "SIDE",
-                "FACE_CELLS",
-                "CUBIC_COLUMNS",
-                "MACH_EXPONENT",
-                "ANGULAR",
-                "SOURCE_DIRECTIVITY",
-                "RECEIVER_DIRECTIVITY",
-                "OMNI",
-                "AXIAL",
-                "SPHERICAL",
-                "GAIN_ERROR",
+                "BLOCK", "WALK", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
+                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
+                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
                 "SMOOTH_ERROR",
             }
         ),
     ),
-    "meetings": Program(
-        (*_TRIPLES, *_WALLS, "paths/meetings.cl"),
-        _MEETINGS,
-        frozenset({"PARALLEL"}),
-    ),
-    "crossings": Program(
-        (*_TRIPLES, *_WALLS, "paths/crossings.cl"),
-        _CROSSINGS,
-        frozenset({"MOST", "INNER", "PARALLEL"}),
-    ),
+    "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), _MEETINGS, frozenset({"PARALLEL"})),
+    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), _CROSSINGS, frozenset(_CROSSING_CONSTANTS)),
     "intervals": Program(
         (
-            *_PROPAGATION,
-            *_WALLS,
-            "paths/trajectory_tables.h",
-            "paths/unfolded.h",
-            "paths/visibility.h",
+            *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
             "paths/intervals.cl",
         ),
         _INTERVALS,
-        frozenset(
-            _DELAY_CONSTANTS
-            | {
-                "ORDER",
-                "DEPTH",
-                "GRAZE_TIME",
-                "CERTAIN",
-                "LEAST_SHARE",
-                "EVER",
-                "INNER",
-                "PARALLEL",
-                "SOURCE_PERTURBATION",
-                "RECEIVER_PERTURBATION",
-            }
-        ),
+        frozenset(_DELAY_CONSTANTS | {
+                "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL",
+                "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
+            }),
     ),
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
@@ -330,22 +278,14 @@ PROGRAMS = {
     ),
     "render": Program(
         (
-            *_ROUNDING,
-            "common/vector.h",
-            *_POLYNOMIALS,
-            *_GAINS,
-            *_MASK,
-            "render/phases.h",
-            "render/subblock.h",
-            "render/farrow.h",
-            "render/render.cl",
+            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_GAINS, *_MASK, "render/phases.h", "render/subblock.h",
+            "render/farrow.h", "render/render.cl",
         ),
         {
             **_BRANCHES,
             "first_row": _in("int", "functions + 1"),
             "functions": _INT,
-            "first_function": _INT,
-            "functions_here": _INT,
+            "first_function": _INT, "functions_here": _INT,
             **_BLOCKS,
             "first_slot": _in("int", "receivers + 1"),
             "block_subblocks": _INT,
@@ -355,18 +295,8 @@ PROGRAMS = {
         },
         frozenset(
             {
-                "LANES",
-                "VECTORS",
-                "WORKERS",
-                "SPARSE",
-                "FINE",
-                "OVERSAMPLING",
-                "BATCH",
-                "TILE",
-                "SUBBLOCKS",
-                "DELAY_TERMS",
-                "FUNCTIONS",
-                "ROWS",
+                "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
+                "DELAY_TERMS", "FUNCTIONS", "ROWS",
             }
         ),
     ),
@@ -385,11 +315,7 @@ PROGRAMS = {
     ),
     "baseband_fades": Program(
         (
-            *_ROUNDING,
-            "common/vector.h",
-            *_POLYNOMIALS,
-            "render/carrier.h",
-            "render/transition.h",
+            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, "render/carrier.h", "render/transition.h",
             "render/baseband_fades.cl",
         ),
         {
@@ -401,7 +327,7 @@ PROGRAMS = {
         },
         frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS"}),
     ),
-}
+}  # fmt: skip
 
 
 def kernel_folder() -> Path:
