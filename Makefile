@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test study-kills fuzz kills clean
+.PHONY: demo test drivers study-kills fuzz kills clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
@@ -10,6 +10,11 @@ demo: .venv/installed
 
 test: .venv/tested
 	$(BIN)/python -m pytest
+
+# All scenes in both layouts on Intel's CPU runtime and in Oclgrind, where they are installed: some minutes.
+drivers: .venv/tested
+	$(BIN)/python -m pip install --quiet --editable '.[drivers]'
+	CLSIM_ALL_DRIVERS=1 $(BIN)/python -m pytest tests/drivers
 
 # Fifty workers of studies killed at random: some minutes.
 study-kills: .venv/tested

@@ -1,4 +1,4 @@
-"""`clsim devices`: the OpenCL devices of this machine."""
+"""`clsim devices`: the OpenCL devices of this machine, and whether one computes as it should."""
 
 from __future__ import annotations
 
@@ -12,11 +12,18 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command, which has none."""
+    """Add the arguments of the command."""
+    parser.add_argument(
+        "--test", nargs="?", const="", metavar="DEVICE",
+        help="compare a device, by id or part of its name, with the reference engine, and measure its rates; the "
+        "best one when none is named",
+    )  # fmt: skip
 
 
 def execute(options: argparse.Namespace) -> int:
-    """List them, the best first; return the exit status."""
+    """List them, or test one; return the exit status, 1 where a test fails."""
+    if options.test is not None:
+        return _test(options.test or None)
     found = list_devices()
     if not found:
         raise DeviceError(no_device())
@@ -27,3 +34,13 @@ def execute(options: argparse.Namespace) -> int:
             f"{info.memory_bytes / 2**30:.1f} GiB, {tracks})"
         )
     return 0
+
+
+def _test(wanted: str | None) -> int:
+    from clsim.workflow.device_test import PROMISED_DB, put_to_test
+
+    report = put_to_test(wanted, lambda text: print(text, flush=True))
+    print(report.line())
+    if not report.passed:
+        print(f"the device is not within {PROMISED_DB:g} dB: please report the line above")
+    return 0 if report.passed else 1

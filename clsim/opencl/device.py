@@ -26,6 +26,14 @@ class DeviceInfo:
         What the driver says; kind is CPU, GPU or other.
     memory_bytes, compute_units : int
         Its size.
+    largest_buffer_bytes : int
+        Of its memory, in one piece.
+    largest_group : int
+        Work-items.
+    clock_hz : float
+        Of its units, at most.
+    driver : str
+        Version of the driver.
     fp64 : bool
         Whether it computes in float64; where not, the host computes the tracks.
     """
@@ -37,6 +45,10 @@ class DeviceInfo:
     kind: str
     memory_bytes: int
     compute_units: int
+    largest_buffer_bytes: int
+    largest_group: int
+    clock_hz: float
+    driver: str
     fp64: bool
 
 
@@ -110,7 +122,8 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
             info = DeviceInfo(
                 f"{p}:{d}", device.name.strip(), platform.name.strip(), device.version.strip(), kind,
                 int(device.global_mem_size), int(device.max_compute_units),
-                "cl_khr_fp64" in device.extensions,
+                int(device.max_mem_alloc_size), int(device.max_work_group_size), 1e6 * device.max_clock_frequency,
+                device.driver_version.strip(), "cl_khr_fp64" in device.extensions,
             )  # fmt: skip
             found.append((info, device))
     return found

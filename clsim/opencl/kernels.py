@@ -64,8 +64,9 @@ def _both(kind: str, shape: str) -> Argument:
 
 _INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
-_TRIPLES = ("common/triple.h",)
+_TRIPLES = ("common/triple.h", "common/side_by_side.h")
 _PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
+_WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
 _GAINS = ("common/gains.h",)
@@ -99,17 +100,39 @@ _ENVELOPE = {
     "half_turns_per_sample": _FLOAT,
 }
 _FADES = {
-    "slot_of": _in("int", "fades"),
-    "start": _in("float", "fades"),
-    "end": _in("float", "fades"),
-    "first": _in("int", "places + 1"),
-    "row": _in("int", "places"),
-    "block": _in("int", "places"),
-    "per_ramp": _FLOAT,
-    "block_samples": _INT,
-    "samples": _INT,
-}
-_DELAY_CONSTANTS = {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}
+    "slot_of": _in("int", "fades"), "start": _in("float", "fades"), "end": _in("float", "fades"),
+    "first": _in("int", "places + 1"), "row": _in("int", "places"), "block": _in("int", "places"),
+    "per_ramp": _FLOAT, "block_samples": _INT, "samples": _INT,
+}  # fmt: skip
+_ROOM = {
+    "tolerance": _DOUBLE, "thickness": _DOUBLE, "plane": _in("double4", "walls"), "sphere": _in("double4", "walls"),
+    "same": _in("int", "walls"), "first_edge": _in("int", "walls + 1"), "first_piece": _in("int", "walls + 1"),
+    "first_line": _in("int", "pieces + 1"), "first_twin": _in("int", "walls + 1"), "edge": _in("edge_ends", "edges"),
+    "line": _in("double4", "lines"), "twin": _in("int", "twins"), "box_count": _INT,
+    "box_middle": _in("double4", "box_count"), "box_extent": _in("double4", "box_count"),
+    "box_wall": _in("int", "box_count"), "box_skip": _in("int", "box_count"),
+}  # fmt: skip
+_MEETINGS = {
+    **_ROOM, "half_spaces": _in("double4", "beams, half_space_count"), "half_space_count": _INT, "beams": _INT,
+    "centre": _in("double", "beams, 3"), "radius": _DOUBLE, "slack": _DOUBLE, "last_wall": _in("int", "beams"),
+    "side": _in("int", "wall_count"), "receivers": _in("double4", "receiver_count"),
+    "seen": _in("double4", "half-spaces"), "first_seen": _in("int", "receiver_count * wall_count + 1"),
+    "receiver_count": _INT, "wall_count": _INT, "capacity": _INT, "found": _out("int2", "capacity"),
+    "found_count": _both("int", "1"),
+}  # fmt: skip
+_CROSSINGS = {
+    **_ROOM, "start": _in("double", "segments, 3"), "stop": _in("double", "segments, 3"), "segments": _INT,
+    "found": _out("int", "segments, MOST"),
+}  # fmt: skip
+_INTERVALS = {
+    **_ROOM, "places": _in("table_place", "1 + receivers"), "scales": _in("table_scale", "1 + receivers"),
+    "knots": _in("double", "knots, KNOT_COLUMNS"), "speeds": _in("double", "speeds"),
+    "mounts": _in("double4", "1 + receivers"), "speed_of_sound": _DOUBLE, "sequences": _in("int", "paths, ORDER"),
+    "receiver_of": _in("int", "paths"), "active": _in("int", "active_count"), "active_count": _INT,
+    "resolution": _DOUBLE, "smallest_move": _DOUBLE, "graze": _DOUBLE, "budget": _INT,
+    "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
+}  # fmt: skip
+_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
 
@@ -132,7 +155,10 @@ PROGRAMS = {
             "emitted": _in("float", "rows of emitted samples"),
             "first_emitted": _INT,
             "taps": _in("float", "rows, tap_count"),
-            "tap_count": _INT, "width": _INT, "stride": _INT, "first_row": _INT,
+            "tap_count": _INT,
+            "width": _INT,
+            "stride": _INT,
+            "first_row": _INT,
             "rows": _out("float", "rows, stride"),
             "sparse": _INT,
             "following": _in("int", "cells"),
@@ -151,13 +177,25 @@ PROGRAMS = {
             "speed_of_sound": _DOUBLE,
             "delays": _out("double", "ends, 2, slots"),
         },
-        frozenset(_DELAY_CONSTANTS),
+        frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL"}),
     ),
     "tracks": Program(
         (
-            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
-            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h", *_MASK,
-            "nodes/activity.h", "nodes/tracks.cl",
+            *_PROPAGATION,
+            *_ROUNDING,
+            *_GAINS,
+            "nodes/spectrum.h",
+            "nodes/lookup_tables.h",
+            "nodes/response.h",
+            "nodes/image.h",
+            "nodes/solve_nodes.h",
+            *_POLYNOMIALS,
+            "nodes/septic.h",
+            "nodes/block.h",
+            "nodes/smooth.h",
+            *_MASK,
+            "nodes/activity.h",
+            "nodes/tracks.cl",
         ),
         {
             **_IMAGES,
@@ -183,6 +221,7 @@ PROGRAMS = {
             "emitted_first": _DOUBLE,
             "emitted_last": _DOUBLE,
             "angular_frequency": _FLOAT,
+            "smooth": _FLOAT,
             "wall_tables": _in("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
             "source_directivity": _in("bins", "a table"),
             "receiver_directivities": _in("bins", "tables"),
@@ -202,53 +241,68 @@ PROGRAMS = {
         frozenset(
             _DELAY_CONSTANTS
             | {
-                "BLOCK", "WALK", "NODES_AT_ONCE", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
-                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
-                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
+                "BLOCK",
+                "WALK",
+                "SUBBLOCK",
+                "FINE",
+                "OVERSAMPLING",
+                "CELL",
+                "SPARSE",
+                "DELAY_TERMS",
+                "FUNCTIONS",
+                "FREQUENCIES",
+                "PARTS",
+                "CELLS",
+                "SIDE",
+                "FACE_CELLS",
+                "CUBIC_COLUMNS",
+                "MACH_EXPONENT",
+                "ANGULAR",
+                "SOURCE_DIRECTIVITY",
+                "RECEIVER_DIRECTIVITY",
+                "OMNI",
+                "AXIAL",
+                "SPHERICAL",
+                "GAIN_ERROR",
+                "SMOOTH_ERROR",
             }
         ),
     ),
+    "meetings": Program(
+        (*_TRIPLES, *_WALLS, "paths/meetings.cl"),
+        _MEETINGS,
+        frozenset({"PARALLEL"}),
+    ),
+    "crossings": Program(
+        (*_TRIPLES, *_WALLS, "paths/crossings.cl"),
+        _CROSSINGS,
+        frozenset({"MOST", "INNER", "PARALLEL"}),
+    ),
     "intervals": Program(
         (
-            *_PROPAGATION, "paths/walls.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
+            *_PROPAGATION,
+            *_WALLS,
+            "paths/trajectory_tables.h",
+            "paths/unfolded.h",
+            "paths/visibility.h",
             "paths/intervals.cl",
         ),
-        {
-            "wall_count": _INT,
-            "tolerance": _DOUBLE,
-            "thickness": _DOUBLE,
-            "plane": _in("double4", "wall_count"),
-            "sphere": _in("double4", "wall_count"),
-            "same": _in("int", "wall_count"),
-            "first_edge": _in("int", "wall_count + 1"),
-            "first_piece": _in("int", "wall_count + 1"),
-            "first_line": _in("int", "pieces + 1"),
-            "first_twin": _in("int", "wall_count + 1"),
-            "edge": _in("edge_ends", "edges"),
-            "line": _in("double4", "lines"),
-            "twin": _in("int", "twins"),
-            "places": _in("table_place", "1 + receivers"),
-            "scales": _in("table_scale", "1 + receivers"),
-            "knots": _in("double", "knots, KNOT_COLUMNS"),
-            "speeds": _in("double", "speeds"),
-            "mounts": _in("double4", "1 + receivers"),
-            "speed_of_sound": _DOUBLE,
-            "sequences": _in("int", "paths, ORDER"),
-            "receiver_of": _in("int", "paths"),
-            "active": _in("int", "active_count"),
-            "active_count": _INT,
-            "resolution": _DOUBLE,
-            "smallest_move": _DOUBLE,
-            "graze": _DOUBLE,
-            "budget": _INT,
-            "states": _both("progress", "paths"),
-            "found": _out("interval", "found"),
-            "found_count": _both("int", "1"),
-        },
-        frozenset(_DELAY_CONSTANTS | {
-                "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL",
-                "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
-            }),
+        _INTERVALS,
+        frozenset(
+            _DELAY_CONSTANTS
+            | {
+                "ORDER",
+                "DEPTH",
+                "GRAZE_TIME",
+                "CERTAIN",
+                "LEAST_SHARE",
+                "EVER",
+                "INNER",
+                "PARALLEL",
+                "SOURCE_PERTURBATION",
+                "RECEIVER_PERTURBATION",
+            }
+        ),
     ),
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
@@ -276,14 +330,22 @@ PROGRAMS = {
     ),
     "render": Program(
         (
-            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_GAINS, *_MASK, "render/phases.h", "render/subblock.h",
-            "render/farrow.h", "render/render.cl",
+            *_ROUNDING,
+            "common/vector.h",
+            *_POLYNOMIALS,
+            *_GAINS,
+            *_MASK,
+            "render/phases.h",
+            "render/subblock.h",
+            "render/farrow.h",
+            "render/render.cl",
         ),
         {
             **_BRANCHES,
             "first_row": _in("int", "functions + 1"),
             "functions": _INT,
-            "first_function": _INT, "functions_here": _INT,
+            "first_function": _INT,
+            "functions_here": _INT,
             **_BLOCKS,
             "first_slot": _in("int", "receivers + 1"),
             "block_subblocks": _INT,
@@ -293,8 +355,18 @@ PROGRAMS = {
         },
         frozenset(
             {
-                "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
-                "DELAY_TERMS", "FUNCTIONS", "ROWS",
+                "LANES",
+                "VECTORS",
+                "WORKERS",
+                "SPARSE",
+                "FINE",
+                "OVERSAMPLING",
+                "BATCH",
+                "TILE",
+                "SUBBLOCKS",
+                "DELAY_TERMS",
+                "FUNCTIONS",
+                "ROWS",
             }
         ),
     ),
@@ -313,7 +385,11 @@ PROGRAMS = {
     ),
     "baseband_fades": Program(
         (
-            *_ROUNDING, "common/vector.h", *_POLYNOMIALS, "render/carrier.h", "render/transition.h",
+            *_ROUNDING,
+            "common/vector.h",
+            *_POLYNOMIALS,
+            "render/carrier.h",
+            "render/transition.h",
             "render/baseband_fades.cl",
         ),
         {
@@ -325,7 +401,7 @@ PROGRAMS = {
         },
         frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS"}),
     ),
-}  # fmt: skip
+}
 
 
 def kernel_folder() -> Path:

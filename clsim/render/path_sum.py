@@ -90,7 +90,7 @@ class _Sum(Stateless):
         if self._engine is None:
             self._engine = _engine(self._plan)
         self._engine.until(self._last)
-        pressure += self._engine.render(start, start + pressure.shape[1])
+        self._engine.add(pressure, start)
 
     def warn(self) -> None:
         """Warn of what the engine could not hold as well as asked."""

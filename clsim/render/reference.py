@@ -43,6 +43,10 @@ class ReferenceEngine:
                 pressure[pair.receiver, first - start : last - start] += _render_paths(plan, i, first, last)
         return pressure
 
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        pressure += self.render(start, start + pressure.shape[1])
+
 
 def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Complexes:
     """Return the sum of a pair's paths over samples `first` to `last`, shape (n,)."""

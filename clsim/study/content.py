@@ -79,7 +79,8 @@ def computed(study: Study, member: Member, device: str | None, folder: Path) -> 
     if study.metrics:
         function = metrics_function(study.metrics, study.folder)
         metrics = function(recording, planned.paths, dict(member.parameters))
-        _add_metrics(content, metrics, {*TAKEN, *member.parameters})
+        sound_taken = ["sound"] if "recording" in study.keep else []  # it is in the group already
+        _add_metrics(content, metrics, {*TAKEN, *member.parameters, *sound_taken})
     used = None if plan.options.engine != "opencl" else find_device(plan.options.device)[0]
     return content, store.paths[0], "" if used is None else f"{used.id} {used.name}"
 

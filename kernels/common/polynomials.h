@@ -1,24 +1,21 @@
 // How the polynomials of a block and a path are laid out, lowest power first: one of the delay with DELAY_TERMS terms,
 // and cubics of the gains of all functions of frequency, the terms of equal power side by side. Where neighbouring paths
-// are expanded together they are [block][terms][slots]; where one path is at a time, because signals pause (SPARSE) or
-// for envelopes (DELAY_TERMS == 8), [block][slots][terms].
+// are expanded together they are [block][slots / BESIDE][terms][BESIDE]: a vector of paths reads them side by side, and
+// a path's own lie near each other when they are written. Where one path is at a time, because signals pause (SPARSE) or
+// for envelopes (DELAY_TERMS == 8), BESIDE is 1.
+
+#if DELAY_TERMS == 8 || SPARSE
+#define BESIDE 1
+#else
+#define BESIDE 8
+#endif
 
 static int terms(int functions) { return DELAY_TERMS + 4 * functions; }
 
-#if DELAY_TERMS == 8 || SPARSE
-#define APART(slots) 1
-#else
-#define APART(slots) (slots)
-#endif
-
-// Where the polynomials of a block and a path begin; their terms are APART(slots) from each other.
+// Where the polynomials of a block and a path begin; their terms are BESIDE from each other.
 static long place_of(int block, int slot, int functions, int slots)
 {
-#if DELAY_TERMS == 8 || SPARSE
-    return ((long)block * slots + slot) * terms(functions);
-#else
-    return (long)block * terms(functions) * slots + slot;
-#endif
+    return ((long)block * slots + slot / BESIDE * BESIDE) * terms(functions) + slot % BESIDE;
 }
 
 // Value at t in [-1, 1] of a cubic with coefficients a to d, its derivative, and half of its second one. So written that

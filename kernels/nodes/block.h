@@ -17,44 +17,9 @@ static void write_gains(const gains* gain, int apart, __global float* g)
     for (int k = 0; k < FUNCTIONS; k++) g[k * apart] = ((const float*)gain)[k];
 }
 
-static void write_block(const window* node, int block, int slots, int slot, double sampling_rate, double delay_samples,
-                        int heard, __global int* delay, __global float* polynomials)
+// Write four powers of the gains, of a path that is heard or not.
+static void write_terms(gains terms[4][GAIN_VECTORS], int heard, int apart, __global float* c)
 {
-    const int apart = APART(slots);
-    __global float* c = polynomials + place_of(block, slot, FUNCTIONS, slots);
-    gains terms[4][GAIN_VECTORS];
-#if DELAY_TERMS == 8
-    delay[block * slots + slot] = write_septic(node->delay, node->rate, sampling_rate, delay_samples, c);
-#pragma unroll
-    for (int i = 0; i < GAIN_VECTORS; i++) {
-        // The cubic through all four nodes, at t = -3, -1, 1 and 3.
-        const gains g0 = node->gain[0][i], g1 = node->gain[1][i], g2 = node->gain[2][i], g3 = node->gain[3][i];
-        const gains s1 = 0.5f * (g2 + g1), s3 = 0.5f * (g3 + g0), d1 = 0.5f * (g2 - g1), d3 = 0.5f * (g3 - g0);
-        terms[0][i] = 1.125f * s1 - 0.125f * s3;
-        terms[1][i] = 1.125f * d1 - d3 * (1.0f / 24.0f);
-        terms[2][i] = 0.125f * (s3 - s1);
-        terms[3][i] = d3 * (1.0f / 24.0f) - 0.125f * d1;
-    }
-#else
-    const double rate = OVERSAMPLING * sampling_rate, half_block = 0.5 * OVERSAMPLING * BLOCK;
-    const double p0 = node->delay[1] * rate + delay_samples, p1 = node->delay[2] * rate + delay_samples;
-    const double e0 = node->rate[1] * half_block, e1 = node->rate[2] * half_block;
-    const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
-    delay[block * slots + slot] = (int)whole;
-    c[0] = (float)(centre - whole);
-    c[apart] = (float)(0.75 * (p1 - p0) - 0.25 * (e0 + e1));
-    c[2 * apart] = (float)(0.25 * (e1 - e0));
-    c[3 * apart] = (float)(0.25 * (e0 + e1) - 0.25 * (p1 - p0));
-#pragma unroll
-    for (int i = 0; i < GAIN_VECTORS; i++) {
-        const gains g0 = node->gain[1][i], g1 = node->gain[2][i];
-        const gains s0 = 0.25f * (g1 - node->gain[0][i]), s1 = 0.25f * (node->gain[3][i] - g0);
-        terms[0][i] = 0.5f * (g0 + g1) - 0.25f * (s1 - s0);
-        terms[1][i] = 0.75f * (g1 - g0) - 0.25f * (s0 + s1);
-        terms[2][i] = 0.25f * (s1 - s0);
-        terms[3][i] = 0.25f * (s0 + s1) - 0.25f * (g1 - g0);
-    }
-#endif
 #pragma unroll
     for (int power = 0; power < 4; power++) {
         if (!heard) {
@@ -62,6 +27,47 @@ static void write_block(const window* node, int block, int slots, int slot, doub
         }
         write_gains(terms[power], apart, c + (DELAY_TERMS + power * FUNCTIONS) * apart);
     }
+}
+
+// The gains' powers from four nodes.
+static void terms_between(const window* node, gains terms[4][GAIN_VECTORS])
+{
+#pragma unroll
+    for (int i = 0; i < GAIN_VECTORS; i++) {
+        const gains g0 = node->gain[0][i], g1 = node->gain[1][i], g2 = node->gain[2][i], g3 = node->gain[3][i];
+#if DELAY_TERMS == 8
+        // The cubic through all four nodes, at t = -3, -1, 1 and 3.
+        const gains s1 = 0.5f * (g2 + g1), s3 = 0.5f * (g3 + g0), d1 = 0.5f * (g2 - g1), d3 = 0.5f * (g3 - g0);
+        terms[0][i] = 1.125f * s1 - 0.125f * s3;
+        terms[1][i] = 1.125f * d1 - d3 * (1.0f / 24.0f);
+        terms[2][i] = 0.125f * (s3 - s1);
+        terms[3][i] = d3 * (1.0f / 24.0f) - 0.125f * d1;
+#else
+        const gains s0 = 0.25f * (g2 - g0), s1 = 0.25f * (g3 - g1);
+        terms[0][i] = 0.5f * (g1 + g2) - 0.25f * (s1 - s0);
+        terms[1][i] = 0.75f * (g2 - g1) - 0.25f * (s0 + s1);
+        terms[2][i] = 0.25f * (s1 - s0);
+        terms[3][i] = 0.25f * (s0 + s1) - 0.25f * (g2 - g1);
+#endif
+    }
+}
+
+// Write the delay; returns its whole part.
+static int write_delay(const window* node, int apart, double sampling_rate, double delay_samples, __global float* c)
+{
+#if DELAY_TERMS == 8
+    return write_septic(node->delay, node->rate, sampling_rate, delay_samples, c);
+#else
+    const double rate = OVERSAMPLING * sampling_rate, half_block = 0.5 * OVERSAMPLING * BLOCK;
+    const double p0 = node->delay[1] * rate + delay_samples, p1 = node->delay[2] * rate + delay_samples;
+    const double e0 = node->rate[1] * half_block, e1 = node->rate[2] * half_block;
+    const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
+    c[0] = (float)(centre - whole);
+    c[apart] = (float)(0.75 * (p1 - p0) - 0.25 * (e0 + e1));
+    c[2 * apart] = (float)(0.25 * (e1 - e0));
+    c[3 * apart] = (float)(0.25 * (e0 + e1) - 0.25 * (p1 - p0));
+    return (int)whole;
+#endif
 }
 
 #if DELAY_TERMS == 8
@@ -79,8 +85,7 @@ static gains falling(gains g0, gains g1, gains g2, gains g3, gains third_squared
 // turned into phase, and 0.02 of the gains' third differences (0.016 is that of Catmull-Rom), both from differences of
 // nodes; and what groups leave out of the cubics but for FINE ones: the delay's third power, the gains' second one. Of
 // envelopes the septic's, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
-static float block_error_squared(const window* node, __global const gains* sizes, float angular_frequency,
-                                 double block_time)
+static float delay_error_squared(const window* node, float angular_frequency, double block_time)
 {
     const double* r = node->rate;
 #if DELAY_TERMS == 8
@@ -97,6 +102,29 @@ static float block_error_squared(const window* node, __global const gains* sizes
 #endif
 #endif
     const float phase = angular_frequency * delay_error;
+    return phase * phase * node->strength[1];
+}
+
+// The same of what groups leave out of gains.
+static float left_out_squared(const gains terms[4][GAIN_VECTORS], __global const gains* sizes)
+{
+#if DELAY_TERMS == 8 || FINE
+    return 0.0f;
+#else
+    const float part = (float)SUBBLOCK / (float)BLOCK;
+    gains change = 0.0f;
+#pragma unroll
+    for (int i = 0; i < GAIN_VECTORS; i++) {
+        const gains second = part * part * terms[2][i] * sizes[i];
+        change += second * second;
+    }
+    return sum_of(change);
+#endif
+}
+
+// The same of gains between nodes.
+static float gain_error_squared(const window* node, __global const gains* sizes)
+{
     gains change = 0.0f;
 #pragma unroll
     for (int i = 0; i < GAIN_VECTORS; i++) {
@@ -105,11 +133,8 @@ static float block_error_squared(const window* node, __global const gains* sizes
         gains squared = third * third;
 #if DELAY_TERMS == 8
         squared *= falling(g0, g1, g2, g3, squared);
-#elif !FINE
-        const gains second = (0.0625f / GAIN_ERROR * part * part) * ((g3 - g2) - (g1 - g0));
-        squared += second * second;
 #endif
         change += squared * sizes[i] * sizes[i];
     }
-    return phase * phase * node->strength[1] + GAIN_ERROR * GAIN_ERROR * sum_of(change);
+    return GAIN_ERROR * GAIN_ERROR * sum_of(change);
 }

@@ -12,12 +12,46 @@ static triple image_offset_of(__global const double* offset, int slots, int slot
     return out;
 }
 
-// A vector by the transposed matrix of an image.
-static triple turned_back(__global const double* matrix, int slots, int slot, triple v)
+// Vectors by the transposed matrix of an image.
+static triples turned_back(__global const double* matrix, int slots, int slot, triples v)
 {
     __global const double* m = matrix + slot;
-    const triple out = {m[0] * v.x + m[3 * slots] * v.y + m[6 * slots] * v.z,
-                        m[slots] * v.x + m[4 * slots] * v.y + m[7 * slots] * v.z,
-                        m[2 * slots] * v.x + m[5 * slots] * v.y + m[8 * slots] * v.z};
+    const triples out = {m[0] * v.x + m[3 * slots] * v.y + m[6 * slots] * v.z,
+                         m[slots] * v.x + m[4 * slots] * v.y + m[7 * slots] * v.z,
+                         m[2 * slots] * v.x + m[5 * slots] * v.y + m[8 * slots] * v.z};
+    return out;
+}
+
+// Receivers as seen from the source's own room: where they are, how they move and turn, and their clocks.
+typedef struct {
+    triples position, velocity, frame[3];
+    reals clock_error, clock_rate;  // as of a receiver_node
+} receivers_in_image;
+
+// Those of nodes side by side; of receivers at rest there is one row.
+#define OF_ROWS(field) SIDE_BY_SIDE(row, ->field)
+static receivers_in_image receivers_at(__global const double* image_matrix, int slots, int slot, triple offset,
+                                       __global const receiver_node* node)
+{
+    receivers_in_image out;
+    __global const receiver_node* row[NODES_AT_ONCE];
+#pragma unroll
+    for (int i = 0; i < NODES_AT_ONCE; i++) row[i] = node + (STATIC_RECEIVERS ? 0 : i);
+    const triples apart = {OF_ROWS(position[0]) - offset.x, OF_ROWS(position[1]) - offset.y, OF_ROWS(position[2]) - offset.z};
+    const triples velocity = {OF_ROWS(velocity[0]), OF_ROWS(velocity[1]), OF_ROWS(velocity[2])};
+    out.position = turned_back(image_matrix, slots, slot, apart);
+    out.velocity = turned_back(image_matrix, slots, slot, velocity);
+#if RECEIVER_DIRECTIVITY != OMNI
+    const triples x = {OF_ROWS(axes[0][0]), OF_ROWS(axes[0][1]), OF_ROWS(axes[0][2])};
+    out.frame[0] = turned_back(image_matrix, slots, slot, x);
+#endif
+#if RECEIVER_DIRECTIVITY == SPHERICAL
+    const triples y = {OF_ROWS(axes[1][0]), OF_ROWS(axes[1][1]), OF_ROWS(axes[1][2])};
+    const triples z = {x.y * y.z - x.z * y.y, x.z * y.x - x.x * y.z, x.x * y.y - x.y * y.x};
+    out.frame[1] = turned_back(image_matrix, slots, slot, y);
+    out.frame[2] = turned_back(image_matrix, slots, slot, z);
+#endif
+    out.clock_error = OF_ROWS(clock_error);
+    out.clock_rate = OF_ROWS(clock_rate);
     return out;
 }

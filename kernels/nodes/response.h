@@ -15,6 +15,14 @@ typedef struct {
     __global const bins* receiver_directivity;  // likewise
 } surroundings;
 
+// What of an arrival gains depend on.
+typedef struct {
+    double delay, mach_factor;
+    triple departure;
+    __global const double* knot;
+    double u;
+} arrival;
+
 // Gains of functions: products with every node. Four sums at a time, so that none waits for the one before.
 static void project(const response* r, __global const gains* projection, gains* gain)
 {

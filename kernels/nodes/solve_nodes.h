@@ -1,47 +1,76 @@
-// Nodes of one path side by side: the receiver as the path sees it, and the delay.
+// Nodes of one path: the receiver as the path sees it, and the delay, GROUP neighbours at a time.
 
-// A receiver as seen from the source's own room: where it is, how it moves and turns, and its clock.
+#define GROUP 4
+#define AT_ONCE (GROUP / NODES_AT_ONCE)
+#define PART(i) ((i) / NODES_AT_ONCE)  // of the group, in which its i-th node is
+#define BESIDE_IT(i) ((i) % NODES_AT_ONCE)
+
+// All that the nodes of a path over a walk are solved from, and those that were solved last.
 typedef struct {
-    triple position, velocity, frame[3];
-    double clock_error, clock_rate;  // as of a receiver_node
-} receiver_in_image;
+    const trajectory* path;
+    __global const double* image_matrix;
+    triple offset;
+    int slots, slot;
+    __global const receiver_node* rows;  // of the walk's first node on
+    double start, block_time;            // time of the walk's first block, s
+    const double* predicted;             // delays over the walk, a septic on [-1, 1]
+    int ready;                           // the group that is solved
+    receivers_in_image receiver[STATIC_RECEIVERS ? 1 : AT_ONCE];
+    arrivals node[AT_ONCE];
+} path_nodes;
 
-static receiver_in_image receiver_at(__global const double* image_matrix, int slots, int slot, triple offset,
-                                     __global const receiver_node* node)
+// Solve a group of the walk's nodes.
+static void solve_group(path_nodes* s, int group)
 {
-    receiver_in_image out;
-    out.position = turned_back(image_matrix, slots, slot, difference(at_row(node->position), offset));
-    out.velocity = turned_back(image_matrix, slots, slot, at_row(node->velocity));
-#if RECEIVER_DIRECTIVITY != OMNI
-    out.frame[0] = turned_back(image_matrix, slots, slot, at_row(node->axes[0]));
+    if (s->ready == group) return;
+    s->ready = group;
+    for (int part = 0; part < AT_ONCE; part++) {
+        receivers_in_image* receiver = s->receiver + (STATIC_RECEIVERS ? 0 : part);
+        const int first = group * GROUP + part * NODES_AT_ONCE;
+#if !STATIC_RECEIVERS
+        *receiver = receivers_at(s->image_matrix, s->slots, s->slot, s->offset, s->rows + first);
 #endif
-#if RECEIVER_DIRECTIVITY == SPHERICAL
-    out.frame[1] = turned_back(image_matrix, slots, slot, at_row(node->axes[1]));
-    out.frame[2] =
-        turned_back(image_matrix, slots, slot, cross_product(at_row(node->axes[0]), at_row(node->axes[1])));
-#endif
-    out.clock_error = node->clock_error;
-    out.clock_rate = node->clock_rate;
+        const double at[4] = {first - 1, first, first + 1, first + 2};
+        const reals block = SIDE_BY_SIDE(at, ), u = block * (2.0 / WALK) - 1.0;
+        reals expected = s->predicted[7];
+#pragma unroll
+        for (int k = 6; k >= 0; k--) expected = expected * u + s->predicted[k];
+        s->node[part].delay = expected + receiver->clock_error;
+        solve_delay(s->path, receiver->position, receiver->velocity, s->start + block * s->block_time + receiver->clock_error,
+                    CONVERGED, s->node + part);
+    }
+}
+
+// Delay and rate at a node of the group, by the receiver's own clock.
+static double delay_of_node(const path_nodes* s, int i)
+{
+    const reals late = s->node[PART(i)].delay - s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].clock_error;
+    return OF_NODE(late, BESIDE_IT(i));
+}
+static double rate_of_node(const path_nodes* s, int i)
+{
+    const reals pace = s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].clock_rate;
+    const reals rate = s->node[PART(i)].rate * pace - (pace - 1.0);
+    return OF_NODE(rate, BESIDE_IT(i));
+}
+
+static triple triple_of(const triples* x, int i)
+{
+    const triple out = {OF_NODE(x->x, i), OF_NODE(x->y, i), OF_NODE(x->z, i)};
     return out;
 }
 
-// Newton steps of several nodes side by side, so that no processor waits for a single one: each until its step is so
-// small that the next one, of the order of its square, would be of no use.
-static void solve_nodes(const trajectory* path, const receiver_in_image* receiver, const double* times, arrival* node)
+// The gains at a node of the group, see response.h.
+static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, const surroundings* around, gains* gain,
+                           float* unheld)
 {
-    int open[NODES_AT_ONCE];
-#pragma unroll
-    for (int i = 0; i < NODES_AT_ONCE; i++) open[i] = 1;
-    for (int k = 0; k < 8; k++) {
-        int any = 0;
-#pragma unroll
-        for (int i = 0; i < NODES_AT_ONCE; i++) {
-            if (!open[i]) continue;
-            const receiver_in_image* here = receiver + (STATIC_RECEIVERS ? 0 : i);
-            const double step = newton_step(path, here->position, here->velocity, times[i], node + i);
-            open[i] = step * step >= CONVERGED;
-            any |= open[i];
-        }
-        if (!any) break;
-    }
+    const arrivals* a = s->node + PART(i);
+    const int beside = BESIDE_IT(i);
+    const arrival here = {OF_NODE(a->delay, beside), OF_NODE(a->mach_factor, beside), triple_of(&a->departure, beside),
+                          a->knot[beside], OF_NODE(a->u, beside)};
+    triple frame[3];
+#if RECEIVER_DIRECTIVITY != OMNI
+    for (int k = 0; k < 3; k++) frame[k] = triple_of(s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].frame + k, beside);
+#endif
+    return path_gains(&here, speed_of_sound, around, s->slots, s->slot, frame, gain, unheld);
 }

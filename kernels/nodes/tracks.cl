@@ -14,7 +14,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
-                     int nodes,                            // blocks + 3, the first one before the run
+                     int nodes,                            // those of whole walks and some more, the first one before the run
                      __global const double* coarse_delays,  // [ends of walks][2][slots], of coarse_delays.cl
                      int first_walk,                       // one walk before the run's first sample
                      __global const double* knots, int knot_count, double first_knot, double knot_rate,
@@ -25,6 +25,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      double delay_samples,                 // added to the delay
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
                      float angular_frequency,              // largest of the signal, rad/s
+                     float smooth,                         // square of what gains of smooth.h may be wrong by, relative
                      __global const bins* wall_tables, __global const bins* source_directivity,
                      __global const bins* receiver_directivities,  // of every kind that is there
                      __global const int* directivity_of,   // [receivers], bands from the first
@@ -38,7 +39,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global int* activity)               // [blocks][slots]: subblocks in which it sounds, see activity.h
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
-    const int first = walk * WALK, last = first + WALK < blocks ? first + WALK : blocks;
+    const int first = walk * WALK, apart = BESIDE, last = first + WALK < blocks ? first + WALK : blocks;
     const trajectory path = {knots, knot_count, first_knot, knot_rate, 1.0 / speed_of_sound};
     const triple offset = image_offset_of(image_offset, slots, slot);
     __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
@@ -57,13 +58,16 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
 #if SPARSE
     const activity_mask mask = {following, preceding, cells, origin};
 #endif
-    receiver_in_image receiver[STATIC_RECEIVERS ? 1 : NODES_AT_ONCE];
+    path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, rows + (STATIC_RECEIVERS ? 0 : first),
+                                start + first * block_time, block_time, predicted, -1};
 #if STATIC_RECEIVERS
-    receiver[0] = receiver_at(image_matrix, slots, slot, offset, rows);
+    nodes_of_path.receiver[0] = receivers_at(image_matrix, slots, slot, offset, rows);
 #endif
-    double times[NODES_AT_ONCE];
-    arrival node[NODES_AT_ONCE];
-    int ready = -NODES_AT_ONCE;  // first of the nodes whose delays are solved
+#if DELAY_TERMS == 4
+    smooth_gains slow;
+    slow.stretch = slow.cell = -1;
+#endif
+    gains powers[4][GAIN_VECTORS];
     window w;
     int solved = first - 1;  // last node in the window
     float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
@@ -85,42 +89,41 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         }
         if (!is_active(&mask, block, low_here - of_block - 2.0, high_here + of_block + 2.0)) continue;
 #endif
-        for (int n = solved < block ? block : solved + 1; n <= block + 3; n++) {
-            if (n >= ready + NODES_AT_ONCE) {
-                ready = n;
-                for (int i = 0; i < NODES_AT_ONCE; i++) {
-                    const int at = n + i < last + 2 ? n + i : last + 2;
-#if !STATIC_RECEIVERS
-                    receiver[i] = receiver_at(image_matrix, slots, slot, offset, rows + at);
+        float gain_error;
+#if DELAY_TERMS == 4
+        if (smooth > 0.0f && make_cell(&slow, &nodes_of_path, (block - first) / CELL_BLOCKS, smooth, speed_of_sound, &around)) {
+            terms_in_cell(&slow, block - first, &w, powers);
+            gain_error = slow.error;
+            left_over = slow.left_over;
+            solved = first - 1;
+        } else
 #endif
-                    const double u = (at - 1 - first) * (2.0 / WALK) - 1.0;
-                    double expected = predicted[7];
-#pragma unroll
-                    for (int k = 6; k >= 0; k--) expected = expected * u + predicted[k];
-                    times[i] = start + (double)(at - 1) * block_time + receiver[STATIC_RECEIVERS ? 0 : i].clock_error;
-                    node[i].delay = expected + receiver[STATIC_RECEIVERS ? 0 : i].clock_error;
+        {
+            for (int n = solved < block ? block : solved + 1; n <= block + 3; n++) {
+                solve_group(&nodes_of_path, (n - first) / GROUP);
+                const int at = (n - first) % GROUP;
+                for (int i = 0; i < 3; i++) {
+                    w.delay[i] = w.delay[i + 1];
+                    w.rate[i] = w.rate[i + 1];
+                    for (int k = 0; k < GAIN_VECTORS; k++) w.gain[i][k] = w.gain[i + 1][k];
+                    w.strength[i] = w.strength[i + 1];
                 }
-                solve_nodes(&path, receiver, times, node);
+                w.delay[3] = delay_of_node(&nodes_of_path, at);
+                w.rate[3] = rate_of_node(&nodes_of_path, at);
+                w.strength[3] = gains_of_node(&nodes_of_path, at, speed_of_sound, &around, w.gain[3], &left_over);
             }
-            const arrival* a = node + (n - ready);
-            const receiver_in_image* here = receiver + (STATIC_RECEIVERS ? 0 : n - ready);
-            for (int i = 0; i < 3; i++) {
-                w.delay[i] = w.delay[i + 1];
-                w.rate[i] = w.rate[i + 1];
-                for (int k = 0; k < GAIN_VECTORS; k++) w.gain[i][k] = w.gain[i + 1][k];
-                w.strength[i] = w.strength[i + 1];
-            }
-            w.delay[3] = a->delay - here->clock_error;
-            w.rate[3] = a->rate * here->clock_rate - (here->clock_rate - 1.0);
-            w.strength[3] = path_gains(a, speed_of_sound, &around, slots, slot, here->frame, w.gain[3], &left_over);
+            terms_between(&w, powers);
+            gain_error = gain_error_squared(&w, strengths);
+            solved = block + 3;
         }
         for (int i = 1; i < 3; i++) {
             const float delay_now = (float)w.delay[i];
             shortest = delay_now < shortest ? delay_now : shortest;
             longest = delay_now > longest ? delay_now : longest;
         }
-        solved = block + 3;
-        write_block(&w, block, slots, slot, sampling_rate, delay_samples, heard, delay, polynomials);
+        __global float* c = polynomials + place_of(block, slot, FUNCTIONS, slots);
+        delay[block * slots + slot] = write_delay(&w, apart, sampling_rate, delay_samples, c);
+        write_terms(powers, heard, apart, c);
         if (!heard) continue;
 #if SPARSE
         const double p1 = w.delay[1] * sampling_rate + delay_samples, p2 = w.delay[2] * sampling_rate + delay_samples;
@@ -133,7 +136,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         rest = left_over > rest ? left_over : rest;
         const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
-            const float squared = block_error_squared(&w, strengths, angular_frequency, block_time);
+            const float squared = delay_error_squared(&w, angular_frequency, block_time) +
+                                  left_out_squared(powers, strengths) + gain_error;
             error = squared > error ? squared : error;
         }
     }

@@ -29,13 +29,15 @@ typedef struct {
 static int evaluate(const search* s, double time, double within, double* clear, double* reach)
 {
     const triple source_perturbation = SOURCE_PERTURBATION, receiver_perturbation = RECEIVER_PERTURBATION;
-    const triple still = {0.0, 0.0, 0.0};
-    arrival a;
+    const triples still = {0.0, 0.0, 0.0};
+    arrivals a;
     locate(&s->receiver.path, time, &a);
-    const triple receiver = cubic(a.knot, a.u);
+    const triple receiver = cubic(a.knot[0], a.u);
     triple image = receiver;
     for (int k = ORDER; k > 0; k--) image = mirrored(s->walls.plane[s->sequence[k - 1]], image);
-    solve_delay(&s->source.path, image, still, time, 1e-18, &a);
+    const triples seen = {image.x, image.y, image.z};
+    a.delay = 0.0;
+    solve_delay(&s->source.path, seen, still, time, 1e-18, &a);
     const double emitted = time - a.delay;
     locate(&s->source.path, emitted, &a);
     const double slowness = s->source.path.slowness;
@@ -44,7 +46,7 @@ static int evaluate(const search* s, double time, double within, double* clear, 
         within * time_dilation * speed_over(&s->source, emitted - time_dilation * within, emitted + time_dilation * within);
     const double receiver_reach = within * speed_over(&s->receiver, time - within, time + within);
     *reach = fmax(source_reach, receiver_reach);
-    return path_status(&s->walls, s->sequence, lifted(&s->source, sum(cubic(a.knot, a.u), source_perturbation)),
+    return path_status(&s->walls, s->sequence, lifted(&s->source, sum(cubic(a.knot[0], a.u), source_perturbation)),
                        lifted(&s->receiver, sum(receiver, receiver_perturbation)), source_reach, receiver_reach, s->source.mount,
                        s->receiver.mount, clear);
 }
@@ -71,11 +73,13 @@ static void put(__global progress* p, double begin, double end, int path, __glob
     p->end = end;
 }
 
-__kernel void intervals(int wall_count, double tolerance, double thickness, __global const double4* plane,
+__kernel void intervals(double tolerance, double thickness, __global const double4* plane,
                         __global const double4* sphere, __global const int* same, __global const int* first_edge,
                         __global const int* first_piece,
                         __global const int* first_line, __global const int* first_twin, __global const edge_ends* edge,
                         __global const double4* line, __global const int* twin,
+                        int box_count, __global const double4* box_middle, __global const double4* box_extent,
+                        __global const int* box_wall, __global const int* box_skip,
                         __global const table_place* places,    // [ends], the source first
                         __global const table_scale* scales,    // [ends]
                         __global const double* knots, __global const double* speeds,
@@ -92,8 +96,8 @@ __kernel void intervals(int wall_count, double tolerance, double thickness, __gl
 {
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
-    const search s = {{wall_count, tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
-                       line, twin}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
+    const search s = {{tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
+                       line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
                       trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
                       sequences + ORDER * path};
     __global progress* p = states + path;

@@ -15,9 +15,19 @@ static triple cubic(__global const double* c, double u)
                         c[2] + u * (c[5] + u * (c[8] + u * c[11]))};
     return out;
 }
-static triple cubic_rate(__global const double* c, double u)
+// The same at nodes side by side, and the derivative.
+#define COLUMN(i) SIDE_BY_SIDE(c, [i])
+static triples cubics(__global const double* const* c, reals u)
 {
-    const triple out = {c[3] + u * (2 * c[6] + u * 3 * c[9]), c[4] + u * (2 * c[7] + u * 3 * c[10]),
-                        c[5] + u * (2 * c[8] + u * 3 * c[11])};
+    const triples out = {COLUMN(0) + u * (COLUMN(3) + u * (COLUMN(6) + u * COLUMN(9))),
+                         COLUMN(1) + u * (COLUMN(4) + u * (COLUMN(7) + u * COLUMN(10))),
+                         COLUMN(2) + u * (COLUMN(5) + u * (COLUMN(8) + u * COLUMN(11)))};
+    return out;
+}
+static triples cubic_rates(__global const double* const* c, reals u)
+{
+    const triples out = {COLUMN(3) + u * (2 * COLUMN(6) + u * 3 * COLUMN(9)),
+                         COLUMN(4) + u * (2 * COLUMN(7) + u * 3 * COLUMN(10)),
+                         COLUMN(5) + u * (2 * COLUMN(8) + u * 3 * COLUMN(11))};
     return out;
 }

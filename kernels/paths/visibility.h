@@ -78,8 +78,9 @@ static int passes(const room* walls, __global const int* sequence, double reach,
         const triple a = along(path, leg, path->tau[leg]), b = along(path, leg, path->tau[leg + 1]);
         const double first = path->tau[leg] + path->slack[leg], last = path->tau[leg + 1] - path->slack[leg + 1];
         const triple from = along(path, leg, first), to = along(path, leg, last);  // what is always part of the leg
-        for (int wall = 0; wall < walls->count; wall++) {
-            if (same_plane(walls, sequence, leg, wall) || !blocks(walls, wall, a, b)) continue;
+        for (int box = 0; box < walls->tree.count;) {
+            const int wall = next_wall(&walls->tree, &box, a, b, walls->tolerance);
+            if (wall < 0 || same_plane(walls, sequence, leg, wall) || !blocks(walls, wall, a, b)) continue;
             valid = 0;
             const double before = height(walls->plane[wall], from), behind = height(walls->plane[wall], to);
             if (first < last && before * behind < 0.0) {
@@ -104,7 +105,9 @@ static double edge_clearance(const room* walls, double reach, const unfolded* pa
     for (int leg = 0; leg <= ORDER; leg++) {
         const triple a = along(path, leg, fmax(path->tau[leg] - path->slack[leg], 0.0));
         const triple b = along(path, leg, fmin(path->tau[leg + 1] + path->slack[leg + 1], 1.0));
-        for (int wall = 0; wall < walls->count; wall++) {
+        for (int box = 0; box < walls->tree.count;) {
+            const int wall = next_wall(&walls->tree, &box, a, b, clear);
+            if (wall < 0) continue;
             const double4 sphere = walls->sphere[wall];
             const triple centre = {sphere.x, sphere.y, sphere.z};
             if (point_apart(centre, a, b) > (sphere.w + clear) * (sphere.w + clear)) continue;

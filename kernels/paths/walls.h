@@ -5,7 +5,6 @@ typedef struct {
 } edge_ends;
 
 typedef struct {
-    int count;
     double tolerance;                // m, how far outside its outline a point still is on a wall
     double thickness;                // m, how far edges lie from the planes of their walls
     __global const double4* plane;   // unit normal and offset
@@ -18,6 +17,7 @@ typedef struct {
     __global const edge_ends* edge;  // [edges]
     __global const double4* line;    // x is inside if inner(line, x) >= line.w
     __global const int* twin;        // walls of lower index in the same plane
+    wall_tree tree;
 } room;
 
 static double height(double4 plane, triple x) { return plane.x * x.x + plane.y * x.y + plane.z * x.z - plane.w; }
@@ -28,18 +28,19 @@ static triple mirrored(double4 plane, triple x)
 }
 static double unit_range(double x) { return x < 0.0 ? 0.0 : x < 1.0 ? x : 1.0; }
 
-// Whether a point of a wall's plane lies on the wall.
-static int holds(const room* walls, int wall, triple x)
+// The convex piece of a wall that a point of the wall's plane lies on, or -1.
+static int piece_at(const room* walls, int wall, triple x)
 {
     for (int piece = walls->first_piece[wall]; piece < walls->first_piece[wall + 1]; piece++) {
         int inside = 1;
         for (int i = walls->first_line[piece]; i < walls->first_line[piece + 1] && inside; i++) {
             inside = height(walls->line[i], x) >= -walls->tolerance;
         }
-        if (inside) return 1;
+        if (inside) return piece;
     }
-    return 0;
+    return -1;
 }
+static int holds(const room* walls, int wall, triple x) { return piece_at(walls, wall, x) >= 0; }
 
 // Square of the distance between the segments a + s u and b + t v, s and t from 0 to 1.
 static double segments_apart(triple a, triple u, triple b, triple v)

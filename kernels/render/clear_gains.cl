@@ -6,5 +6,5 @@ __kernel void clear_gains(int count, __global const int* slot, __global const in
     const int i = get_global_id(0);
     if (i >= count) return;
     __global float* c = polynomials + place_of(block[i], slot[i], functions, slots);
-    for (int term = DELAY_TERMS; term < terms(functions); term++) c[term * APART(slots)] = 0.0f;
+    for (int term = DELAY_TERMS; term < terms(functions); term++) c[term * BESIDE] = 0.0f;
 }

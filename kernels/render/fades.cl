@@ -19,7 +19,7 @@ __kernel void fades(__global const float* branches,  // [rows][stride]
 {
     const int n = get_global_id(0), place = get_global_id(1), at = block[place] * block_samples + n;
     if (at >= samples) return;
-    const int apart = APART(slots), power = functions * apart;
+    const int apart = BESIDE, power = functions * apart;
     const float t = (float)(2 * n) / (float)block_samples - 1.0f;
     float sum = 0.0f;
     for (int fade = first[place]; fade < first[place + 1]; fade++) {

@@ -66,7 +66,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
             }
 #else
             for (int slot = tile; slot < tile_end; slot += BATCH) {
-                expand(delay + row * slots + slot, polynomials + place_of(row, slot, functions, slots), slots, functions,
+                expand(delay + row * slots + slot, polynomials + place_of(row, slot, functions, slots), functions,
                        first_function, t, per_sample, worker, &paths);
                 SYNCHRONISE;
                 for (int p = 0; p < BATCH; p++) {

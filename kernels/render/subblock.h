@@ -85,12 +85,12 @@ static void expand(int delay, __global const float* c, int functions, int first,
 }
 #else
 // Expand a batch about the subblock's centre t in [-1, 1] of its block, with the gains of `functions` from a first one on.
-static void expand(__global const int* delay, __global const float* polynomials, int slots, int functions, int first, float t,
+static void expand(__global const int* delay, __global const float* polynomials, int functions, int first, float t,
                    float per_sample, int worker, SHARED batch* out)
 {
     for (int p = worker * LANES; p < BATCH; p += WORKERS * LANES) {
-        __global const float* c = polynomials + p;
-        const vec c1 = LOAD(c + slots), c2 = LOAD(c + 2 * slots), c3 = LOAD(c + 3 * slots);
+        __global const float* c = polynomials + place_of(0, p, functions, 0);
+        const vec c1 = LOAD(c + BESIDE), c2 = LOAD(c + 2 * BESIDE), c3 = LOAD(c + 3 * BESIDE);
         const vec at = CUBIC(LOAD(c), c1, c2, c3, t), whole = rounded(at);
         *(SHARED loose_ivec*)(out->whole + p) = *(__global const loose_ivec*)(delay + p) + nearest(at);
         *(SHARED loose_vec*)(out->fraction + p) = at - whole;
@@ -101,8 +101,8 @@ static void expand(__global const int* delay, __global const float* polynomials,
 #endif
 #pragma unroll
         for (int k = 0; k < FUNCTIONS; k++) {
-            __global const float* g = c + (DELAY_TERMS + first + k) * slots;
-            const int power = functions * slots;
+            __global const float* g = c + (DELAY_TERMS + first + k) * BESIDE;
+            const int power = functions * BESIDE;
             const vec g1 = LOAD(g + power), g2 = LOAD(g + 2 * power), g3 = LOAD(g + 3 * power);
             *(SHARED loose_vec*)(out->gain[k] + p) = CUBIC(LOAD(g), g1, g2, g3, t);
             *(SHARED loose_vec*)(out->slope[k] + p) = per_sample * CUBIC_SLOPE(g1, g2, g3, t);

@@ -114,8 +114,8 @@ def test_both_find_the_same(wanted) -> None:
 MUTANTS = {
     "legs not drawn out": ("path->slack[k] = reach * inverse;", "path->slack[k] = 0.0;"),
     "edges of the first walls only": (
-        "for (int wall = 0; wall < walls->count; wall++) {\n            const double4 sphere",
-        "for (int wall = 0; wall < walls->count / 2; wall++) {\n            const double4 sphere",
+        "for (int box = 0; box < walls->tree.count;) {\n            const int wall = next_wall(&walls->tree, &box, a, b, clear);",
+        "for (int box = 0; box < walls->tree.count / 2;) {\n            const int wall = next_wall(&walls->tree, &box, a, b, clear);",
     ),
     "balls without the clearance": ("(sphere.w + clear) * (sphere.w + clear)", "0.25 * sphere.w * sphere.w"),
     "clearance of the farthest edge": ("least = squared < least ? squared : least", "least = squared > least || least > 1e200 ? squared : least"),
@@ -167,7 +167,7 @@ MUTANTS = {
     "gaps between intervals": ("if (begin == p->end) {", "if (begin >= p->end && p->end > 0.0) {"),
     "another receiver": ("1 + receiver_of[path]", "1"),
     "mirrored in the wrong order": ("for (int k = ORDER; k > 0; k--) image", "for (int k = 1; k < ORDER + 1; k++) image"),
-    "ends of a leg block it": ("if (same_plane(walls, sequence, leg, wall) ||", "if (same_plane(walls, sequence, leg + 1, wall) ||"),
+    "ends of a leg block it": ("if (wall < 0 || same_plane(walls, sequence, leg, wall) ||", "if (wall < 0 || same_plane(walls, sequence, leg + 1, wall) ||"),
     "walls a little larger": (">= -walls->tolerance", ">= -0.002"),
     "emission at reception": ("const double emitted = time - a.delay;", "const double emitted = time;"),
     "speeds of half the span": ("emitted - time_dilation * within, emitted + time_dilation * within", "emitted, emitted"),

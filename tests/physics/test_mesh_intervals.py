@@ -1,6 +1,7 @@
 """When paths of moving ends are heard, against a brute force that looks at every sample."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scenes import DATA
 
 import clsim
 from clsim.paths.specular import mesh as mesh_paths
+from clsim.paths.specular import ray_shooting
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.scene.room.mesh_files import read_mesh
 
@@ -251,17 +253,43 @@ def test_smaller_cells_find_the_same(moving_receiver: bool, monkeypatch: pytest.
 
 @pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("mesh", [l_room(), pillar_room(), box((8, 9, 3))], ids=["L", "pillar", "box"])
-def test_shooting_finds_the_same_in_a_small_room_and_says_that_it_can_miss(mesh) -> None:
+def test_shooting_finds_the_same_in_a_small_room_and_says_that_it_can_miss(
+    mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("embreex")
+    monkeypatch.setattr(ray_shooting, "RAYS", 500_000)
     room = clsim.MeshRoom(*mesh, WALL)
     way = clsim.Trajectory.line((2.0, 7.5, 1.4), (3.0, 2.0, 1.4), 1.0)
     scene = scene_of(room, way, clsim.Trajectory.fixed((7.2, 1.2, 2.0)))
     tree = clsim.find_paths(scene, 2, finder="beam-tree")
-    with pytest.warns(clsim.ClsimWarning, match="paths by small walls can be missed"):
+    with pytest.warns(
+        clsim.ClsimWarning, match=r"paths by small walls can be missed, at least about 0 besides \d+ that were met"
+    ):
         shot = clsim.find_paths(scene, 2, finder="shooting")
     assert shot.walls.tolist() == tree.walls.tolist()
     np.testing.assert_array_equal(shot.start, tree.start)
     np.testing.assert_array_equal(shot.end, tree.end)
+
+
+@pytest.mark.usefixtures("device")
+def test_few_rays_tell_how_many_paths_they_miss(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("embreex")
+    monkeypatch.setattr(ray_shooting, "RAYS", 200)
+    monkeypatch.setattr(ray_shooting, "_LEAST_RAYS", 200)
+    slats = [screen((1.0 + 0.3 * i, 2.0, 0.5), (0.2, 0.1, 0.0), 2.0) for i in range(20)]
+    scene = scene_of(
+        clsim.MeshRoom(*joined(box((8, 6, 3)), *slats), WALL),
+        clsim.Trajectory.fixed((2.1, 4.4, 1.3)),
+        *(clsim.Trajectory.fixed((1.0 + 0.7 * i, 5.1, 1.1 + 0.1 * i)) for i in range(9)),
+    )
+    every = {tuple(w) for w in clsim.find_paths(scene, 2, finder="beam-tree").walls.tolist()}
+    with pytest.warns(clsim.ClsimWarning, match="besides") as told:
+        met = {tuple(w) for w in clsim.find_paths(scene, 2, finder="shooting").walls.tolist()}
+    missed = len(every - met)
+    assert met < every
+    assert missed > 10
+    estimate = float(re.search(r"about (\S+) besides (\d+) ", str(told[0].message))[1])
+    assert 0.1 * missed < estimate < missed  # low, as walls differ in how many rays meet them
 
 
 @pytest.mark.usefixtures("device")

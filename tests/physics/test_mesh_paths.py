@@ -126,6 +126,21 @@ def test_made_rooms_have_the_paths_of_brute_force(mesh, rng) -> None:
     assert check_against_brute_force(room, points[:3], points[3:], 3 if len(room.walls) < 20 else 2) > 100
 
 
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("boxes", [3, 7])  # looked up by NumPy, and on the device
+def test_rooms_full_of_things_have_the_paths_of_brute_force(boxes: int, rng) -> None:
+    things = [box((8, 6, 3))]
+    for i in range(boxes):  # apart from each other, and turned
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        corners, triangles = box(rng.uniform(0.3, 0.9, 3))
+        things.append((corners @ turn.T + (1.2 + 2.0 * (i % 4), 1.5 + 2.6 * (i // 4), 1.5), triangles))
+    slats = [screen((1.0 + 0.9 * i, 2.8, 0.3), (0.5, 0.2, 0.0), 2.0) for i in range(3 * boxes)]
+    room = clsim.MeshRoom(*joined(*things, *(slats[:7])), WALL)
+    assert (len(room.walls) > 50) == (boxes == 7)
+    points = points_inside(room, rng, 5)
+    assert check_against_brute_force(room, points[:2], points[2:], 2) > 60
+
+
 def test_numpy_finds_the_paths_of_brute_force(rng) -> None:
     room = clsim.MeshRoom(*l_room(), WALL)
     points = points_inside(room, rng, 4)

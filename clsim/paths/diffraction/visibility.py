@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.acoustics.diffraction import EdgeWay, edge_way, lit_angles
-from clsim.paths.specular.visibility import EVER, INNER, Reach, mirrored, segments_apart, unfold
+from clsim.paths.specular.occlusion import INNER
+from clsim.paths.specular.visibility import EVER, Reach, mirrored, segments_apart, unfold
 from clsim.paths.trajectory_tables import PERTURBATIONS
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from clsim.errors import DeviceError, InputError
 from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import upload, work
+from clsim.paths.specular.device_walls import room_arguments
 from clsim.paths.specular.intervals import (
     CERTAIN,
     GRAZE,
@@ -21,10 +22,10 @@ from clsim.paths.specular.intervals import (
     VisibilityQuery,
     merged,
 )
-from clsim.paths.specular.visibility import EVER, INNER, PARALLEL
+from clsim.paths.specular.occlusion import INNER
+from clsim.paths.specular.visibility import EVER, PARALLEL
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS
 from clsim.paths.trajectory_tables import PERTURBATIONS
-from clsim.scene.room.walls import INSIDE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -68,21 +69,10 @@ class DeviceSearch:
         self._compiler = compiler_of(device or find_device(None)[1])
         self._queue = cl.CommandQueue(self._compiler.context)
         walls, ends = query.walls, query.trajectory_tables
-        owner = np.repeat(np.arange(len(walls)), np.diff(walls.first_edge))
-        away = np.einsum("eci,ei->ec", walls.edge, walls.normal[owner]) - walls.offset[owner, None]
-        thickness = float(np.abs(away).max(initial=0.0)) + SMALLEST_MOVE * walls.size
-        room = {
-            "plane": np.concatenate([walls.normal, walls.offset[:, None]], axis=1),
-            "sphere": np.concatenate([walls.centre, walls.radius[:, None]], axis=1),
-            "same": walls.plane, "first_edge": walls.first_edge, "first_piece": walls.first_piece,
-            "first_line": walls.first_line, "first_twin": walls.first_twin, "edge": walls.edge, "line": walls.line,
-            "twin": np.append(walls.twin, 0),
-        }  # fmt: skip
-        tables = {name: getattr(ends, name) for name in ("places", "scales", "knots", "speeds", "mounts")}
-        whole = {name: column.astype(np.int32) for name, column in room.items() if column.dtype.kind == "i"}
-        self._arguments = {name: self._upload(column) for name, column in (room | whole | tables).items()}
+        tables = ("places", "scales", "knots", "speeds", "mounts")
+        self._arguments = room_arguments(self._queue.context, walls)
+        self._arguments |= {name: self._upload(getattr(ends, name)) for name in tables}
         self._arguments |= {
-            "wall_count": len(walls), "tolerance": INSIDE * walls.size, "thickness": thickness,
             "smallest_move": SMALLEST_MOVE * walls.size, "graze": GRAZE * walls.size, "resolution": query.resolution,
             "speed_of_sound": query.speed_of_sound,
         }  # fmt: skip
@@ -110,7 +100,7 @@ class DeviceSearch:
         states = self._beginning(query.first[receiver], query.last[receiver])
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
-            "STATIC_RECEIVERS": 0, "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
+            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
             "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
             "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
             "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,10 +14,13 @@ from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.specular.device_walls import DeviceLookup
 from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.specular.intervals import VisibilityQuery, find_intervals
+from clsim.paths.specular.occlusion import air_sides
 from clsim.paths.specular.ray_shooting import ShotRays
-from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
+from clsim.paths.specular.wall_lookup import WallLookup
+from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
 from clsim.scene.flush import find_mount
 
 if TYPE_CHECKING:
@@ -45,6 +48,7 @@ _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not
 # Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
 # them would be heard at -102 dB.
 _OF_A_SAMPLE = 1.0 / 16.0
+_FEW_WALLS = 64  # are looked up by NumPy: quicker than building kernels for it
 _BATCH = 16_384  # candidates searched at a time
 
 
@@ -105,44 +109,43 @@ class MeshSearch:
         """
         query, longest = visibility_query(scene, room, source, self.max_order, self.resolution)
         ends, last = query.trajectory_tables, query.last
-        shoot = self._shoots(room.walls, ends)
+        device = _float64_device(self.engine, self.device)
+        plant = _planter(room.walls, ends, device)
+        shoot = self._shoots(plant, room.walls.size, ends)
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
         while cells:
             begin, end = cells.pop()
             receivers = ends.receiver_spheres(begin, end)
             centre, radius = ends.sphere(0, begin - longest, end)
-            finder: BeamTree | ShotRays = BeamTree(room.walls, centre, radius, receivers, BEAM_LIMIT)
             if shoot:
-                finder = ShotRays(room, source.trajectory, receivers, find_mount(room, source))
+                finder: BeamTree | ShotRays = ShotRays(room, source.trajectory, receivers, find_mount(room, source))
+            else:
+                finder = plant(centre, radius, receivers)
             part = partial(report, progress, begin / last.max(), end / last.max())
             try:
-                parts.append(self._heard(query.during(begin, end), finder, source.name, part))
+                here = query.during(begin, end)
+                search = partial(find_intervals, here) if device is None else DeviceSearch(here, device).find
+                parts.append(self._heard(search, finder, source.name, part))
+                if isinstance(finder, ShotRays):
+                    _tell_missed(finder, parts[-1].walls, shoot)
             except TooManyBeamsError as error:
                 if radius < _SMALLEST_CELL * room.walls.size:
                     raise InputError("max_order", str(error)) from error
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
         return _sorted(parts, last)
 
-    def _shoots(self, walls: Walls, ends: TrajectoryTables) -> bool:
-        """Return whether to shoot rays: asked for, or where a tree would be far too large."""
+    def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> str:
+        """Return why rays are shot, because of a tree that would be far too large or as asked; else nothing."""
         if self.finder == "auto":
             centre, radius = ends.sphere(0)
-            tree = BeamTree(walls, centre, min(radius, _SMALLEST_CELL * walls.size), BoundingSpheres.none(), BEAM_LIMIT)
+            tree = plant(centre, min(radius, _SMALLEST_CELL * size), BoundingSpheres.none())
             beams = tree.estimate(self.max_order)
-            if beams <= BEAM_LIMIT:
-                return False
-            reason = f"a beam tree would need about {beams:.1g} beams, so rays are shot instead"
-        elif self.finder == "beam-tree":
-            return False
-        else:
-            reason = "rays are shot, as asked"
-        warn(f"{reason}: paths by small walls can be missed; lower max_order for a search that misses none")
-        return True
+            return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
+        return "" if self.finder == "beam-tree" else "rays are shot, as asked"
 
-    def _heard(self, query: VisibilityQuery, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
+    def _heard(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
-        search = _searcher(query, self.engine, self.device)
         parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
         for batch, waiting in _batches(finder.candidates(self.max_order)):
             sequence, receiver = batch.sequence[batch.row], batch.receiver
@@ -251,20 +254,37 @@ def report(progress: Progress, first: float, last: float, share: float) -> None:
     progress(first + share * (last - first))
 
 
-def _searcher(query: VisibilityQuery, engine: str, device: str | None) -> Search:
-    """Return what finds intervals: a device with float64, or NumPy."""
+def _float64_device(engine: str, name: str | None) -> Any:
+    """Return the device that validates paths, None for NumPy: asked for, or where no device has float64."""
     if engine == "opencl":
         try:
-            info, chosen = find_device(device)
+            info, chosen = find_device(name)
             if info.fp64:
-                return DeviceSearch(query, chosen).find
+                return chosen
             reason = f"{info.name} has no float64"
         except DeviceError:
-            if device is not None:
+            if name is not None:
                 raise
             reason = "there is no OpenCL device"
         warn(f"{reason}: paths are validated by NumPy, which is slow")
-    return partial(find_intervals, query)
+    return None
+
+
+def _tell_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> None:
+    """Warn that rays have been shot, and of how many paths they are likely to have missed besides those by `walls`."""
+    met = np.unique(walls, axis=0)
+    warn(
+        f"{reason}: paths by small walls can be missed, at least about {rays.missed(met):.2g} besides {len(met)} that "
+        "were met, as two halves of the rays tell; lower max_order for a search that misses none"
+    )
+
+
+def _planter(walls: Walls, ends: TrajectoryTables, device: Any) -> Callable[..., BeamTree]:
+    """Return what makes beam trees in a room: from a sphere to others, as in `BeamTree`."""
+    lookup = DeviceLookup(walls, device) if device is not None and len(walls) > _FEW_WALLS else WallLookup(walls)
+    source = np.zeros(1, dtype=np.int64)
+    start = ends.lifted(source, ends.position(source, np.zeros(1)) + PERTURBATIONS[0])[0]
+    return partial(BeamTree, walls, limit=BEAM_LIMIT, sides=air_sides(walls, start), lookup=lookup)
 
 
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import unique_rows
 from clsim.errors import ClsimError
 from clsim.paths.specular.beam_tree import Candidates
 from clsim.scene.motion.instants import Instants
@@ -22,8 +23,9 @@ if TYPE_CHECKING:
     from clsim.scene.room.faces import Mount
     from clsim.scene.room.mesh import MeshRoom
 
-RAYS = 1_000_000  # from all positions of a source together, and at least the next number from each
+RAYS = 4_000_000  # from all positions of a source together, and at least the next number from each
 _LEAST_RAYS = 20_000
+_AT_ONCE = 1_000_000  # rays
 _RATE = 200.0  # Hz, at which a source's way is measured
 _MOST = 2_000_000  # instants of a longer one
 _STEP = 0.25  # m between positions from which rays are shot
@@ -61,6 +63,7 @@ class ShotRays:
         if mount is not None:
             self._positions = self._positions + _OFF_WALL * room.walls.size * mount.normal
         self.share = 0.0
+        self._halves: dict[bytes, int] = {}
         try:
             from trimesh import Trimesh
             from trimesh.ray.ray_pyembree import RayMeshIntersector
@@ -76,22 +79,46 @@ class ShotRays:
         met: list[list[NDArray[np.int32]]] = [[] for _ in range(max_order)]
         directions = _directions(max(_LEAST_RAYS, RAYS // len(self._positions)))
         for i, position in enumerate(self._positions):
-            for order, sequences in enumerate(self._bounce(position, directions, max_order)):
-                met[order].append(sequences)
+            for first in range(0, len(directions), _AT_ONCE):
+                bounces = self._bounce(position, directions[first : first + _AT_ONCE], max_order)
+                for order, sequences in enumerate(bounces):
+                    met[order].append(sequences)
             self.share = (i + 1) / len(self._positions)
             if i % 16 == 15:
-                met = [[np.unique(np.concatenate(some), axis=0)] if some else [] for some in met]
-        found = [np.empty((1, 0), dtype=np.int32)] + [np.unique(np.concatenate(some), axis=0) for some in met if some]
+                met = [[_once(np.concatenate(some))] if some else [] for some in met]
+        found = [np.empty((1, 0), dtype=np.int32)]
+        for some in (_once(np.concatenate(some)) for some in met if some):
+            found.append(some[:, 1:])
+            self._halves |= {row[1:].tobytes(): int(row[0]) for row in some}
         for sequence in found:
             row, receiver = (x.ravel() for x in np.meshgrid(np.arange(len(sequence)), everyone, indexing="ij"))
             yield Candidates(sequence, row, receiver)
 
+    def missed(self, walls: NDArray[np.int32]) -> float:
+        """Return about how many paths rays have missed, from those (P, N) that they have met, filled up with -1.
+
+        Notes
+        -----
+        Every other ray is of one half. Of a paths that only the one half has met, b that only the other has and c that
+        both have, Chapman's estimate of all is ``(a + c + 1) (b + c + 1) / (c + 1) - 1``, so that ``a b / (c + 1)`` are
+        missed. It is low where paths differ in how easily they are met.
+
+        References
+        ----------
+        D. G. Chapman, "Some properties of the hypergeometric distribution with applications to zoological sample
+        censuses", University of California Publications in Statistics 1, 131-160, 1951.
+        """
+        halves = [self._halves[row[row >= 0].tobytes()] for row in walls if row.max(initial=-1) >= 0]
+        one, other, both = (halves.count(half) for half in (1, 2, 3))
+        return one * other / (both + 1.0)
+
     def _bounce(self, position: Floats, directions: Floats, max_order: int) -> Iterator[NDArray[np.int32]]:
-        """Yield the sequences of order 1, 2, … that rays from a position meet."""
+        """Yield the sequences of order 1, 2, … that rays from a position meet, each behind the halves that met it."""
         walls = self._room.walls
         origin = np.broadcast_to(position - self._middle, directions.shape)
         offset = walls.offset - walls.normal @ self._middle
         sequence = np.empty((len(directions), 0), dtype=np.int32)
+        half = (1 + np.arange(len(directions)) % 2).astype(np.int32)
         for _ in range(max_order):
             triangle = self._rays.intersects_first(origin, directions)
             hit = np.flatnonzero(triangle >= 0)
@@ -102,6 +129,7 @@ class ShotRays:
                 fresh = (walls.plane[sequence[:, -1]] != walls.plane[wall]) & (np.abs(toward) > 1e-6)
             else:
                 fresh = np.abs(toward) > 1e-6
+            half = half[hit][fresh]
             origin, directions, sequence, wall, toward = (
                 x[fresh] for x in (origin, directions, sequence, wall, toward)
             )
@@ -110,7 +138,15 @@ class ShotRays:
             directions = directions - 2.0 * toward[:, None] * walls.normal[wall]
             origin = origin + _OFF_WALL * walls.size * directions
             sequence = np.concatenate([sequence, wall[:, None].astype(np.int32)], axis=1)
-            yield np.unique(sequence, axis=0)
+            yield _once(np.column_stack([half, sequence]))
+
+
+def _once(met: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return different sequences (n, 1 + N), each behind all halves of rays that met it, a bit each."""
+    sequence, _, which = unique_rows(met[:, 1:])
+    halves = np.zeros(len(sequence), dtype=np.int32)
+    np.bitwise_or.at(halves, which, met[:, 0])
+    return np.column_stack([halves, sequence])
 
 
 def _positions(source: Motion) -> Floats:

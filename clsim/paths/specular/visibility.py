@@ -28,6 +28,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.paths.specular.occlusion import INNER
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -39,7 +41,6 @@ if TYPE_CHECKING:
 
 
 EVER = 1e300  # m, next to no bound
-INNER = 1e-9  # share of a segment at either end in which nothing blocks it
 PARALLEL = 1e-14  # square of the sine of an angle below which segments are parallel
 
 

@@ -31,12 +31,10 @@ class BasebandEngine(OpenclEngine):
         """What renders a batch of receivers."""
         return _BasebandRun
 
-    def render(self, start: int, stop: int) -> NDArray[Any]:
-        """Return the envelopes (receivers, stop - start) in Pa, complex64; `start` is a whole number of segments."""
-        rows = super().render(start, stop)
-        out = np.empty((len(rows) // 2, rows.shape[1]), dtype=np.complex64)
-        out.real, out.imag = rows[::2], rows[1::2]
-        return out
+    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
+        """Add the rows of all receivers, real and imaginary part, to the envelopes."""
+        pressure.real += rows[::2]
+        pressure.imag += rows[1::2]
 
 
 class _BasebandRun(Run):

@@ -1,10 +1,11 @@
-"""From nodes to the polynomials of every block, in NumPy: the twin of ``block.h``.
+"""From nodes to the polynomials of every block, in NumPy: the twin of ``block.h`` and ``smooth.h``.
 
 For devices without float64, and for tracks that were computed elsewhere.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 GAIN_ERROR = {4: 0.02, 8: 0.03}  # of the last differences of gains, by the terms of delays; see `block_error`
+SMOOTH_ERROR = 0.03  # of the fourth differences of gains between cells, see `cell_polynomials`
 
 
 def block_polynomials(
@@ -105,6 +107,46 @@ def block_error(
         g0, g1, g2, g3 = _nodes(gain)
         change = np.hypot(change, 0.0625 * part**2 * np.abs((g3 - g2) - (g1 - g0)).sum(axis=0))
     return np.asarray(np.hypot(angular_frequency * delay_samples * np.abs(gain[:, :, 1:-2]).sum(axis=0), change))
+
+
+def cell_polynomials(gain: Floats, cell: int, blocks: int) -> tuple[Floats, Floats]:
+    """Return the gains' cubics on the blocks of a cell, and their error, from nodes between cells.
+
+    Parameters
+    ----------
+    gain : ndarray (..., cells + 1)
+        At the nodes between the cells of a stretch.
+    cell : int
+        Which cell.
+    blocks : int
+        In a cell.
+
+    Returns
+    -------
+    polynomials : ndarray (4, ..., blocks)
+        On [-1, 1] in each block, lowest power first.
+    error : ndarray (...)
+        Bound of their error while fourth differences are those of these nodes.
+
+    Notes
+    -----
+    The polynomial of degree 4 through the five nodes about the cell. What is told is the error of the cubic, between
+    its middle nodes at most 0.0234 (0.03 is used) of the fourth difference: that of degree 4 is better by as much
+    as differences fall. Its fourth power is left out within a block, where it is 1/98304 of that difference.
+    """
+    from numpy.polynomial import polynomial
+
+    first = min(max(cell - 1, 0), gain.shape[-1] - 5)
+    near = gain[..., first : first + 5]
+    place = np.arange(5.0) - (cell - first + 0.5)
+    power = np.einsum("pn,...n->p...", np.linalg.inv(np.vander(place, increasing=True)), near)
+    middle = (np.arange(blocks) + 0.5) / blocks - 0.5
+    terms = []
+    for order in range(4):
+        taken = polynomial.polyder(power, order) if order else power
+        scale = (0.5 / blocks) ** order / math.factorial(order)
+        terms.append(scale * polynomial.polyval(middle, taken, tensor=True))
+    return np.stack(terms), SMOOTH_ERROR * np.abs(np.diff(near, 4, axis=-1)[..., 0])
 
 
 def _nodes(values: Floats) -> list[Floats]:

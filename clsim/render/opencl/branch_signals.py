@@ -57,10 +57,12 @@ class Branches:
 class BranchSignals:
     """Makes the branch signals of one chunk and source after the other, and looks ahead to the next."""
 
-    def __init__(self, plan: Plan, queue: Any, compiler: Compiler, scratch: Scratch, lanes: int, parts: int) -> None:
+    def __init__(
+        self, plan: Plan, queue: Any, compiler: Compiler, scratch: Scratch, lanes: int, parts: int, chunk: int
+    ) -> None:
         self._plan, self._queue, self._compiler, self._scratch = plan, queue, compiler, scratch
+        self._lanes, self._parts, self._chunk = lanes, parts, chunk
         self.last = plan.samples  # from which on nothing is prepared
-        self._lanes, self._parts = lanes, parts
         self._emitted: tuple[tuple[int, int], int, Any] | None = None  # rows and samples, and where they are not zero
         self._written: tuple[tuple[int, int], Activity] | None = None  # branches kept in memory, silent elsewhere
         self._ahead: tuple[tuple[int, int, int] | None, Feed | None] = None, None  # prepared: source, start, length
@@ -79,8 +81,8 @@ class BranchSignals:
         """Prepare what comes after a source's chunk while the device is at work."""
         plan = self._plan
         self._queue.flush()
-        source, start = (source + 1, start) if source + 1 < len(plan.source_filters) else (0, start + plan.chunk)
-        stop = min(start + plan.chunk, plan.samples)
+        source, start = (source + 1, start) if source + 1 < len(plan.source_filters) else (0, start + self._chunk)
+        stop = min(start + self._chunk, plan.samples)
         following = source, start, self.whole_blocks(start, stop)
         if start < min(stop, self.last) and self._ahead[0] != following:
             self._ahead = following, self._feed(*following)

@@ -14,7 +14,7 @@ from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.response import SceneResponse
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
-from clsim.render.opencl.block_polynomials import GAIN_ERROR
+from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR
 from clsim.render.opencl.lookup_tables import (
     AXIAL,
     CELLS,
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
     Walls = NDArray[np.signedinteger[Any]]
 
+_SMOOTH_SHARE = 0.1  # of the square of the error between nodes: what gains of neighbouring blocks may add to it
+_MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
 VECTOR = 8  # numbers of a vector of gains or of frequencies in kernels
 # A receiver at a node, as in nodes/image.h.
 RECEIVER_NODE = np.dtype(
@@ -80,6 +82,7 @@ class _Chunk:
     trajectory: dict[str, Any]
     cells: dict[str, Any] | None
     first: int  # sample of the branches
+    turn: float  # at which the source's beam turns at most, rad/s
 
 
 class DeviceTracks:
@@ -157,18 +160,24 @@ class DeviceTracks:
         if activity is not None:
             cells = self._uploaded(following=activity.following, preceding=activity.preceding)
             cells["cells"] = len(activity.cells)
-        return _Chunk(source, batch, start, images, columns, bounds, coarse, trajectory, cells, first)
+        turn = 0.0
+        if around.source_kind != OMNI:
+            turn = self._knot_rates[source] * _largest_turn(knots[:, CUBIC_COLUMNS : CUBIC_COLUMNS + 3])
+        return _Chunk(source, batch, start, images, columns, bounds, coarse, trajectory, cells, first, turn)
 
     def _coarse_delays(self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int) -> Any:
         """Solve the delays at the ends of segments, from which those between are predicted."""
         import pyopencl as cl
 
         rate, segment = self._plan.sampling_rate, self._plan.segment
+        groups = -(-ends // self._together)
+        ends = groups * self._together
         out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * batch.count)
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
-        kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source))
+        constants = {"RECEIVER_DIRECTIVITY": OMNI, "OMNI": OMNI, "SPHERICAL": SPHERICAL}  # no beams: delays only
+        kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source) | constants)
         kernel(
-            self._queue, work(batch.count, ends), **paths, receivers=self._receivers_at(batch, times), ends=ends,
+            self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
             start=start / rate, walk_time=segment / rate, speed_of_sound=self._tracks.scene.air.speed_of_sound,
             delays=out,
         )  # fmt: skip
@@ -190,7 +199,7 @@ class DeviceTracks:
         found = np.empty((walks, batch.count, 4), dtype=np.float32)
         unheld = np.empty((walks, batch.count), dtype=np.float32)
         found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
-        receivers = self._receivers_at(batch, node_times(start, block, blocks, rate))
+        receivers = self._receivers_at(batch, node_times(start, block, walks * (plan.segment // block) + 4, rate))
         heard_from, heard_until = chunk.bounds.samples_from(start)
         around = self._surroundings[chunk.source]
         spread = filters.filter_half / rate  # by which the functions' filters are longer than what is emitted
@@ -204,12 +213,13 @@ class DeviceTracks:
         kernel(
             self._queue, work(batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **cells,
             **around.basis, **around.tables, directivity_of=around.directivity_of[batch.receiver],
-            receivers=receivers, nodes=blocks + 3,
+            receivers=receivers, nodes=receivers.shape[1],
             heard_from=heard_from, heard_until=heard_until,
             coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
             start=start / rate, sampling_rate=rate, speed_of_sound=c, delay_samples=filters.delay_samples,
             emitted_first=filters.start - spread, emitted_last=filters.start + filters.signal.duration + spread,
-            angular_frequency=2.0 * math.pi * filters.swiftness, origin=start - chunk.first,
+            angular_frequency=2.0 * math.pi * filters.swiftness,
+            smooth=self._smooth(chunk, receivers, block), origin=start - chunk.first,
             max_rate=self._max_rates[chunk.source], blocks=blocks, delay=delay, polynomials=polynomials,
             found=found_there, unheld=unheld_there, activity=activity,
         )  # fmt: skip
@@ -219,19 +229,26 @@ class DeviceTracks:
         cl.enqueue_copy(self._queue, unheld, unheld_there)
         return _nodes_made(batch.first_slot[:-1], (delay, polynomials, activity), found, unheld)
 
+    def _smooth(self, chunk: _Chunk, receivers: NDArray[Any], block: int) -> float:
+        """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 where beams turn fast."""
+        turn = chunk.turn * block / self._plan.sampling_rate
+        if self._surroundings[chunk.source].receiver_kind != OMNI:
+            turn = max(turn, _largest_turn(receivers["axes"][..., 0, :]), _largest_turn(receivers["axes"][..., 1, :]))
+        return _SMOOTH_SHARE * 10 ** (self._plan.motion_error_db / 10) if turn <= _MOST_TURN else 0.0
+
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
         return {
             "KNOT_COLUMNS": CUBIC_COLUMNS * (3 if sideways else 2),
             "RETARDED": int(self._tracks.motion == "retarded"),
             "STATIC_RECEIVERS": int(self._all_static),
+            "NODES_AT_ONCE": self._together,
         }
 
     def _constants(self, source: int, block: int) -> dict[str, Any]:
         retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
         return self._motion_constants(source) | {
             "BLOCK": block,
-            "NODES_AT_ONCE": self._together,
             "SUBBLOCK": self._plan.subblock(source, block),
             "FINE": int(self._plan.is_fine(block)),
             "OVERSAMPLING": self._plan.source_filters[source].oversampling,
@@ -252,6 +269,7 @@ class DeviceTracks:
             "AXIAL": AXIAL,
             "SPHERICAL": SPHERICAL,
             "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
+            "SMOOTH_ERROR": np.float32(SMOOTH_ERROR),
             "ANGULAR": around.angular,
         }
 
@@ -285,6 +303,12 @@ def _nodes_made(
     heard = np.maximum(heard, 1e-30)
     shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
     return DeviceNodes(*on_device, (error / heard).max(axis=1), (left / heard).max(axis=1), shortest, longest)
+
+
+def _largest_turn(axes: Floats) -> float:
+    """Return the largest angle between neighbouring axes (..., n, 3), rad."""
+    chord = np.linalg.norm(np.diff(axes, axis=-2), axis=-1).max(initial=0.0)
+    return 2.0 * math.asin(min(0.5 * float(chord), 1.0))
 
 
 def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:

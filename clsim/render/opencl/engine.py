@@ -17,7 +17,7 @@ from clsim.render.opencl.branch_signals import Branches, BranchSignals
 from clsim.render.opencl.device_nodes import NODE_PROGRAMS, DeviceTracks
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
-from clsim.render.plan import NODE_BUDGET, Plan
+from clsim.render.opencl.limits import Limits, check_group
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from clsim.paths.family import PathFamily
     from clsim.render.opencl.fades import Fades
+    from clsim.render.plan import Plan
 
     NodeMaker = DeviceTracks | HostTracks
 
@@ -88,25 +89,35 @@ class OpenclEngine:
         self._plan = plan
         self._info, device = find_device(plan.options.device)
         self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
+        check_group(self._info, 32)
+        self.limits = Limits(plan, self._info, self.parts)
         self._compiler = compiler_of(device)
         self._context = self._compiler.context
         self._queue = cl.CommandQueue(self._context)
         self._scratch = Scratch(self._context)
         self.branch_signals = BranchSignals(
-            plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts
+            plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts, self.limits.most_samples
         )
         self.skips_silence = True
         self._unheld = np.zeros(len(plan.source_filters))  # largest part of what is heard that no function holds
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._makers: dict[PathFamily | None, NodeMaker] = {}  # None: the host, whatever the kind of paths
 
-    def render(self, start: int, stop: int) -> NDArray[np.float32]:
+    def render(self, start: int, stop: int) -> NDArray[Any]:
         """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
+        pressure = np.zeros((self._plan.receiver_count, stop - start), dtype=self._plan.sample_type)
+        self.add(pressure, start)
+        return pressure
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what is heard from sample `start` on, a whole number of segments, to the pressure (receivers, n), Pa."""
         import pyopencl as cl
 
+        most = self.limits.most_samples
         try:
-            return self._render(start, stop)
-        except (cl.MemoryError, cl.RuntimeError) as error:
+            for first in range(0, pressure.shape[1], most):
+                self._add(pressure[:, first : first + most], start + first)
+        except cl.Error as error:
             raise DeviceError(
                 f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
                 "receivers at a time, or on another device (see `clsim devices`)"
@@ -159,13 +170,14 @@ class OpenclEngine:
         """What renders a batch of receivers."""
         return Run
 
-    def _render(self, start: int, stop: int) -> NDArray[np.float32]:
+    def _add(self, pressure: NDArray[Any], start: int) -> None:
         import pyopencl as cl
 
-        plan, length = self._plan, self.branch_signals.whole_blocks(start, stop)
-        pressure = np.empty((self.parts * plan.receiver_count, length), dtype=np.float32)
-        on_device = self._scratch.take("pressure", pressure.nbytes)
-        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, pressure.nbytes)
+        plan, length = self._plan, self.branch_signals.whole_blocks(start, start + pressure.shape[1])
+        shape = self.parts * plan.receiver_count, length
+        size = 4 * shape[0] * shape[1]
+        on_device = self._scratch.take("pressure", size)
+        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
         for source in range(len(plan.source_filters)):
             feed = self.branch_signals.take(source, start, length)
             if feed is None:
@@ -177,14 +189,19 @@ class OpenclEngine:
             for first in range(0, segments, step):
                 last = min(first + step, segments)
                 here = [pair.during(plan, start + first * plan.segment, start + last * plan.segment) for pair in active]
-                node = bytes_per_node(plan, source)
-                per_segment = node * (plan.segment // plan.shortest_block)
+                per_segment = bytes_per_node(plan, source) * (plan.segment // plan.shortest_block)
+                slots = self.limits.node_budget // per_segment
                 heard = [pair for pair in here if len(pair.rows)]
-                for some in _batches(heard, per_segment, [self.maker(pair.index) for pair in heard]):
+                for some in _batches(heard, slots, [self.maker(pair.index) for pair in heard]):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
-        cl.enqueue_copy(self._queue, pressure, on_device)
-        return pressure[:, : stop - start]
+        rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
+        self.put(rows[:, : pressure.shape[1]], pressure)
+        rows.base.release(self._queue)
+
+    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
+        """Add the rows of all receivers, `parts` of each, to the pressure."""
+        pressure += rows
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)
@@ -247,7 +264,9 @@ class Run:
         plan, segment = self._plan, self._plan.segment
         block = plan.blocks[level]
         node = bytes_per_node(plan, self._source)
-        step = max(1, NODE_BUDGET // (node * self._batch.count * (segment // block)))
+        limits, count = self._engine.limits, self._batch.count
+        step = max(1, limits.node_budget // (node * count * (segment // block)))
+        step = min(step, limits.segments_in_launch(count, block))
         for at in range(first, last, step):
             upto = min(at + step, last)
             begin, end = at * segment, min(upto * segment, self._length)
@@ -272,7 +291,7 @@ class Run:
     def _fits(self, block: int) -> bool:
         """Return whether the polynomials of one segment in blocks of a length can be held."""
         needed = bytes_per_node(self._plan, self._source) * self._batch.count * (self._plan.segment // block)
-        return not self._plan.is_fine(block) or needed <= 4 * NODE_BUDGET
+        return not self._plan.is_fine(block) or needed <= 4 * self._engine.limits.node_budget
 
     def _check(self, shortest: float, longest: float) -> None:
         """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
@@ -373,12 +392,12 @@ def bytes_per_node(plan: Plan, source: int) -> int:
     return 4 + 4 * plan.delay_terms + 16 * len(plan.source_filters[source].basis)
 
 
-def _batches(active: list[ActivePaths], per_segment: int, makers: Sequence[NodeMaker]) -> list[list[ActivePaths]]:
-    """Cut pairs into batches whose polynomials fit the budget for one segment of the shortest blocks, bytes a path.
+def _batches(active: list[ActivePaths], most: int, makers: Sequence[NodeMaker]) -> list[list[ActivePaths]]:
+    """Cut pairs into batches of at most so many slots: those whose polynomials for one segment fit the budget.
 
     All pairs of a batch have their nodes made by the same maker.
     """
-    most = max(BATCH, NODE_BUDGET // per_segment)
+    most = max(BATCH, most)
     batches: list[list[ActivePaths]] = []
     count, last = most, None
     for pair, maker in zip(active, makers, strict=True):

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
 
+_BESIDE = 8  # paths whose terms stand side by side, as in polynomials.h
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HostNodes:
@@ -96,10 +98,10 @@ class HostTracks:
                 out=error,
             )
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
-        if plan.delay_terms == 8:  # as in polynomials.h
-            cubics = cubics.transpose(0, 2, 1)
+        beside = 1 if plan.delay_terms == 8 else _BESIDE
+        laid_out = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
         return HostNodes(
-            self._upload(whole), self._upload(cubics), None, error, np.zeros(len(error)), shortest, longest
+            self._upload(whole), self._upload(laid_out), None, error, np.zeros(len(error)), shortest, longest
         )
 
     def _upload(self, array: NDArray[Any]) -> Any:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import unique_rows
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,9 +56,9 @@ def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     InputError
         If no triangle is left.
     """
-    unique, first = np.unique(vertices, axis=0, return_inverse=True)
+    unique, _, which = unique_rows(vertices)
     vertex, welded = _weld(unique)
-    corners = vertex[first.ravel()][triangles]
+    corners = vertex[which][triangles]
     notes = []
     area = 0.5 * np.linalg.norm(cross_products(welded[corners]), axis=1)
     flat = area <= SMALLEST_AREA
@@ -66,7 +67,7 @@ def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     kept = np.flatnonzero(~flat)
     if not len(kept):
         raise InputError("triangles", f"must have an area, but all {len(triangles)} have none")
-    _, once = np.unique(np.sort(corners[kept], axis=1), axis=0, return_index=True)
+    _, once, _ = unique_rows(np.sort(corners[kept], axis=1))
     if len(once) < len(kept):
         notes.append(f"{len(kept) - len(once)} triangles that lay on others were dropped")
     kept = kept[np.sort(once)]
@@ -129,8 +130,9 @@ class MeshShape:
 def mesh_shape(vertices: Floats, triangles: NDArray[np.int64]) -> MeshShape:
     """Return how triangles on welded vertices hang together."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, which, uses = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(which.ravel(), weights=directed[:, 0] < directed[:, 1], minlength=len(edges))
+    edges, _, which = unique_rows(np.sort(directed, axis=1))
+    uses = np.bincount(which)
+    forward = np.bincount(which, weights=directed[:, 0] < directed[:, 1], minlength=len(edges))
     corners = vertices[triangles]
     volume = float(np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
     return MeshShape(

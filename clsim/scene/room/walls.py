@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import firsts
 from clsim.scene.room.mesh_cleaning import clusters, cross_products
+from clsim.scene.room.outlines import boundaries, hulls, pieces, plane_of_each
+from clsim.scene.room.shells import outward_sides
+from clsim.scene.room.wall_pairs import meeting, same_planes, straddling, touching_pairs
+from clsim.scene.room.wall_tree import WallTree
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -15,8 +21,8 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 FLATNESS = 1e-6  # m; triangles of a wall lie this near to its plane
-SAME_PLANE = 1e-7  # of the size; walls nearer than this to each other's plane lie in one plane
 INSIDE = 1e-9  # of the size; points this far outside a wall's outline still are on the wall
+TOUCHING = 1e-6  # of the size; walls in one plane that are farther apart hold no point in common
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +48,12 @@ class Walls:
     edge, first_edge : ndarray (E, 2, 3), (W + 1,)
         Ends of the segments that bound the wall, and of those along which other walls run through it.
     twin, first_twin : ndarray (X,), (W + 1,)
-        Walls of lower index in the same plane: they own the points that both hold.
+        Walls of lower index in the same plane that touch it: they own the points that both hold.
+    shell, outward : ndarray (W,) int
+        Which shell the wall is of, and whether its normal points out of this shell, 1, into it, -1, or neither, 0; see
+        `outward_sides`.
+    tree : WallTree
+        Boxes around walls and groups of them.
     """
 
     size: float
@@ -61,6 +72,9 @@ class Walls:
     first_edge: NDArray[np.int64]
     twin: NDArray[np.int64]
     first_twin: NDArray[np.int64]
+    shell: NDArray[np.int64]
+    outward: NDArray[np.int64]
+    tree: WallTree
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -98,47 +112,59 @@ def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArra
     """
     corners = vertices[triangles]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    of_triangle = _merge(vertices, triangles, material, flatness)
-    count = int(of_triangle.max()) + 1
-    normal, offset = np.empty((count, 3)), np.empty(count)
-    hulls, edges, pieces = [], [], []
-    order = np.argsort(of_triangle, kind="stable")
-    bounds = np.searchsorted(of_triangle[order], np.arange(count + 1))
-    for w in range(count):
-        mine = order[bounds[w] : bounds[w + 1]]
-        normal[w], offset[w] = _plane(corners[mine])
-        hulls.append(_hull(np.unique(triangles[mine]), vertices, normal[w]))
-        edges.append(vertices[_boundary(vertices, triangles[mine], normal[w])])
-        pieces.append(_pieces(corners[mine], hulls[-1], edges[-1], normal[w], size))
-    plane = _planes(normal, offset, hulls, size)
-    twins = [np.flatnonzero(plane[:w] == plane[w]) for w in range(count)]
-    for a, b, segment in _crossings(normal, offset, hulls, pieces, plane, size):
-        edges[a], edges[b] = np.concatenate([edges[a], segment]), np.concatenate([edges[b], segment])
-    lines = [line for piece in pieces for line in piece]
-    centre = np.array([0.5 * (h.min(axis=0) + h.max(axis=0)) for h in hulls])
-    radius = np.array([np.linalg.norm(h - c, axis=1).max() for h, c in zip(hulls, centre, strict=True)])
+    neighbours = _neighbours(triangles)
+    of_triangle = _merge(corners, neighbours, material, flatness)
+    normal, offset = plane_of_each(corners, of_triangle)
+    hull, first_hull = hulls(vertices, triangles, of_triangle, normal)
+    edge, first_edge = boundaries(vertices, triangles, of_triangle, normal)
+    line, first_line, first_piece = pieces(corners, of_triangle, normal, hull, first_hull, edge, first_edge, size)
+    plane = same_planes(normal, offset, hull, first_hull, size)
+    low, high = (f.reduceat(hull, first_hull[:-1]) for f in (np.minimum, np.maximum))
+    tree = WallTree.around(low, high)
+    touching = touching_pairs(tree, low, high, TOUCHING * size)
+    level = plane[touching[:, 0]] == plane[touching[:, 1]]
+    across = straddling(normal, offset, hull, first_hull, touching[~level], size)
+    lines = [line[a:b] for a, b in itertools.pairwise(first_line)]
+    crossings = []
+    for pair in across:
+        one, other = (lines[first_piece[w] : first_piece[w + 1]] for w in pair)
+        segments = meeting(normal[pair], offset[pair], (one, other), size)
+        if len(segments):
+            crossings.append((pair, segments))
+    edge, first_edge = _with_crossings(edge, first_edge, crossings)
+    order = np.lexsort(touching[level].T)
+    centre = 0.5 * (low + high)
+    wall = np.repeat(np.arange(len(offset)), np.diff(first_hull))
+    radius = np.maximum.reduceat(np.linalg.norm(hull - centre[wall], axis=1), first_hull[:-1])
+    meets = np.array([pair for pair, _ in crossings], dtype=np.int64).reshape(-1, 2)
+    shell, outward = outward_sides(corners, triangles, neighbours, of_triangle, normal, meets, touching[level])
     return Walls(
         size, normal, offset, plane, centre, radius, of_triangle,
-        np.concatenate(hulls), _firsts(hulls),
-        np.concatenate(lines), _firsts(lines), _firsts(pieces),
-        np.concatenate(edges), _firsts(edges),
-        np.concatenate(twins).astype(np.int64), _firsts(twins),
+        hull, first_hull,
+        line, first_line, first_piece,
+        edge, first_edge,
+        touching[level][order, 0], firsts(np.bincount(touching[level][:, 1], minlength=len(offset))),
+        shell, outward, tree,
     )  # fmt: skip
 
 
-def _firsts(parts: list[Floats] | list[NDArray[np.int64]] | list[list[Floats]]) -> NDArray[np.int64]:
-    """Return where each part begins when they stand in a row, and the end."""
-    return np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
+def _with_crossings(
+    edge: Floats, first_edge: NDArray[np.int64], crossings: list[tuple[NDArray[np.int64], Floats]]
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the edges of all walls with the lines along which pairs of them run through each other."""
+    wall = np.repeat(np.arange(len(first_edge) - 1), np.diff(first_edge))
+    owner = np.concatenate([wall, *(np.repeat(pair, len(lines)) for pair, lines in crossings)])
+    every = np.concatenate([edge, *(lines for _, lines in crossings for _ in range(2))])
+    return every[np.argsort(owner, kind="stable")], firsts(np.bincount(owner, minlength=len(first_edge) - 1))
 
 
 def _merge(
-    vertices: Floats, triangles: NDArray[np.int64], material: NDArray[np.int64], flatness: float
+    corners: Floats, neighbours: NDArray[np.int64], material: NDArray[np.int64], flatness: float
 ) -> NDArray[np.int64]:
     """Return the wall of each triangle, (T,), numbered in the order of their first triangles."""
-    corners = vertices[triangles]
     normal = cross_products(corners)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    a, b = _neighbours(triangles)
+    a, b = neighbours.T
 
     def near(i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.bool_]:
         away = np.einsum("nci,ni->nc", corners[j] - corners[i][:, :1], normal[i])
@@ -146,22 +172,21 @@ def _merge(
 
     together = near(a, b) & near(b, a) & (material[a] == material[b])
     together &= np.abs(np.sum(normal[a] * normal[b], axis=1)) > 0.999
-    count, wall = clusters(len(triangles), np.stack([a[together], b[together]], axis=1))
-    order = np.argsort(wall, kind="stable")
+    count, wall = clusters(len(corners), neighbours[together])
     # A chain of nearly coplanar triangles may bend: such walls are taken apart into triangles.
-    for mine in np.split(order, np.flatnonzero(np.diff(wall[order])) + 1):
-        n, d = _plane(corners[mine])
-        if np.abs(corners[mine].reshape(-1, 3) @ n - d).max() > 2.0 * flatness:
-            wall[mine[1:]] = count + np.arange(len(mine) - 1)
-            count += len(mine) - 1
+    plane, offset = plane_of_each(corners, wall)
+    away = np.abs(np.einsum("tci,ti->tc", corners, plane[wall]) - offset[wall, None]).max(axis=1)
+    bent = np.zeros(count, dtype=bool)
+    bent[wall[away > 2.0 * flatness]] = True
+    wall = np.where(bent[wall], count + np.arange(len(wall)), wall)
     _, first, again = np.unique(wall, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
     return rank[again.ravel()]
 
 
-def _neighbours(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return pairs of triangles that share an edge."""
+def _neighbours(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return pairs (n, 2) of triangles that share an edge."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
     order = np.lexsort((edges[:, 1], edges[:, 0]))
@@ -169,134 +194,5 @@ def _neighbours(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArra
     pairs = []
     for apart in (1, 2, 3):  # an edge of up to four triangles: each pair of them
         same = np.all(edges[apart:] == edges[:-apart], axis=1)
-        pairs.append(np.stack([owner[:-apart][same], owner[apart:][same]]))
-    a, b = np.concatenate(pairs, axis=1)
-    return a, b
-
-
-def _plane(corners: Floats) -> tuple[Floats, float]:
-    """Return unit normal and offset of the largest triangle's plane, from (n, 3, 3)."""
-    cross = cross_products(corners)
-    area = np.linalg.norm(cross, axis=1)
-    i = int(np.argmax(area))
-    normal = cross[i] / area[i]
-    return normal, float(corners[i].mean(axis=0) @ normal)
-
-
-def _axes(normal: Floats) -> tuple[Floats, Floats]:
-    """Return two unit vectors that span a plane, right-handed with its normal."""
-    along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    along /= np.linalg.norm(along)
-    return along, np.cross(normal, along)
-
-
-def _hull(index: NDArray[np.int64], vertices: Floats, normal: Floats) -> Floats:
-    """Return the corners of the convex hull of a wall, counterclockwise about its normal, (n, 3)."""
-    u, v = _axes(normal)
-    points = vertices[index]
-    flat = np.stack([points @ u, points @ v], axis=1)
-    ring: list[int] = []
-    for sweep in (np.lexsort((flat[:, 1], flat[:, 0])), np.lexsort((flat[:, 1], flat[:, 0]))[::-1]):
-        side: list[int] = []  # Andrew's monotone chain
-        for i in sweep.tolist():
-            while len(side) > 1 and _turn(flat[side[-2]], flat[side[-1]], flat[i]) <= 1e-12:
-                side.pop()
-            side.append(i)
-        ring += side[:-1]
-    return points[ring]
-
-
-def _turn(a: Floats, b: Floats, c: Floats) -> float:
-    """Return the sine of the turn at b, times the length of the step to it (m)."""
-    p, q = b - a, c - b
-    return float((p[0] * q[1] - p[1] * q[0]) / max(float(np.hypot(q[0], q[1])), 1e-300))
-
-
-def _boundary(vertices: Floats, triangles: NDArray[np.int64], normal: Floats) -> NDArray[np.int64]:
-    """Return the edges (n, 2) at which a wall ends: those whose triangles do not lie on both sides of it alike."""
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    low, high = vertices[edges.min(axis=1)], vertices[edges.max(axis=1)]
-    other = vertices[triangles[:, [2, 0, 1]].ravel()]
-    side = np.sign(np.einsum("ni,ni->n", np.cross(normal, high - low), other - low))
-    unique, which = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-    total = np.bincount(which.ravel(), weights=side, minlength=len(unique))
-    return np.asarray(unique[total != 0.0])
-
-
-def _pieces(corners: Floats, hull: Floats, edges: Floats, normal: Floats, size: float) -> list[Floats]:
-    """Return a wall as convex pieces: its hull if it fills it, else its triangles; each as lines (n, 4)."""
-    lines = _lines(hull, normal)
-    beyond = edges.reshape(-1, 3) @ lines[:, :3].T - lines[:, 3]
-    on_line = np.abs(beyond.reshape(-1, 2, len(lines))) <= 1e-9 * size
-    if np.all(np.any(np.all(on_line, axis=1), axis=1)):
-        return [lines]
-    cross = cross_products(corners) @ normal
-    return [_lines(c if up > 0.0 else c[::-1], normal) for c, up in zip(corners, cross, strict=True)]
-
-
-def _lines(ring: Floats, normal: Floats) -> Floats:
-    """Return inward unit normals and offsets of the sides of a convex ring, counterclockwise, (n, 4)."""
-    inward = np.cross(normal, np.roll(ring, -1, axis=0) - ring)
-    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-    return np.concatenate([inward, np.sum(inward * ring, axis=1)[:, None]], axis=1)
-
-
-def _planes(normal: Floats, offset: Floats, hulls: list[Floats], size: float) -> NDArray[np.int64]:
-    """Return numbers that are equal for walls in one plane."""
-    count, first = len(offset), _firsts(hulls)
-    corners = np.concatenate(hulls)
-    near = np.empty((count, count), dtype=bool)  # near[w, o]: all corners of o lie in the plane of w
-    for w in range(count):
-        away = np.abs(corners @ normal[w] - offset[w])
-        near[w] = np.maximum.reduceat(away, first[:-1]) <= SAME_PLANE * size
-    return clusters(count, np.argwhere(near & near.T))[1]
-
-
-def _crossings(
-    normal: Floats,
-    offset: Floats,
-    hulls: list[Floats],
-    pieces: list[list[Floats]],
-    plane: NDArray[np.int64],
-    size: float,
-) -> list[tuple[int, int, Floats]]:
-    """Return the segments (n, 2, 3) along which two walls run through each other."""
-    low, high = (np.array([f(h, axis=0) for h in hulls]) for f in (np.min, np.max))
-    found = []
-    for a in range(len(hulls) - 1):
-        others = np.arange(a + 1, len(hulls))
-        meets = np.all((low[others] <= high[a]) & (high[others] >= low[a]), axis=1) & (plane[others] != plane[a])
-        for b in others[meets]:
-            if not all(
-                np.ptp(np.sign(d) * (np.abs(d) > 1e-7 * size)) == 2
-                for d in (hulls[b] @ normal[a] - offset[a], hulls[a] @ normal[b] - offset[b])
-            ):
-                continue
-            segments = _meeting(normal[[a, b]], offset[[a, b]], pieces[a], pieces[b], size)
-            if len(segments):
-                found.append((a, int(b), segments))
-    return found
-
-
-def _meeting(normal: Floats, offset: Floats, one: list[Floats], other: list[Floats], size: float) -> Floats:
-    """Return the parts (n, 2, 3) of two planes' common line that lie on a piece of each."""
-    along = np.cross(normal[0], normal[1])
-    along /= np.linalg.norm(along)
-    point = np.linalg.solve(np.stack([normal[0], normal[1], along]), [offset[0], offset[1], 0.0])
-    spans = [[s for s in (_span(point, along, lines) for lines in pieces) if s[1] > s[0]] for pieces in (one, other)]
-    parts = [(max(a[0], b[0]), min(a[1], b[1])) for a in spans[0] for b in spans[1]]
-    ends = np.array([p for p in parts if p[1] - p[0] > 1e-9 * size]).reshape(-1, 2)
-    return np.asarray(point + ends[..., None] * along)
-
-
-def _span(point: Floats, along: Floats, lines: Floats) -> tuple[float, float]:
-    """Return the range of a line within a convex piece; empty if its end is not beyond its start."""
-    slope, value = lines[:, :3] @ along, lines[:, :3] @ point - lines[:, 3]
-    if np.any((np.abs(slope) < 1e-12) & (value < 0.0)):
-        return 0.0, 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = -value / slope
-    return (
-        float(np.max(at[slope > 1e-12], initial=-np.inf)),
-        float(np.min(at[slope < -1e-12], initial=np.inf)),
-    )
+        pairs.append(np.stack([owner[:-apart][same], owner[apart:][same]], axis=1))
+    return np.concatenate(pairs)

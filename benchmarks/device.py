@@ -1,0 +1,205 @@
+"""All rates of one device with one command, and a roofline: what a card of given bandwidth and rates could reach.
+
+Usage: device.py [DEVICE] [--bandwidth GB/s --float32 GFLOP/s --float64 GFLOP/s] [--order N] [--duration S]; writes device.md.
+Measured are processor time and time on the wall of the stages; what is predicted is marked as such.
+"""
+
+import argparse
+import dataclasses
+import platform
+import statistics
+import time
+from pathlib import Path
+
+import clsim
+from clsim.opencl import device as device_module
+from clsim.opencl.compiler import Compiler
+from clsim.render.opencl import engine as engine_module
+from clsim.render.opencl.engine import OpenclEngine
+from clsim.render.plan import Plan
+from clsim.render.planning import plan_render
+
+HERE = Path(__file__).parent
+RATE = 192e3
+# Of one path and node in float64, counted in the kernels: a Newton step and a half (90), the walls' and receiver's frames (80), the
+# prediction and the block's cubic (60); in float32 the response, per frequency and function, about 40.
+NODE_FLOAT64, NODE_FLOAT32 = 230, 40
+CARDS = {  # bandwidth in GB/s, float32 and float64 in GFLOP/s, as vendors state them
+    "laptop, integrated": (60, 1_500, 0),
+    "graphics card of the middle": (450, 20_000, 310),
+    "data-centre card": (2_000, 19_500, 9_700),
+}
+
+
+def scene(duration: float, kind: str) -> clsim.Scene:
+    """Return a box with a source at 6 m/s and a receiver at rest; walls by frequency, or not."""
+    signal = clsim.Signal.tone(40e3, duration, RATE, fade=0.01)
+    walls = clsim.Material.from_reflection(0.9)
+    if kind == "functions":
+        signal = clsim.Signal.chirp(36e3, 44e3, duration, RATE, window="tukey")
+        walls = clsim.Material.from_absorption([20e3, 40e3, 60e3], [0.1, 0.4, 0.5])
+    if kind == "pulses":
+        signal = clsim.Signal.pulses(
+            clsim.Signal.chirp(38e3, 42e3, 1e-3, RATE, window="hann"), 0.1, max(1, int(10 * duration))
+        )
+    way = clsim.Trajectory.circle((4.0, 3.0, 1.5), 1.0, 1.047, duration + 0.2)
+    ear = clsim.Receiver("r", clsim.Trajectory.fixed((1.0, 1.0, 2.9)))
+    return clsim.Scene(clsim.Shoebox((8.0, 6.0, 3.0), walls), clsim.Air(), [clsim.Source("s", signal, way)], [ear])
+
+
+class Stages:
+    """Seconds of every kernel, and of the calls as a whole, on the wall and of the processor."""
+
+    def __init__(self, plan: Plan) -> None:
+        engine, self.kernels = OpenclEngine(plan), {}
+        engine.render(0, plan.samples)  # builds
+        self.wall, self.processor = self._timed(engine, plan)
+        original = Compiler.kernel
+        Compiler.kernel = lambda compiler, program, constants: self._one(
+            program, original(compiler, program, constants)
+        )
+        try:
+            OpenclEngine(plan).render(0, plan.samples)
+        finally:
+            Compiler.kernel = original
+
+    def _timed(self, engine: OpenclEngine, plan: Plan) -> tuple[float, float]:
+        spent = []
+        for _ in range(3):
+            begun = time.perf_counter(), time.process_time()
+            engine.render(0, plan.samples)
+            spent.append((time.perf_counter() - begun[0], time.process_time() - begun[1]))
+        return tuple(statistics.median(column) for column in zip(*spent, strict=True))
+
+    def _one(self, program: str, launch: object) -> object:
+        def call(queue: object, items: tuple, **arguments: object) -> object:
+            queue.finish()
+            begun = time.process_time() if self.on_host else time.perf_counter()
+            event = launch(queue, items, **arguments)
+            queue.finish()
+            now = time.process_time() if self.on_host else time.perf_counter()
+            self.kernels[program] = self.kernels.get(program, 0.0) + now - begun
+            return event
+
+        return call
+
+    on_host = False  # whether the device is the processor, whose time other work on the machine changes less
+
+
+@dataclasses.dataclass
+class Cost:
+    """Bytes and operations of a path-sample in each stage, counted in the kernels."""
+
+    render_operations: float
+    render_bytes: float
+    tracks_float32: float
+    tracks_float64: float
+    tracks_bytes: float
+
+    @classmethod
+    def of(cls, plan: Plan) -> "Cost":
+        """Return those of a plan's first source, in blocks of 768 samples."""
+        filters, block = plan.source_filters[0], 768
+        rows, functions = int(filters.rows[-1]), len(filters.basis)
+        node_bytes = 4 + 4 * plan.delay_terms + 16 * functions
+        # Horner: two operations a row; delay (4) and gain (2 and the product) a function. A block's polynomials are read once
+        # by every 32 samples; branch signals come from cache: every one of them once a block, shared by the paths of a tile.
+        operations = 2.0 * rows + 4.0 + 4.0 * functions + (24.0 + 12.0 * functions) / 32.0
+        read = node_bytes / 32.0 + 4.0 * rows / 128.0
+        nodes = 1.0 / block
+        frequencies = len(filters.basis.nodes)
+        response = NODE_FLOAT32 * frequencies + 2.0 * frequencies * functions
+        return cls(operations, read, nodes * response, nodes * NODE_FLOAT64, nodes * node_bytes)
+
+    def predicted(self, bandwidth: float, float32: float, float64: float) -> tuple[float, float | None]:
+        """Return path-samples a second of render and tracks by the roofline, for GB/s and GFLOP/s."""
+        render = min(float32 * 1e9 / self.render_operations, bandwidth * 1e9 / self.render_bytes)
+        if float64 == 0:
+            return render, None
+        seconds = self.tracks_float32 / (float32 * 1e9) + self.tracks_float64 / (float64 * 1e9)
+        return render, min(1.0 / seconds, bandwidth * 1e9 / self.tracks_bytes)
+
+
+def without_float64(plan: Plan) -> float:
+    """Return the processor seconds of a call with the tracks made by the host."""
+    found = device_module.find_device
+
+    def hidden(wanted: str | None) -> tuple:
+        info, handle = found(wanted)
+        return dataclasses.replace(info, fp64=False), handle
+
+    engine_module.find_device = hidden
+    try:
+        return Stages(plan).processor
+    finally:
+        engine_module.find_device = found
+
+
+def page(info: device_module.DeviceInfo, order: int, duration: float, rows: list[str], costs: dict, cards: dict) -> str:
+    """Return the page: rows that were measured, and what the roofline predicts for cards."""
+    clock = "processor time" if info.kind == "CPU" else "time on the wall"
+    lines = [
+        f"# {info.name}", "",
+        f"{info.platform}, {info.version}, driver {info.driver}; {info.compute_units} units, {info.memory_bytes / 2**30:.1f} GiB; "
+        f"{platform.system()} {platform.machine()}. Order {order}, {duration:g} s, {RATE / 1e3:g} kHz. Path-samples/s in {clock}.",
+        "", "| signal | functions | whole call | render | tracks | branch signals, s | without float64, whole call |",
+        "|---|---|---|---|---|---|---|", *rows,
+        "", "## Roofline: predictions, not measured", "",
+        "| signal | render: operations, bytes of a path-sample | tracks: float32, float64 operations, bytes |", "|---|---|---|",
+    ]  # fmt: skip
+    for kind, c in costs.items():
+        lines.append(
+            f"| {kind} | {c.render_operations:.0f}, {c.render_bytes:.1f} | "
+            f"{c.tracks_float32:.2g}, {c.tracks_float64:.2g}, {c.tracks_bytes:.2g} |"
+        )
+    lines += [
+        "",
+        "| card (GB/s, GFLOP/s in float32 and float64) | signal | render, at most | tracks, at most |",
+        "|---|---|---|---|",
+    ]
+    for name, card in cards.items():
+        for kind, cost in costs.items():
+            render, tracks = cost.predicted(*card)
+            told = "by the host: no float64" if tracks is None else f"{tracks:.2g} (predicted)"
+            lines.append(
+                f"| {name} ({card[0]:g}, {card[1]:g}, {card[2]:g}) | {kind} | {render:.2g} (predicted) | {told} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure, predict and write."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("device", nargs="?")
+    parser.add_argument("--bandwidth", type=float)
+    parser.add_argument("--float32", type=float)
+    parser.add_argument("--float64", type=float, default=0.0)
+    parser.add_argument("--order", type=int, default=6)
+    parser.add_argument("--duration", type=float, default=1.0)
+    options = parser.parse_args()
+    info, _ = device_module.find_device(options.device)
+    Stages.on_host = info.kind == "CPU"
+    rows, costs = [], {}
+    for kind in ("tone", "functions", "pulses"):
+        paths = clsim.find_paths(scene(options.duration, kind), options.order)
+        more = {"responses": "centre"} if kind == "tone" else {}
+        plan = plan_render(paths, RATE, duration=options.duration, device=info.id, **more)
+        stages, work = Stages(plan), plan.path_count * plan.samples
+        whole = stages.processor if Stages.on_host else stages.wall
+        tracks = stages.kernels["tracks"] + stages.kernels["coarse_delays"]
+        slower = without_float64(plan) / stages.processor
+        if kind != "pulses":  # of which the cost depends on how much is silent
+            costs[kind] = Cost.of(plan)
+        rows.append(
+            f"| {kind} | {len(plan.source_filters[0].basis)} | {work / whole:.2g} | {work / stages.kernels['render']:.2g} | "
+            f"{work / tracks:.2g} | {stages.kernels['branches']:.3f} | {slower:.1f} times the processor time |"
+        )
+        print(rows[-1], flush=True)
+    cards = dict(CARDS)
+    if options.bandwidth and options.float32:
+        cards["as asked"] = (options.bandwidth, options.float32, options.float64)
+    (HERE / "device.md").write_text(page(info, options.order, options.duration, rows, costs, cards), "utf-8")
+
+
+if __name__ == "__main__":
+    main()

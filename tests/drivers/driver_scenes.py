@@ -1,0 +1,233 @@
+"""Small scenes that run every kernel with every option: rendered by one driver in a process of its own.
+
+Usage: driver_scenes.py DEVICE FOLDER NAME.LAYOUT... writes FOLDER/NAME.LAYOUT.npz for each: `heard`, and `launched`, lines of JSON
+with program and compile-time constants. MUTANT in the environment is a JSON list of program, text and what stands there instead;
+the program "" is the host, whose buffers are then not cleared.
+"""
+
+import dataclasses
+import json
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from made_responses import POROUS, ROUGH, Lopsided, OffCentre
+
+import clsim
+from clsim.opencl import compiler as compiler_module
+from clsim.paths.path_set import PathSet
+from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
+from clsim.render.plan import Plan
+from clsim.render.planning import BUILDERS, plan_render
+
+RATE = 192e3
+SAMPLES = 192
+SCENES: dict[str, Callable[[str], Plan]] = {}
+FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
+REAL = [clsim.Material.from_reflection(f) for f in (0.9, -0.8, 0.7, 0.6, -0.5, 0.8)]
+CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
+SWEEP = clsim.Signal.chirp(37e3, 43e3, 0.02, RATE, window="tukey")
+LAYOUTS = {"cpu": CPU_LAYOUT, "gpu": GPU_LAYOUT}
+CLOCK = clsim.Electronics(clock_ppm=300.0, clock_offset=1e-5)
+
+
+def scene(make: Callable[[str], Plan]) -> Callable[[str], Plan]:
+    """Enter a function that returns the plan of a scene for a device, by its name."""
+    SCENES[make.__name__] = make
+    return make
+
+
+def world(
+    signal: clsim.Signal = SWEEP,
+    walls: list | None = None,
+    beams: tuple = (clsim.Omni(), clsim.Omni()),
+    still: bool = False,
+) -> clsim.Scene:
+    """Return a box in which all moves, 6 cm apart, and in which the signal has been on for a while."""
+    way = LINE((0.05, 0.045, 0.05), (0.06, 0.04, 0.055), 0.04)
+    ear = FIXED((0.10, 0.08, 0.06)) if still else LINE((0.10, 0.08, 0.06), (0.09, 0.085, 0.06), 0.04)
+    return clsim.Scene(
+        clsim.Shoebox((0.16, 0.13, 0.11), walls or REAL), clsim.Air(),
+        [clsim.Source("s", signal, way, beams[0], aim=(1, 0.3, -0.2))],
+        [clsim.Receiver("r", ear, beams[1], aim=(-0.8, 0.1, 0.4), electronics=None if still else CLOCK)],
+    )  # fmt: skip
+
+
+def plan(
+    of: clsim.Scene | PathSet, device: str, order: int = 1, blocks: tuple[int, ...] = (96,), **options: Any
+) -> Plan:
+    """Return a plan, short and with short filters, in blocks of given lengths."""
+    given = {"interpolator": clsim.Bandlimited(-45.0), "response_error_db": -45.0, "duration": SAMPLES / RATE}
+    paths = clsim.find_paths(of, order) if isinstance(of, clsim.Scene) else of
+    made = plan_render(paths, RATE, device=device, convolve_static=False, **given | options)
+    return dataclasses.replace(made, blocks=blocks, builders=BUILDERS) if blocks else made
+
+
+def partly(of: clsim.Scene, until: float) -> PathSet:
+    """Return the paths of a scene, every other one of which begins or ends on the way."""
+    paths = clsim.find_paths(of, 1)
+    k = np.arange(len(paths))
+    start, end = np.where(k % 3 == 1, 0.4 * until, -np.inf), np.where(k % 3 == 2, 0.6 * until, np.inf)
+    return dataclasses.replace(paths, families=(dataclasses.replace(paths.families[0], start=start, end=end),))
+
+
+@scene
+def plain(device: str) -> Plan:
+    """One function, no directivity, receivers at rest."""
+    return plan(world(still=True), device, responses="centre")
+
+
+@scene
+def quasi_static(device: str) -> Plan:
+    """Images where they are at reception."""
+    return plan(world(), device, 0, responses="centre", motion="quasi-static")
+
+
+@scene
+def convective(device: str) -> Plan:
+    """The Mach factor squared."""
+    return plan(world(), device, 0, responses="centre", amplitude="convective")
+
+
+@scene
+def functions(device: str) -> Plan:
+    """Walls and directivities by frequency, real."""
+    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=(clsim.Piston(0.004), clsim.FirstOrder(0.4))), device)
+
+
+@scene
+def phased(device: str) -> Plan:
+    """Walls that depend on the angle, with phases, and so does a directivity."""
+    return plan(world(walls=[POROUS, ROUGH, *REAL[2:]], beams=(OffCentre(2e-3), clsim.FirstOrder(0.4))), device)
+
+
+@scene
+def lopsided(device: str) -> Plan:
+    """Directivities without symmetry."""
+    return plan(world(beams=(Lopsided(False), Lopsided(True))), device, 0)
+
+
+@scene
+def fine(device: str) -> Plan:
+    """Short blocks."""
+    return plan(world(), device, blocks=(24,))
+
+
+@scene
+def doubled(device: str) -> Plan:
+    """A band up to half the sampling rate, by branch signals of twice the rate; with paths that come and go."""
+    high = clsim.Signal.chirp(88e3, 92e3, 0.02, RATE, window="tukey")
+    return plan(partly(world(high, still=True), 0.001), device, responses="centre")
+
+
+@scene
+def pulses(device: str) -> Plan:
+    """Silence between pulses, several functions, and paths that come and go."""
+    pulse = clsim.Signal.pulses(clsim.Signal.chirp(38e3, 42e3, 0.2e-3, RATE, window="hann"), 1.5e-3, 2)
+    return plan(partly(world(pulse, walls=[CURTAIN, *REAL[1:]]), 0.0012), device, duration=0.003)
+
+
+@scene
+def gate(device: str) -> Plan:
+    """Paths that come and go at once."""
+    return plan(partly(world(), 0.001), device, responses="centre", transition=0.0)
+
+
+@scene
+def mesh(device: str) -> Plan:
+    """Paths searched for on the device, round a screen, with their transitions."""
+    corners = [(0.08, 0.02, 0.0), (0.08, 0.0601, 0.0), (0.08, 0.0601, 0.1), (0.08, 0.02, 0.1)]
+    screen = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], REAL[0])
+    way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.08, 0.05), 0.04), LINE((0.10, 0.08, 0.05), (0.10, 0.09, 0.05), 0.04)
+    of = clsim.Scene(screen, clsim.Air(), [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
+    return plan(of, device, 1, responses="centre")
+
+
+def envelopes(device: str, of: clsim.Scene | PathSet, **options: Any) -> Plan:
+    return plan(of, device, blocks=(), baseband=(40e3, 12e3), **options)
+
+
+@scene
+def baseband(device: str) -> Plan:
+    """Complex envelopes."""
+    return envelopes(device, world(walls=[CURTAIN, *REAL[1:]]))
+
+
+@scene
+def baseband_pulses(device: str) -> Plan:
+    """Complex envelopes with silence, and paths that come and go."""
+    pulse = clsim.Signal.pulses(clsim.Signal.chirp(39.5e3, 40.5e3, 2e-3, RATE, window="hann"), 15e-3, 2)
+    return envelopes(device, partly(world(pulse), 0.03), duration=0.035)
+
+
+# Where signals pause, eight gains of neighbouring functions are read at once, whether or not there are as many.
+EIGHT_GAINS = "g[i] = *(__global const loose_gains*)(c + DELAY_TERMS + i * functions + first);"
+EACH_GAIN = """{
+    g[i] = 0.0f;
+    for (int k = 0; k < FUNCTIONS && first + k < functions; k++) {
+        ((float*)(g + i))[k] = c[DELAY_TERMS + i * functions + first + k];
+    }
+}"""
+
+
+def without_false_reports() -> None:
+    """Do without what Oclgrind falsely takes for uninitialised: `test_oclgrind.py` has a kernel of its own for each."""
+    make, kept = cl.Buffer, []
+
+    def fill(queue: Any, buffer: Any, pattern: np.ndarray, offset: int, size: int) -> Any:
+        return cl.enqueue_copy(queue, buffer, np.full(size // pattern.nbytes, pattern[0]), dst_offset=offset)
+
+    def buffer(*arguments: Any, **options: Any) -> Any:
+        kept.append(make(*arguments, **options))  # another one in its place would be taken for what was there
+        return kept[-1]
+
+    cl.enqueue_fill_buffer, cl.Buffer = fill, buffer
+    replace_text("render", EIGHT_GAINS, EACH_GAIN)
+
+
+def replace_text(program: str, old: str, new: str) -> None:
+    """Build a program with another text in the place of one that it has once."""
+    source = compiler_module.kernel_source
+    assert source(program).count(old) == 1, f"{program} has not once {old}"
+    compiler_module.kernel_source = lambda name: source(name).replace(old, new) if name == program else source(name)
+
+
+def noting(compile_kernel: Callable) -> tuple[Callable, list[str]]:
+    """Return a `Compiler.kernel` that notes what it is asked for, and its notes."""
+    notes: list[str] = []
+
+    def kernel(compiler: object, program: str, constants: dict) -> object:
+        notes.append(json.dumps([program, {k: str(v) for k, v in sorted(constants.items())}]))
+        return compile_kernel(compiler, program, constants)
+
+    return kernel, notes
+
+
+def main(device: str, folder: str, *names: str) -> None:
+    """Render scenes."""
+    if device == "Oclgrind":
+        without_false_reports()
+    mutant = json.loads(os.environ.get("MUTANT", "[]"))
+    if mutant and mutant[0]:
+        replace_text(*mutant)
+    elif mutant:
+        cl.enqueue_fill_buffer = lambda *_: None
+    compiler_module.Compiler.kernel, notes = noting(compiler_module.Compiler.kernel)
+    warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual
+    for name in names:
+        scene_name, layout = name.split(".")
+        notes.clear()
+        made = SCENES[scene_name](device)
+        engine = OpenclEngine if made.baseband is None else BasebandEngine
+        heard = engine(made, LAYOUTS[layout]).render(0, made.samples)
+        np.savez(Path(folder, f"{name}.npz"), launched=sorted(set(notes)), heard=heard)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

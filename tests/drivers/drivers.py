@@ -1,0 +1,107 @@
+"""Other OpenCL implementations than PoCL: where they are, and scenes rendered by one of them in a process of its own."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clsim.opencl.device import list_devices
+
+HERE = Path(__file__).parent
+PARITY_DB = -120.0  # compilers may fuse products and sums otherwise: measured -155 dB and better, of envelopes -139 dB
+# Where `pip install clsim[drivers]` and the Debian package oclgrind put them; the first of CLSIM_DRIVERS, if it is a folder.
+PREFIXES = [Path(os.environ.get("CLSIM_DRIVERS", "")), Path(sys.prefix), Path("/usr"), Path("/usr/local")]
+EVERYTHING = bool(os.environ.get("CLSIM_ALL_DRIVERS"))
+
+
+@dataclass(frozen=True)
+class Driver:
+    """An OpenCL driver.
+
+    Attributes
+    ----------
+    platform : str
+        Its name for itself.
+    library : str
+        Below a prefix.
+    install : str
+        How to get it.
+    settings : dict
+        Environment of its process.
+    """
+
+    platform: str
+    library: str
+    install: str
+    settings: dict[str, str]
+
+    def found(self) -> Path:
+        """Return its library; skip visibly without it."""
+        for prefix in PREFIXES:
+            if (prefix / self.library).is_file():
+                return prefix / self.library
+        pytest.skip(f"no {self.platform} on this machine: {self.install}")
+
+
+POCL = Driver("Portable Computing Language", "", "pip install pocl-binary-distribution", {})
+INTEL = Driver("Intel(R) OpenCL", "lib/libintelocl.so", "pip install 'clsim[drivers]' (Linux x86-64)", {})
+# Its compiler makes an intrinsic that its interpreter lacks, but not with -O0.
+OCLGRIND = Driver(
+    "Oclgrind", "lib/oclgrind/liboclgrind-rt-icd.so", "apt install oclgrind (Debian, Ubuntu)",
+    {
+        "OCLGRIND_BUILD_OPTIONS": "-O0", "OCLGRIND_DATA_RACES": "1", "OCLGRIND_UNINITIALIZED": "1",
+        "OCLGRIND_NUM_THREADS": "1", "OCLGRIND_GLOBAL_MEM_SIZE": str(2**30), "OCLGRIND_MAX_ERRORS": "200",
+        "OCLGRIND_MAX_WGSIZE": "64", "OCLGRIND_LOCAL_MEM_SIZE": str(2**15),  # as small as of real GPUs
+    },
+)  # fmt: skip
+
+
+def environment(driver: Driver, folder: Path, **more: str) -> dict[str, str]:
+    """Return the environment in which a process has a driver, and writes what it reports to FOLDER/log."""
+    paths = [str(HERE.parents[1]), str(HERE), str(HERE.parent / "physics"), *sys.path]
+    found = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYOPENCL_NO_CACHE": "1"} | driver.settings | more
+    if driver is not POCL:
+        library = driver.found()
+        (folder / "vendors").mkdir(exist_ok=True)
+        (folder / "vendors" / "driver.icd").write_text(f"{library}\n")
+        found["OCL_ICD_VENDORS"] = str(folder / "vendors")
+        found["LD_LIBRARY_PATH"] = os.pathsep.join([str(library.parent), found.get("LD_LIBRARY_PATH", "")])
+        found["OCLGRIND_LOG"] = str(folder / "log")
+    return found
+
+
+def run(driver: Driver, folder: Path, *arguments: str, **more: str) -> str:
+    """Run Python with a driver; return what the driver reported."""
+    if driver is POCL and not any(info.platform == POCL.platform for info in list_devices()):
+        pytest.skip("no PoCL on this machine")
+    folder.mkdir(exist_ok=True)
+    done = subprocess.run(
+        [sys.executable, *arguments], env=environment(driver, folder, **more), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    log = folder / "log"
+    return log.read_text() if log.exists() else ""
+
+
+def render(driver: Driver, folder: Path, *names: str, mutant: tuple[str, ...] = ()) -> str:
+    """Render scenes, each a name and a layout, into a folder; return what the driver reported."""
+    script = str(HERE / "driver_scenes.py")
+    return run(driver, folder, script, driver.platform, str(folder), *names, MUTANT=json.dumps(mutant))
+
+
+def apart_db(folder: Path, other: Path, name: str) -> float:
+    """Return how far apart two drivers are."""
+    one, two = (np.load(f / f"{name}.npz")["heard"] for f in (folder, other))
+    assert np.all(np.isfinite(one))
+    assert np.any(one)
+    return float(20 * np.log10(np.linalg.norm(one - two) / np.linalg.norm(two) + 1e-20))
+
+
+def launched(folder: Path, *names: str) -> list[tuple[str, dict[str, str]]]:
+    """Return programs and constants that ran in scenes."""
+    return [tuple(json.loads(line)) for name in names for line in np.load(folder / f"{name}.npz")["launched"]]

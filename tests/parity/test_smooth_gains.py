@@ -1,0 +1,82 @@
+"""Gains from every fourth node: the kernel against its twin, and against gains from every node."""
+
+import math
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.opencl.launch import Launch
+from clsim.render.opencl import device_nodes
+from clsim.render.opencl.block_polynomials import cell_polynomials
+from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
+from clsim.render.planning import plan_render
+
+RATE = 192e3
+SEGMENT = 18432
+
+
+def _plan(turns: float = 0.0):
+    """Return the plan of a source at 3 m/s, whose beam may turn so often a second, 2 segments long."""
+    duration = 2 * SEGMENT / RATE
+    times = np.linspace(0.0, duration, 41)
+    angle = 2.0 * math.pi * turns * times
+    facing = np.stack([0.0 * times, 0.0 * times, np.sin(0.5 * angle), np.cos(0.5 * angle)], axis=1)
+    places = np.array([3.0, 3.0, 1.5]) + 3.0 * times[:, None] * np.array([0.6, 0.8, 0.0])
+    way = clsim.Trajectory.waypoints(times, places, orientations=facing)
+    wall = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
+    source = clsim.Source("s", clsim.Signal.tone(40e3, duration, RATE, fade=0.01), way, clsim.Piston(0.004))
+    receivers = [clsim.Receiver("a", clsim.Trajectory.fixed((7.0, 1.0, 2.0)))]
+    room = clsim.Shoebox((9.0, 8.0, 4.0), wall)
+    return plan_render(
+        clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], receivers), 1), RATE, duration=duration
+    )
+
+
+def _asked(plan, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return what launches of the nodes' kernel are told that smooth gains may be wrong by."""
+    asked, launch = [], Launch.__call__
+
+    def watched(self, *arguments, **named):
+        asked.extend([named["smooth"]] if "smooth" in named else [])
+        return launch(self, *arguments, **named)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Launch, "__call__", watched)
+        OpenclEngine(plan).render(0, SEGMENT)
+    return asked
+
+
+def test_twin_holds_quartics_but_for_their_fourth_power_in_a_block() -> None:
+    power = np.array([0.7, -0.3, 0.2, 0.05, -0.01])
+    at = np.arange(7.0)
+    gain = np.polynomial.polynomial.polyval(at, power)
+    t = np.linspace(-1.0, 1.0, 9)
+    for cell in range(6):
+        terms, error = cell_polynomials(gain, cell, 4)
+        for block in range(4):
+            place = cell + (block + 0.5 + 0.5 * t) / 4
+            wanted = np.polynomial.polynomial.polyval(place, power)
+            np.testing.assert_allclose(
+                np.polynomial.polynomial.polyval(t, terms[:, block]), wanted, atol=0.01 / 4096 * 1.01
+            )
+        assert error == pytest.approx(0.03 * 24 * 0.01)
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("layout", [CPU_LAYOUT, GPU_LAYOUT])
+def test_gains_of_every_fourth_node_are_as_good_as_those_of_every_one(layout, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = _plan()
+    few = OpenclEngine(plan, layout).render(0, 2 * SEGMENT)[0, SEGMENT:]
+    monkeypatch.setattr(device_nodes, "_SMOOTH_SHARE", 0.0)
+    every = OpenclEngine(plan, layout).render(0, 2 * SEGMENT)[0, SEGMENT:]
+    difference_db = 20.0 * np.log10(np.linalg.norm(few - every) / np.linalg.norm(every))
+    assert difference_db > -200.0  # they are not the same: some cells are smooth
+    assert difference_db < plan.motion_error_db - 10.0  # the tenth of the square that they may add
+
+
+@pytest.mark.usefixtures("device")
+def test_beams_that_turn_fast_are_looked_at_in_every_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow, fast = _asked(_plan(1.0), monkeypatch), _asked(_plan(20.0), monkeypatch)
+    assert min(slow) > 0.0
+    assert fast[0] == 0.0

@@ -1,0 +1,109 @@
+"""Limits of devices, by a description that is set: each holds, or it is said what to do."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.opencl import device as device_module
+from clsim.render.opencl import engine as engine_module
+from clsim.render.opencl.engine import BATCH, CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
+from clsim.render.opencl.limits import LONGEST_LAUNCH, Limits, check_group
+from clsim.render.plan import SEGMENT, Plan
+from clsim.render.planning import plan_render
+
+RATE = 192e3
+TONE = clsim.Signal.tone(40e3, 0.25, RATE, fade=0.005)
+GIB = 2**30
+LAPTOP = device_module.DeviceInfo(
+    "0:0", "A small GPU", "made up", "OpenCL 3.0", "GPU", GIB, 8, GIB // 4, 256, 0.5e9, "1", fp64=False
+)
+
+
+def plan(receivers: int = 2, order: int = 1, duration: float = 0.3, **options) -> Plan:
+    way = clsim.Trajectory.line((2.0, 2.0, 1.0), (2.5, 2.2, 1.1), 0.5)
+    ears = clsim.receiver_array("r", clsim.grid_positions((1.0, 5.0, receivers), 3.0, 2.0))
+    room = clsim.Shoebox((6, 5, 3), clsim.Material.from_reflection(0.8))
+    scene = clsim.Scene(room, clsim.Air(), [clsim.Source("s", TONE, way)], ears)
+    options = {"interpolator": clsim.Bandlimited(-60.0)} | options
+    return plan_render(clsim.find_paths(scene, order), RATE, responses="centre", duration=duration, **options)
+
+
+@pytest.fixture
+def described(monkeypatch: pytest.MonkeyPatch) -> Callable:
+    """Return what gives the device another description."""
+
+    def give(**limits) -> None:
+        info, handle = device_module.find_device(None)
+        monkeypatch.setattr(engine_module, "find_device", lambda _: (dataclasses.replace(info, **limits), handle))
+
+    return give
+
+
+def test_a_small_memory_is_rendered_in_pieces(device: None, described: Callable) -> None:
+    made = plan()
+    whole = OpenclEngine(made).render(0, made.samples)
+    described(memory_bytes=32 * 2**20, largest_buffer_bytes=2**20)
+    engine = OpenclEngine(made)
+    assert engine.limits.most_samples < made.samples
+    pieces = engine.render(0, made.samples)
+    assert np.linalg.norm(pieces - whole) < 1e-6 * np.linalg.norm(whole)
+    for buffer in engine._scratch._kept.values():
+        assert buffer.size <= 2**20
+
+
+@pytest.mark.parametrize("receivers", [2, 64])
+def test_a_gibibyte_and_quarters_of_it_hold_long_chunks_of_many_receivers(receivers: int) -> None:
+    made = plan(receivers, duration=0.3, chunk=10**9)
+    long = dataclasses.replace(made, chunk=10**9 // SEGMENT * SEGMENT, builders=())
+    limits = Limits(long, LAPTOP, 1)
+    needed = {name: size * limits.most_samples for name, size in limits._per_sample.items()}
+    assert max(needed.values()) <= GIB // 4
+    assert sum(needed.values()) + 3 * limits.node_budget <= GIB
+    assert limits.most_samples >= SEGMENT
+
+
+def test_what_cannot_fit_says_what_to_do() -> None:
+    small = dataclasses.replace(LAPTOP, memory_bytes=2**24, largest_buffer_bytes=2**22)
+    with pytest.raises(clsim.DeviceError, match=r"pressure of all receivers: render fewer receivers at a time"):
+        Limits(plan(64, 0), small, 1)
+
+
+def test_launches_are_short_by_estimate() -> None:
+    made = plan()
+    limits, paths = Limits(made, LAPTOP, 1), 1600
+    segments = limits.segments_in_launch(paths, 768)
+    operations = segments * paths * SEGMENT * (2 * int(made.source_filters[0].rows[-1]) + 10)
+    assert operations <= LONGEST_LAUNCH * 4 * 8 * 0.5e9
+    assert limits.segments_in_launch(10**7, 768) == 1
+    assert Limits(made, dataclasses.replace(LAPTOP, kind="CPU"), 1).segments_in_launch(paths, 8) > 10**6
+
+
+def test_short_launches_change_nothing(device: None, described: Callable) -> None:
+    made = plan(duration=0.2)
+    whole = OpenclEngine(made, CPU_LAYOUT).render(0, made.samples)
+    described(kind="GPU", compute_units=1, clock_hz=1.0)
+    np.testing.assert_array_equal(OpenclEngine(made, CPU_LAYOUT).render(0, made.samples), whole)
+
+
+@pytest.mark.parametrize("group", [64, 256, 1024])
+def test_work_groups_of_any_device_do(group: int) -> None:
+    check_group(dataclasses.replace(LAPTOP, largest_group=group), 32)
+
+
+def test_smaller_work_groups_are_refused() -> None:
+    with pytest.raises(clsim.DeviceError, match=r"at most 16 items, but 32 are needed; choose another"):
+        check_group(dataclasses.replace(LAPTOP, largest_group=16), 32)
+
+
+@pytest.mark.parametrize("layout", [CPU_LAYOUT, GPU_LAYOUT])
+@pytest.mark.parametrize("sparse", [False, True])
+@pytest.mark.parametrize("subblock", [8, 32])
+def test_groups_and_local_memory_are_small(layout, sparse: bool, subblock: int) -> None:
+    constants = layout.constants(subblock, sparse=sparse, fine=True, oversampling=1)
+    assert constants["WORKERS"] <= 32
+    # Of render.cl: the expanded batch, nine numbers a path with one function; and which paths sound in each subblock.
+    local = constants["SUBBLOCKS"] * (constants["TILE"] + 4) if sparse else 4 * 9 * BATCH
+    assert local <= 2**15
