@@ -64,8 +64,8 @@ def _both(kind: str, shape: str) -> Argument:
 
 _INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
-_TRIPLES = ("common/triple.h", "common/side_by_side.h")
-_PROPAGATION = (*_TRIPLES, "paths/trajectory.h", "paths/delay.h")
+_TRIPLES = ("common/triple.h",)
+_PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
@@ -284,12 +284,9 @@ PROGRAMS = {
         {
             **_BRANCHES,
             "first_row": _in("int", "functions + 1"),
-            "functions": _INT,
-            "first_function": _INT, "functions_here": _INT,
+            "functions": _INT, "first_function": _INT, "functions_here": _INT,
             **_BLOCKS,
-            "first_slot": _in("int", "receivers + 1"),
-            "block_subblocks": _INT,
-            "subblocks": _INT,
+            "first_slot": _in("int", "receivers + 1"), "block_subblocks": _INT, "subblocks": _INT,
             "pressure_row": _in("int", "receivers"),
             **_PRESSURE,
         },

@@ -11,25 +11,15 @@ import numpy as np
 from clsim.numerics.quaternions import rotate
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
-from clsim.paths.response import SceneResponse
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR
-from clsim.render.opencl.lookup_tables import (
-    AXIAL,
-    CELLS,
-    FACE_CELLS,
-    OMNI,
-    SIDE,
-    SPHERICAL,
-    directivity_kind,
-    directivity_table,
-    wall_table,
-)
+from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL
+from clsim.render.opencl.surroundings import VECTOR, Surroundings
 from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -40,15 +30,10 @@ if TYPE_CHECKING:
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
     from clsim.scene.ends import Receiver
-    from clsim.scene.scene import Scene
-    from clsim.tracks.basis import Basis
     from clsim.tracks.tracks import SceneTracks
-
-    Walls = NDArray[np.signedinteger[Any]]
 
 _SMOOTH_SHARE = 0.1  # of the square of the error between nodes: what gains of neighbouring blocks may add to it
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
-VECTOR = 8  # numbers of a vector of gains or of frequencies in kernels
 # A receiver at a node, as in nodes/image.h.
 RECEIVER_NODE = np.dtype(
     [("position", "f8", 3), ("velocity", "f8", 3), ("axes", "f8", (2, 3)), ("clock_error", "f8"), ("clock_rate", "f8")]
@@ -106,7 +91,7 @@ class DeviceTracks:
                 knot_rate(source, min(filters.signal.duration + source.start, plan.duration), tolerance)
             )
         self._surroundings = [
-            _Surroundings(scene, i, filters.basis, self._upload) for i, filters in enumerate(plan.source_filters)
+            Surroundings(scene, i, filters.basis, self._upload) for i, filters in enumerate(plan.source_filters)
         ]
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._static = {
@@ -324,63 +309,3 @@ def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
 
 
 NODE_PROGRAMS = {"images": DeviceTracks}  # what makes the nodes of kinds of paths, by `PathFamily.device`
-
-
-class _Surroundings:
-    """Air, walls and directivities at the nodes of one source's basis, as the device takes them; see ``response.h``."""
-
-    def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
-        c = scene.air.speed_of_sound
-        self.count, self.parts = len(basis.nodes), basis.parts
-        self._responses = SceneResponse(scene, basis.nodes)
-        padding = -len(basis) % VECTOR if len(basis) > 1 else 0  # of gains, which stand side by side
-        columns = {
-            "nepers": self._responses.nepers, "projection": np.pad(basis.projection.T, ((0, 0), (0, padding))),
-            "functions": basis.functions, "weight": basis.weight, "strengths": np.pad(basis.strengths, (0, padding)),
-        }  # fmt: skip
-        self.basis = {name: put(column.astype(np.float32)) for name, column in columns.items()}
-        directivities = [r.directivity for r in scene.receivers]
-        self.source_kind, self.receiver_kind = (
-            directivity_kind([scene.sources[source].directivity]),
-            directivity_kind(directivities),
-        )
-        source_beam = directivity_table(scene.sources[source].directivity, self.source_kind, basis.nodes, c, self.parts)
-        kinds = list(dict.fromkeys(directivities))
-        tables = [directivity_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
-        bands = len(tables[0]) // min(self.count, VECTOR)
-        self.directivity_of = np.array([kinds.index(b) * bands for b in directivities], dtype=np.int32)
-        materials, angular = scene.room.faces.materials, self._responses.angular
-        different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
-        kind = {key: i for i, key in enumerate(different)}
-        self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)
-        walls = [wall_table(m, basis.nodes, c, self.parts) for m in different.values()]
-        nothing = np.zeros(VECTOR, dtype=np.float32)
-        flat = {"wall_tables": walls, "source_directivity": [source_beam], "receiver_directivities": tables}
-        self.tables = {name: put(np.concatenate([*parts, nothing])) for name, parts in flat.items()}
-        self.angular = 0
-
-    def most_bounces(self, pairs: Iterable[Walls]) -> None:
-        """Make room for the most walls that depend on the angle that any path of some pairs meets."""
-        met = self._responses.angular
-        self.angular = max((int(met[walls].sum(axis=1).max(initial=0)) for walls in pairs), default=0)
-
-    def no_bounces(self, slots: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Return empty columns: material (at least 1, slots) and normal (at least 1, 3, slots) of every bounce."""
-        count = max(self.angular, 1)
-        return np.full((count, slots), -1, dtype=np.int32), np.zeros((count, 3, slots), dtype=np.float32)
-
-    def reflection(self, walls: Walls) -> Floats:
-        """Return what the walls that are the same at every angle do to each path, (P, parts, nodes)."""
-        product = self._responses.reflection(walls)
-        return np.stack([product.real, product.imag][: self.parts], axis=1)
-
-    def bounces(self, walls: Walls) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Return material and normal of every bounce that depends on the angle, those of each path first."""
-        wall_of, normal = self.no_bounces(len(walls))
-        filled = np.zeros(len(walls), dtype=np.int64)
-        for bounce, normals in self._responses.angular_bounces(walls):
-            here = np.flatnonzero(self._responses.angular[walls[:, bounce]])
-            wall_of[filled[here], here] = self._material_of[walls[here, bounce]]
-            normal[filled[here], :, here] = normals[here]
-            filled[here] += 1
-        return wall_of, normal
