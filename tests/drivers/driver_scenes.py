@@ -149,6 +149,20 @@ def mesh(device: str) -> Plan:
     return plan(of, device, 1, responses="centre")
 
 
+@scene
+def crowd(device: str) -> Plan:
+    """More walls than are looked up by NumPy: a floor, and tiles that hang over it."""
+    corners, faces = [(-0.1, -0.1, 0.0), (0.3, -0.1, 0.0), (0.3, 0.3, 0.0), (-0.1, 0.3, 0.0)], [(0, 1, 2), (0, 2, 3)]
+    for k in range(72):
+        x, y, z, first = 0.02 * (k % 12), 0.02 * (k // 12), 0.1 + 1e-4 * k, len(corners)
+        corners += [(x, y, z), (x + 0.01, y, z), (x, y + 0.01, z)]
+        faces.append((first, first + 1, first + 2))
+    way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.06, 0.05), 0.04), FIXED((0.10, 0.08, 0.06))
+    room = clsim.MeshRoom(corners, faces, REAL[0])
+    of = clsim.Scene(room, clsim.Air(), [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
+    return plan(of, device, 2, responses="centre")
+
+
 def envelopes(device: str, of: clsim.Scene | PathSet, **options: Any) -> Plan:
     return plan(of, device, blocks=(), baseband=(40e3, 12e3), **options)
 

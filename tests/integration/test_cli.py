@@ -136,9 +136,9 @@ def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
 
 
 def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, capsys, monkeypatch, device) -> None:
-    from clsim.workflow import checkpoint
+    from clsim.workflow import streaming
 
-    render = checkpoint.render_chunks
+    render = streaming.render_chunks
 
     def interrupted(*arguments, **options):
         for number, piece in enumerate(render(*arguments, **options)):
@@ -146,7 +146,7 @@ def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, 
                 os.kill(os.getpid(), signal.SIGINT)
             yield piece
 
-    monkeypatch.setattr(checkpoint, "render_chunks", interrupted)
+    monkeypatch.setattr(streaming, "render_chunks", interrupted)
     scene.write_text((SCENE % "0.5").replace("[render]\n", "[render]\nchunk = 18432\n"), "utf-8")
     out = tmp_path / "out"
     assert main(["run", str(scene), "-o", str(out)]) == 130

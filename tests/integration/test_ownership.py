@@ -279,16 +279,16 @@ def test_single_files_are_not_written_over_unasked(name: str, tmp_path: Path, ca
 
 
 def test_what_comes_into_the_way_while_rendering_stays(tmp_path: Path, capsys, monkeypatch) -> None:
-    from clsim.workflow import checkpoint
+    from clsim.workflow import streaming
 
     scene, out = write_scene(tmp_path / "s.toml"), tmp_path / "out"
-    render = checkpoint.render_chunks
+    render = streaming.render_chunks
 
     def meanwhile(*arguments, **options):
         (out / "right.wav").write_text("mine")
         return render(*arguments, **options)
 
-    monkeypatch.setattr(checkpoint, "render_chunks", meanwhile)
+    monkeypatch.setattr(streaming, "render_chunks", meanwhile)
     assert run(scene, out) == 2
     assert "clsim did not write" in capsys.readouterr().err
     assert (out / "right.wav").read_text() == "mine"

@@ -53,16 +53,17 @@ def _each(wrap: Callable[[Any], Any]) -> Any:
 
 def _taking(render: Any, engine: str, takes: list[tuple[Recording, bool]]) -> Callable[..., Recording]:
     """Return what renders, and keeps what was rendered."""
-    original = OpenclEngine.render
+    original = OpenclEngine.add
 
     def taken(*arguments: Any, **options: Any) -> Recording:
         pieces: list[np.ndarray] = []
 
-        def kept(self: OpenclEngine, start: int, stop: int) -> np.ndarray:
-            pieces.append(original(self, start, stop))
-            return pieces[-1].copy()
+        def kept(self: OpenclEngine, pressure: np.ndarray, start: int) -> None:
+            pieces.append(np.zeros_like(pressure))
+            original(self, pieces[-1], start)
+            pressure += pieces[-1]
 
-        with mock.patch.object(OpenclEngine, "render", kept):
+        with mock.patch.object(OpenclEngine, "add", kept):
             made = render(*arguments, **options)
         used = options.get("engine", "opencl")
         if used == "opencl":

@@ -10,7 +10,7 @@ import clsim
 from clsim.cli import main
 from clsim.output.table import read_table, write_ground_truth, write_table
 from clsim.output.view import viewed
-from clsim.study.member import _add_ground_truth, _add_paths
+from clsim.study.content import _add_ground_truth, _add_paths
 
 TIMES = np.array([0.0, 0.04, 0.1])
 OF_PATHS = ("source", "receiver", "order", "interactions", "objects", "direct")
