@@ -215,9 +215,14 @@ class DeviceTracks:
         return _nodes_made(batch.first_slot[:-1], (delay, polynomials, activity), found, unheld)
 
     def _smooth(self, chunk: _Chunk, receivers: NDArray[Any], block: int) -> float:
-        """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 where beams turn fast."""
-        turn = chunk.turn * block / self._plan.sampling_rate
-        if self._surroundings[chunk.source].receiver_kind != OMNI:
+        """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 if all are looked at.
+
+        They are where beams turn fast or lack symmetry: tables over a sphere have bends between such nodes.
+        """
+        around, turn = self._surroundings[chunk.source], chunk.turn * block / self._plan.sampling_rate
+        if SPHERICAL in (around.source_kind, around.receiver_kind):
+            return 0.0
+        if around.receiver_kind != OMNI:
             turn = max(turn, _largest_turn(receivers["axes"][..., 0, :]), _largest_turn(receivers["axes"][..., 1, :]))
         return _SMOOTH_SHARE * 10 ** (self._plan.motion_error_db / 10) if turn <= _MOST_TURN else 0.0
 
