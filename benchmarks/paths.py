@@ -27,7 +27,7 @@ sys.path.insert(0, str(HERE.parent / "tests" / "physics"))
 NODES_A_SECOND = 100.0  # of the plain way
 WALL = clsim.Material.from_reflection(0.9)
 MOTIONS = {"tum": ("freiburg1_xyz-groundtruth.txt", "tum"), "v102": ("V102_groundtruth.csv", "euroc")}
-EARS = ((0.3, 0.3, 0.6), (0.6, 0.6, 0.6), (0.7, 0.2, 0.3), (0.2, 0.7, 0.2))
+EARS = ((0.3, 0.3, 0.6), (0.6, 0.6, 0.6), (0.7, 0.2, 0.3), (0.35, 0.55, 0.3))
 CASES = {
     "bedroom, order 4, 30 s hand-held, 4 receivers": ("bedroom", 4, "tum", 1.0, 10.0),
     "concert hall, order 3, 30 s hand-held, 4 receivers": ("concert", 3, "tum", 1.0, 2.0),
