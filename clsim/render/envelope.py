@@ -14,7 +14,7 @@ from clsim.numerics.fractional_delay import design_bandlimited
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
-from clsim.render.source_filters import SourceFilters, basis_of
+from clsim.render.source_filters import Emission, SourceFilters
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.render.options import RenderOptions
-    from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
-    from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import Tracks
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
@@ -157,61 +153,34 @@ class EnvelopeFilters(SourceFilters):
         )
 
 
-def design_envelope(
-    index: int,
-    signal: Signal,
-    start: float,
-    sound: ShortTimeSpectra,
-    tracks: Tracks,
-    options: RenderOptions,
-    *,
-    until: float,
-    static: bool = False,
-) -> EnvelopeFilters:
+def design_envelope(emission: Emission) -> EnvelopeFilters:
     """Return a source's complex envelope, with filters for its band and for how its paths move.
 
-    Parameters
-    ----------
-    index, signal, start, sound, tracks, options, until, static
-        As of `design_source_filters`; the options' interpolator is `Bandlimited`.
+    The options' interpolator is `Bandlimited`.
 
     Raises
     ------
     InputError
         If the signal does not lie in the band, or as in `design_source_filters`.
     """
+    signal, options = emission.signal, emission.options
     assert options.baseband is not None
     baseband = Baseband(*options.baseband)
-    half, removed_db = half_band(index, signal, signal.energy_spectrum(), baseband, tracks.max_rate(index))
+    half, removed_db = half_band(emission.source, signal, signal.energy_spectrum(), baseband, emission.max_rate)
     carrier, _, rate = baseband
     # What would be folded onto what is held, or is the image of the carrier.
     stop = min(rate or 0.0, 2.0 * carrier) - half
     low_pass = low_pass_between(half, stop, signal.sampling_rate, -options.interpolator.error_db + _MARGIN_DB)
-    return envelope_filters(
-        index, signal, start, sound, tracks, options, half, low_pass, removed_db, until=until, static=static
-    )
+    return envelope_filters(emission, half, low_pass, removed_db)
 
 
-def envelope_filters(
-    index: int,
-    signal: Signal,
-    start: float,
-    sound: ShortTimeSpectra,
-    tracks: Tracks,
-    options: RenderOptions,
-    half: float,
-    low_pass: Floats,
-    removed_db: float,
-    *,
-    until: float,
-    static: bool = False,
-) -> EnvelopeFilters:
+def envelope_filters(emission: Emission, half: float, low_pass: Floats, removed_db: float) -> EnvelopeFilters:
     """Return the filters for the envelope of a source's signal through a low-pass about the options' carrier.
 
     Parameters
     ----------
-    index, signal, start, sound, tracks, options, until, static
-        As of `design_source_filters`; the options' interpolator is `Bandlimited`.
+    emission : Emission
+        Whose options' interpolator is `Bandlimited`.
     half : float
         Frequencies off the carrier that are held, Hz.
     low_pass : ndarray (n,)
@@ -224,12 +193,12 @@ def envelope_filters(
     InputError
         As in `design_source_filters`.
     """
+    options = emission.options
     assert options.baseband is not None
     baseband, interpolator = Baseband(*options.baseband), options.interpolator
     assert isinstance(interpolator, Bandlimited)  # as the options have checked
-    sampling_rate, max_rate = signal.sampling_rate, tracks.max_rate(index)
-    low, high = baseband.carrier - half, baseband.carrier + half
-    basis = basis_of(index, signal, sound, tracks, options, (low, high), until, sampling_rate, static=static)
+    sampling_rate, max_rate = emission.signal.sampling_rate, emission.max_rate
+    basis = emission.basis((baseband.carrier - half, baseband.carrier + half), sampling_rate)
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
@@ -246,8 +215,8 @@ def envelope_filters(
     )
     highest = baseband.carrier + 0.5 * baseband.bandwidth
     return EnvelopeFilters(
-        signal, start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, 1, removed_db,
-        baseband.carrier, half, mixer, plain,
+        emission.signal, emission.start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, 1,
+        removed_db, baseband.carrier, half, mixer, plain,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from clsim.render.envelope import EnvelopeFilters, envelope_filters, low_pass_between
 from clsim.render.opencl.activity import CELL
-from clsim.render.source_filters import SourceFilters, design_source_filters, filtered
+from clsim.render.source_filters import Emission, SourceFilters, design_source_filters, filtered
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
 if TYPE_CHECKING:
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.render.baseband import Baseband
-    from clsim.render.options import RenderOptions
     from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import Tracks
 
 MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
 _RIPPLE_DB = 15.0  # the same of the band-pass: what it leaves of a steady tone is silence
@@ -145,36 +143,16 @@ class NarrowFilters(EnvelopeFilters):
         return self.mixer.half_length
 
 
-def design_split(
-    index: int,
-    signal: Signal,
-    start: float,
-    sound: ShortTimeSpectra,
-    tracks: Tracks,
-    options: RenderOptions,
-    narrow: NarrowBand,
-    *,
-    until: float,
-) -> tuple[RestFilters, NarrowFilters]:
+def design_split(emission: Emission, narrow: NarrowBand) -> tuple[RestFilters, NarrowFilters]:
     """Return the filters for what a narrow part leaves of a source's signal, and for that part.
-
-    Parameters
-    ----------
-    index, signal, start, sound, tracks, options, until
-        As of `design_source_filters`.
-    narrow : NarrowBand
-        The narrow part.
 
     Raises
     ------
     InputError
         As in `design_source_filters`.
     """
-    left = narrow.rest_of(sound)
-    rest = design_source_filters(index, signal, start, left, tracks, options, until=until)
-    within = replace(options, baseband=narrow.baseband, narrowband=None)
-    part = envelope_filters(
-        index, signal, start, sound, tracks, within, narrow.half, narrow.low_pass, -math.inf, until=until
-    )
+    rest = design_source_filters(replace(emission, sound=narrow.rest_of(emission.sound)))
+    within = replace(emission.options, baseband=narrow.baseband, narrowband=None)
+    part = envelope_filters(replace(emission, options=within), narrow.half, narrow.low_pass, -math.inf)
     columns, parts = ({f.name: getattr(made, f.name) for f in fields(made)} for made in (rest, part))
     return RestFilters(**columns, narrow=narrow), NarrowFilters(**parts)

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.render.options import RenderOptions
+    from clsim.render.source_filters import Emission
     from clsim.render.static_pairs import StaticPairs
     from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import SceneTracks, Tracks
+    from clsim.tracks.tracks import SceneTracks
 
 _SHARES = (1e-3, 1e-6, 1e-9)  # of the energy to either side of what is passed as it is
 _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
@@ -41,37 +42,18 @@ _STRETCH = 0.02  # s
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
 
-def chosen_band(
-    index: int,
-    signal: Signal,
-    start: float,
-    sound: ShortTimeSpectra,
-    tracks: Tracks,
-    pairs: StaticPairs,
-    options: RenderOptions,
-    until: float,
-) -> tuple[NarrowBand | None, str]:
+def chosen_band(emission: Emission, pairs: StaticPairs) -> tuple[NarrowBand | None, str]:
     """Return the band of a source's signal that is rendered as complex envelope, or None, and why none in spite of all.
 
     Parameters
     ----------
-    index : int
-        Of the source.
-    signal : Signal
-        What it emits, at the sampling rate.
-    start : float
-        Time at which that begins, s.
-    sound : ShortTimeSpectra
-        Of it.
-    tracks : Tracks
-        Its paths.
+    emission : Emission
+        Of all of the signal.
     pairs : StaticPairs
         Those that are convolved.
-    options : RenderOptions
-        What is asked.
-    until : float
-        End of the run, s.
     """
+    index, signal, sound, tracks = emission.source, emission.signal, emission.sound, emission.tracks
+    options, start, until = emission.options, emission.start, emission.until
     of_scene = tracks.of_scene
     asked = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
     mine = [i for i, pair in enumerate(tracks.pairs) if pair.source == index and i not in pairs.indices]

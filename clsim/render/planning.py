@@ -18,7 +18,7 @@ from clsim.render.narrow_part import narrow_parts, samples_needed
 from clsim.render.options import RenderOptions, keywords_of
 from clsim.render.path_sum import path_sum
 from clsim.render.plan import BLOCKS, SEGMENT, NarrowPart, Plan, max_rate
-from clsim.render.source_filters import SourceFilters, design_source_filters
+from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.render.static_convolution import static_convolution
 from clsim.render.static_pairs import StaticPairs, find_static_pairs
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
@@ -177,13 +177,13 @@ def _source_filters(
         for i, (emitted, start) in enumerate(emissions):
             signal = emitted.at_rate(options.sampling_rate)
             sound = ShortTimeSpectra.of(signal)
-            narrow, why = chosen_band(i, signal, start, sound, tracks, pairs, options, until)
+            emission = Emission(i, signal, start, sound, tracks, options, until, pairs.holds(tracks, i))
+            narrow, why = chosen_band(emission, pairs)
             told += [why] if why else []
             if narrow is None:
-                static = pairs.holds(tracks, i)
-                made.append(design(i, signal, start, sound, tracks, options, until=until, static=static))
+                made.append(design(emission))
             else:
-                rest, parts[i] = design_split(i, signal, start, sound, tracks, options, narrow, until=until)
+                rest, parts[i] = design_split(emission, narrow)
                 made.append(rest)
     return tuple(made), parts, tuple(told)
 

@@ -43,6 +43,78 @@ _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may w
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Emission:
+    """What a source emits and how it is heard: all that its filters are designed from.
+
+    Attributes
+    ----------
+    source : int
+        Its index.
+    signal : Signal
+        What it emits, at the sampling rate.
+    start : float
+        Time at which that begins, s.
+    sound : ShortTimeSpectra
+        Of what is rendered of it.
+    tracks : Tracks
+        Paths of all sources.
+    options : RenderOptions
+        Say the sampling rate, the interpolator, and how responses are held: by the reference engine within -100 dB.
+    until : float
+        End of the run, s.
+    static : bool
+        All its paths are convolved, so that nothing needs functions of frequency.
+    """
+
+    source: int
+    signal: Signal
+    start: float
+    sound: ShortTimeSpectra
+    tracks: Tracks
+    options: RenderOptions
+    until: float
+    static: bool
+
+    @property
+    def field(self) -> str:
+        """Its name in messages."""
+        return f"signals[{self.source}]"
+
+    @property
+    def max_rate(self) -> float:
+        """Bound on how fast its delays change, s/s."""
+        return self.tracks.max_rate(self.source)
+
+    def basis(self, band: tuple[float, float], rate: float) -> Basis:
+        """Return the functions of frequency that its paths need, within a band at most, both in Hz.
+
+        Raises
+        ------
+        InputError
+            If a wall or a directivity is not known over the signal's band, or asks for too many functions.
+        """
+        (least, high), sound, options, of_scene = band, self.sound, self.options, self.tracks.of_scene
+        flat = flat_basis(self.signal.centre_frequency)
+        if of_scene is None or not len(sound.energy):  # silence needs nothing
+            return flat
+        main = shares(self.signal.energy_spectrum(), _MAIN_SHARE)
+        check_band_coverage(of_scene.scene, [self.source], *main, f"the signal of source {self.source}")
+        if self.static:
+            return flat
+        at_centre, exact = options.responses == "centre", options.engine == "reference"
+        floor_db = EXACT_DB if at_centre or exact else options.response_error_db
+        low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
+        low = min(max(low, least, float(sound.frequencies[1])), 0.999 * high)
+        band_at = partial(band_of, low, high, sound)
+        if not at_centre:
+            asked_db = min(floor_db, options.response_error_db)
+            return scene_basis(of_scene, self.source, band_at, self.until, rate, asked_db)
+        if of_scene.paths.is_complex:
+            return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)
+        return flat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SourceFilters:
     """One source's signal and the filters for it.
 
@@ -195,52 +267,24 @@ class SourceFilters:
         )
 
 
-def design_source_filters(
-    index: int,
-    signal: Signal,
-    start: float,
-    sound: ShortTimeSpectra,
-    tracks: Tracks,
-    options: RenderOptions,
-    *,
-    until: float,
-    static: bool = False,
-) -> SourceFilters:
+def design_source_filters(emission: Emission) -> SourceFilters:
     """Return a source's signal, with filters for its band and for how its paths move.
-
-    Parameters
-    ----------
-    index : int
-        Of the source.
-    signal : Signal
-        What it emits, at the sampling rate.
-    start : float
-        Time at which that begins, s.
-    sound : ShortTimeSpectra
-        Of what is rendered of it.
-    tracks : Tracks
-        Its paths.
-    options : RenderOptions
-        Say the sampling rate, the interpolator, and how responses are held: by the reference engine within -100 dB.
-    until : float
-        End of the run, s.
-    static : bool
-        All its paths are convolved, so that nothing needs functions of frequency.
 
     Raises
     ------
     InputError
         If a wall or a directivity is not known over the signal's band, or asks for too many functions.
     """
-    sampling_rate, interpolator, max_rate = options.sampling_rate, options.interpolator, tracks.max_rate(index)
+    signal, sound, interpolator = emission.signal, emission.sound, emission.options.interpolator
+    sampling_rate, max_rate = signal.sampling_rate, emission.max_rate
     times = _oversampling(sound, interpolator, max_rate, sampling_rate)
-    high, removed_db, limit = _band(index, signal, sound, interpolator, tracks, times)
+    high, removed_db, limit = _band(emission, times)
     rate = times * sampling_rate
-    basis = basis_of(index, signal, sound, tracks, options, (0.0, high), until, rate, static=static)
-    banks = _banks(index, basis, sound, high, interpolator, max_rate, rate, times)
+    basis = emission.basis((0.0, high), rate)
+    banks = _banks(emission, basis, high, rate, times)
     filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])
     swiftness = min(sound.swiftness(), high) or high
-    return SourceFilters(signal, start, banks, basis, filters, limit, high, swiftness, times, removed_db)
+    return SourceFilters(signal, emission.start, banks, basis, filters, limit, high, swiftness, times, removed_db)
 
 
 def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:
@@ -257,70 +301,60 @@ def _doubling(rate: float) -> Floats:
     return 2.0 * limit
 
 
-def _band(
-    index: int, signal: Signal, sound: ShortTimeSpectra, interpolator: Interpolator, tracks: Tracks, times: int
-) -> tuple[float, float, Floats]:
+def _band(emission: Emission, times: int) -> tuple[float, float, Floats]:
     """Return the end of the band that matters, Hz, the share above it in dB, and the band limit."""
+    signal, sound, interpolator = emission.signal, emission.sound, emission.options.interpolator
     rate = signal.sampling_rate
-    widest = (_WIDEST if times == 1 else _WIDEST_OVERSAMPLED) * 0.5 * rate / (1.0 + tracks.max_rate(index))
+    widest = (_WIDEST if times == 1 else _WIDEST_OVERSAMPLED) * 0.5 * rate / (1.0 + emission.max_rate)
     band = max(sound.bounds(10 ** ((interpolator.error_db - 6.0) / 10))[1], 0.05 * widest)
     if band <= widest:
         return band, -math.inf, np.ones(1)
     spectrum = signal.energy_spectrum()
     removed_db = share_above(spectrum, widest)
     unmoved = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
-    _check_received(index, spectrum, widest, unmoved, tracks, rate)
+    _check_received(emission, spectrum, widest, unmoved)
     if removed_db > _LOUD_SHARE_DB:
         warn(
-            f"signals[{index}]: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
+            f"{emission.field}: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
             "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
         )
     limit = _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate) if times == 1 else np.ones(1)
     return widest, removed_db, limit
 
 
-def _check_received(
-    index: int, spectrum: tuple[Floats, Floats], widest: float, unmoved: float, tracks: Tracks, rate: float
-) -> None:
+def _check_received(emission: Emission, spectrum: tuple[Floats, Floats], widest: float, unmoved: float) -> None:
     """Refuse a signal that has more than half of its energy above the band, by itself (`unmoved`) or by Doppler."""
     middle = shares(spectrum, 0.5)[1]
     if middle <= widest:
         return
-    if tracks.max_rate(index) == 0.0 or middle >= unmoved:
+    rate = emission.signal.sampling_rate
+    if emission.max_rate == 0.0 or middle >= unmoved:
         raise InputError(
-            f"signals[{index}]",
+            emission.field,
             f"must lie below {widest:.0f} Hz at a sampling rate of {rate:g} Hz, but half of its energy lies at "
             f"{middle:.0f} Hz and above: sample faster",
         )
-    speed, most = tracks.fastest(index, unmoved / middle - 1.0)
+    speed, most = emission.tracks.fastest(emission.source, unmoved / middle - 1.0)
     raise InputError(
-        f"signals[{index}]",
+        emission.field,
         f"must be received below {unmoved:.0f} Hz at a sampling rate of {rate:g} Hz, but at speeds of up to "
         f"{speed:.4g} m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or "
         f"stay below {most:.4g} m/s",
     )
 
 
-def _banks(
-    index: int,
-    basis: Basis,
-    sound: ShortTimeSpectra,
-    high: float,
-    interpolator: Interpolator,
-    max_rate: float,
-    rate: float,
-    times: int,
-) -> tuple[Bank, ...]:
+def _banks(emission: Emission, basis: Basis, high: float, rate: float, times: int) -> tuple[Bank, ...]:
     """Return the delay filters for each function of the basis, by what it carries of the sound."""
+    interpolator, max_rate = emission.options.interpolator, emission.max_rate
     edge = min(math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi)  # rounded up: designs are found again
-    importance = sound.importance(edge * rate / (2.0 * math.pi), basis.loudness)
+    importance = emission.sound.importance(edge * rate / (2.0 * math.pi), basis.loudness)
     fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
     taps = np.arange(basis.filters.shape[1]) - basis.half
     carried = np.abs(basis.filters @ np.exp(-1j * np.outer(taps, fine))).reshape(len(basis), CELLS, 8).max(axis=2)
     banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist()), times) for row in carried)
     if banks[0].error_db > _WEAK_ERROR_DB:
         warn(
-            f"signals[{index}]: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
+            f"{emission.field}: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
             f'{high:.0f} Hz; sample faster or use the "bandlimited" interpolator'
         )
     return banks
@@ -342,39 +376,6 @@ def _low_pass(stop: float, width: float, rate: float) -> Floats:
     length, beta = kaiserord(_LIMIT_DB, width / (0.5 * rate))
     length += 1 - length % 2
     return np.asarray(firwin(length, stop - 0.5 * width, window=("kaiser", beta), fs=rate))
-
-
-def basis_of(
-    index: int,
-    signal: Signal,
-    sound: ShortTimeSpectra,
-    tracks: Tracks,
-    options: RenderOptions,
-    band: tuple[float, float],
-    until: float,
-    rate: float,
-    *,
-    static: bool,
-) -> Basis:
-    """Return the functions of frequency that a source's paths need, within a band at most, Hz."""
-    least, high = band
-    of_scene = tracks.of_scene
-    if of_scene is None or not len(sound.energy):  # silence needs nothing
-        return flat_basis(signal.centre_frequency)
-    main = shares(signal.energy_spectrum(), _MAIN_SHARE)
-    check_band_coverage(of_scene.scene, [index], *main, f"the signal of source {index}")
-    if static:
-        return flat_basis(signal.centre_frequency)
-    at_centre, exact = options.responses == "centre", options.engine == "reference"
-    floor_db = EXACT_DB if at_centre or exact else options.response_error_db
-    low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
-    low = min(max(low, least, float(sound.frequencies[1])), 0.999 * high)
-    band_at = partial(band_of, low, high, sound)
-    if not at_centre:
-        return scene_basis(of_scene, index, band_at, until, rate, min(floor_db, options.response_error_db))
-    if of_scene.paths.is_complex:
-        return turning_basis(index, signal.centre_frequency, band_at(), rate, floor_db)
-    return flat_basis(signal.centre_frequency)
 
 
 def filtered(

@@ -174,9 +174,8 @@ class DeviceTracks:
         """Make the polynomials of `blocks` blocks from a sample on; something else can be done meanwhile."""
         import pyopencl as cl
 
-        plan, scene, batch = self._plan, self._tracks.scene, chunk.batch
-        filters = plan.source_filters[chunk.source]
-        rate, c = plan.sampling_rate, scene.air.speed_of_sound
+        plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
+        filters, c = plan.source_filters[chunk.source], self._tracks.scene.air.speed_of_sound
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
