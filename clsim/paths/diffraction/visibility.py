@@ -20,7 +20,7 @@ import numpy as np
 
 from clsim.acoustics.diffraction import EdgeWay, edge_way, lit_angles
 from clsim.paths.specular.occlusion import INNER
-from clsim.paths.specular.visibility import EVER, Reach, mirrored, segments_apart, unfold
+from clsim.paths.specular.visibility import EVER, Reach, mirrored, moves_within, segments_apart, unfold
 from clsim.paths.trajectory_tables import PERTURBATIONS
 
 if TYPE_CHECKING:
@@ -145,8 +145,8 @@ class EdgeVisibility:
         reach = self._reach_of_points(stance, asked.end[which], query.walls.size)
         margins = self._margins(stance, which)
         valid = np.all(margins > 0.0, axis=0)
-        ratio = _ratio(np.where(margins > 0.0, 0.0, -margins).max(axis=0), reach)
-        ratio[valid] = _ratio(margins[:, valid].min(axis=0), reach[valid])
+        ratio = moves_within(np.where(margins > 0.0, 0.0, -margins).max(axis=0), reach)
+        ratio[valid] = moves_within(margins[:, valid].min(axis=0), reach[valid])
         for walls, end in ((asked.before, stance.ends[0]), (asked.after, stance.ends[1])):
             rows = np.flatnonzero(valid)
             some = _Part(query.walls, walls[which[rows]], end[rows], stance.apex[rows], reach[rows])
@@ -218,7 +218,7 @@ class _Part:
         for leg in range(self.sequence.shape[1] + 1):
             a, b = (line.along(leg, line.tau[:, leg + i])[rows] for i in (0, 1))
             apart = self._edges_apart(rows, a, b, last=leg == self.sequence.shape[1])
-            ratio[rows] = np.minimum(ratio[rows], _ratio(apart, moves[rows, leg : leg + 2].max(axis=1)))
+            ratio[rows] = np.minimum(ratio[rows], moves_within(apart, moves[rows, leg : leg + 2].max(axis=1)))
         return valid, ratio
 
     def _meets(self, line: Unfolded, moves: Floats) -> tuple[Bools, Floats]:
@@ -230,7 +230,7 @@ class _Part:
             normal, offset = self.walls.normal[wall], self.walls.offset[wall]
             heights = [np.abs(np.sum(x[:, k + 1] * normal, axis=1) - offset) for x in (line.start, line.stop)]
             beside = ~line.crosses[:, k]
-            sure[beside] = _ratio(np.minimum(*heights), self.reach)[beside]
+            sure[beside] = moves_within(np.minimum(*heights), self.reach)[beside]
             for w in np.unique(wall[~beside]):
                 rows = np.flatnonzero((wall == w) & ~beside)
                 hit = line.along(k + 1, line.tau[:, k + 1])[rows]
@@ -238,11 +238,11 @@ class _Part:
                 out, lost = rows[missed], hit[missed]
                 if len(out):
                     apart = segments_apart(self.walls.edges_of(w), lost, lost).min(axis=1)
-                    sure[out] = _ratio(apart, moves[out, k + 1])
+                    sure[out] = moves_within(apart, moves[out, k + 1])
             if k > 0:
                 with np.errstate(invalid="ignore"):
                     late = line.tau[:, k] - line.tau[:, k + 1]
-                    swapped = _ratio(late, line.slack[:, k] + line.slack[:, k + 1])
+                    swapped = moves_within(late, line.slack[:, k] + line.slack[:, k + 1])
                 sure = np.where(late >= 0.0, np.maximum(sure, swapped), sure)
             valid &= sure < 0.0
             ratio = np.maximum(ratio, sure)
@@ -268,9 +268,9 @@ class _Part:
                 continue
             valid[some] = False
             apart = segments_apart(walls.edges_of(w), a[some], b[some]).min(axis=1)
-            sure = _ratio(apart, moves[some].max(axis=1))
+            sure = moves_within(apart, moves[some].max(axis=1))
             for height, move in ((before[some, w], moves[some, 0]), (behind[some, w], moves[some, 1])):
-                sure = np.minimum(sure, _ratio(np.abs(height), move))
+                sure = np.minimum(sure, moves_within(np.abs(height), move))
             ratio[some] = np.maximum(ratio[some], sure)
         return valid, ratio
 
@@ -293,9 +293,3 @@ def _imaged(walls: Walls, sequence: NDArray[np.int32], places: Floats) -> Floats
     for wall in sequence.T:
         places = mirrored(walls, wall, places)
     return places
-
-
-def _ratio(apart: Floats, move: Floats) -> Floats:
-    """Return how often a move fits into a distance, (n,); next to infinity where nothing moves."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return np.where(move > 0.0, np.minimum(apart / np.where(move > 0.0, move, 1.0), EVER), EVER)

@@ -200,7 +200,7 @@ def _reflects(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Flo
         ends = (paths.start[:, k + 1], paths.stop[:, k + 1])
         heights = (np.abs(np.einsum("ni,ni->n", end, normal) - offset) for end in ends)
         moves = (paths.across(k + 1, np.full(count, tau), normal) for tau in (0.0, 1.0))
-        ratios = (_ratio(height, move) for height, move in zip(heights, moves, strict=True))
+        ratios = (moves_within(height, move) for height, move in zip(heights, moves, strict=True))
         sure[beside] = (paths.reach.most * np.minimum(*ratios))[beside]
         hit = paths.along(k + 1, paths.tau[:, k + 1])
         for wall in np.unique(sequence[:, k]):
@@ -221,10 +221,10 @@ def _reflects(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Flo
     return valid, clear
 
 
-def _ratio(height: Floats, move: Floats) -> Floats:
-    """Return how often a move fits into a height, (n,); next to infinity where nothing moves."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(move > 0.0, height / move, EVER)
+def moves_within(apart: Floats, move: Floats) -> Floats:
+    """Return how often a move fits into a distance, (n,); next to infinity where nothing moves."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.where(move > 0.0, np.minimum(apart / np.where(move > 0.0, move, 1.0), EVER), EVER)
 
 
 def _passes(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Floats]:
@@ -244,7 +244,7 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Float
             ends = [path.along(leg, tau) for tau in (first[some], last[some])]
             before, behind = (end @ normal - walls.offset[wall] for end in ends)
             moves = [path.across(leg, tau, normal) for tau in (first[some], last[some])]
-            surely = np.minimum(_ratio(np.abs(before), moves[0]), _ratio(np.abs(behind), moves[1]))
+            surely = np.minimum(moves_within(np.abs(before), moves[0]), moves_within(np.abs(behind), moves[1]))
             apart = np.minimum(_edges_apart(walls, wall, *ends), path.reach.most * surely)
             clear[some] = np.where(before * behind < 0.0, np.maximum(clear[some], apart), clear[some])
             # Nearer to an end of the leg than that can move: sure only while both ends move less.
@@ -255,7 +255,7 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Float
             apart = _edges_apart(walls, wall, a[unsure], b[unsure])
             for end, k in ((high, leg), (low, leg + 1)):
                 moves = path.across(leg, path.tau[:, k], normal) + path.slack[:, k] * slope
-                apart = np.minimum(apart, path.reach.most * _ratio(end, moves))
+                apart = np.minimum(apart, path.reach.most * moves_within(end, moves))
             clear[unsure] = np.maximum(clear[unsure], apart)
     return valid, clear
 
