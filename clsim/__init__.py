@@ -34,6 +34,7 @@ from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
+from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
@@ -69,6 +70,7 @@ __all__ = [
     "Recording",
     "RenderOptions",
     "Rendering",
+    "Scatterer",
     "Scene",
     "Shoebox",
     "Signal",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Literal, get_args
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Literal, Self, get_args
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,9 +48,9 @@ class Arrivals:
     emission_time: Floats
     mach_factor: Floats
 
-    def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Arrivals:
+    def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Self:
         """Return what some of the paths bring at some of the times."""
-        return Arrivals(**{f.name: getattr(self, f.name)[rows, times] for f in fields(self)})
+        return replace(self, **{f.name: getattr(self, f.name)[rows, times] for f in fields(self)})
 
 
 def slices_of(times: int, paths: int) -> list[slice]:

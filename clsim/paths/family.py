@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from clsim.paths.arrivals import Arrivals
     from clsim.paths.propagation import Medium
     from clsim.scene.ends import Receiver, Source
+    from clsim.scene.scatterer import Scatterer
     from clsim.scene.scene import Scene
 
 
@@ -50,8 +51,6 @@ class PathFamily(ABC):
         To which wall that happens (specular) or to which of `object_names`; filled up with -1.
     columns : tuple of str
         A kind's own fields with a row per path.
-    moves : bool
-        Whether paths change though both ends rest.
     object_names : tuple of str
         Of things that are no walls.
     """
@@ -66,7 +65,6 @@ class PathFamily(ABC):
     objects: NDArray[np.signedinteger[Any]]
 
     columns: ClassVar[tuple[str, ...]] = ()
-    moves: ClassVar[bool] = False
 
     @abstractmethod
     def arrivals(
@@ -145,6 +143,11 @@ class PathFamily(ABC):
         Without one the host makes the nodes of the same sum.
         """
         return None
+
+    @property
+    def moves(self) -> bool:
+        """Whether paths change though both ends rest."""
+        return False
 
     @property
     def is_complex(self) -> bool:
@@ -270,8 +273,10 @@ class PeakSpeeds:
 Instant = Any  # a time, or times (P,), s
 
 
-def ends_at(ends: Sequence[Source] | Sequence[Receiver], which: NDArray[np.int32], times: Instant) -> Floats:
-    """Return the positions (P, 3) of sources or receivers (P,) at a time, or at times (P,), m."""
+def ends_at(
+    ends: Sequence[Source] | Sequence[Receiver] | Sequence[Scatterer], which: NDArray[np.int32], times: Instant
+) -> Floats:
+    """Return the positions (P, 3) of sources, receivers or scatterers (P,) at a time, or at times (P,), m."""
     out = np.empty((len(which), 3))
     new = np.ones(len(which), dtype=bool)  # neighbours that are the same are looked at once
     new[1:] = which[1:] != which[:-1]

@@ -11,9 +11,10 @@ from clsim.arrays import FARTHEST, as_number
 from clsim.errors import InputError
 from clsim.scene.air import Air
 from clsim.scene.ends import End, Receiver, Source
-from clsim.scene.placement import check_distances, check_motions, check_sides, first_place
+from clsim.scene.placement import check_distances, check_motions, check_scatterers, check_sides, first_place
 from clsim.scene.plausibility import warn_of_units
 from clsim.scene.room.protocol import Room, checked_room
+from clsim.scene.scatterer import Scatterer, as_scatterers
 
 _NEAREST = 1e-6  # m, least bound of the distance between ends
 
@@ -31,7 +32,9 @@ class Scene:
     sources, receivers : sequence
         At least one of each, with unique names.
     min_distance : float
-        Distance below which a source may not come to a receiver, m.
+        Distance below which a source may not come to a receiver, and neither to a scatterer, m.
+    scatterers : sequence of Scatterer
+        What scatters and moves, with unique names.
 
     Raises
     ------
@@ -51,6 +54,7 @@ class Scene:
     sources: Sequence[Source]
     receivers: Sequence[Receiver]
     min_distance: float = 0.01
+    scatterers: Sequence[Scatterer] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sources", _checked_list("sources", self.sources, Source))
@@ -60,8 +64,9 @@ class Scene:
         checked_room(self.room)
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
+        object.__setattr__(self, "scatterers", as_scatterers(self.scatterers))
         ends = self.named_ends()
-        check_motions(self.room, ends, self.air.speed_of_sound)
+        check_motions(self.room, [*ends, *self.named_scatterers()], self.air.speed_of_sound)
         check_sides(self.room, ends)
         warn_of_units(self.room, self.sources)
         for i, source in enumerate(self.sources):
@@ -72,6 +77,7 @@ class Scene:
                     f"must last as long as the signal, which ends at {source.end:g} s, "
                     f"but ends at {source.trajectory.end:g} s",
                 )
+        check_scatterers(self.named_scatterers(), ends, distance, self.air.speed_of_sound)
         _check_bands(self)
 
     def named_ends(self) -> list[tuple[str, End]]:
@@ -85,6 +91,16 @@ class Scene:
         sources = [(f"sources[{i}]", s) for i, s in enumerate(self.sources)]
         receivers = [(f"receivers[{i}]", r) for i, r in enumerate(self.receivers)]
         return [*sources, *receivers]
+
+    def named_scatterers(self) -> list[tuple[str, Scatterer]]:
+        """Return every scatterer with the name of its field, e.g. ``"scatterers[0]"``.
+
+        Returns
+        -------
+        list of (str, Scatterer)
+            In their order.
+        """
+        return [(f"scatterers[{i}]", s) for i, s in enumerate(self.scatterers)]
 
     def describe(self) -> list[str]:
         """Return what the room is like, a line each, and of ends in one that walls close which are inside at 0 s.

@@ -9,9 +9,8 @@ import numpy as np
 
 from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angles, transition, wedge_terms
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
-from clsim.paths.family import DIFFRACTION, SPECULAR, PathFamily
 from clsim.paths.propagation import refine_delay
-from clsim.paths.vertices import path_vertices
+from clsim.paths.two_sided import TwoSidedPaths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,23 +20,17 @@ if TYPE_CHECKING:
     from clsim.paths.propagation import Leg
     from clsim.paths.response import SceneResponse
 
-    Integers = NDArray[np.signedinteger[Any]]
-
 _LOUDEST = 3.0  # over the partners: four terms of a half at most, one of which may be continued beyond its boundary
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgePaths(PathFamily):
+class EdgePaths(TwoSidedPaths):
     """Paths over one edge, and those over an end of one; each row is a piece between two boundaries of its terms.
 
     Shortly beyond its own interval a row goes on smoothly: what it takes over there is its partner's.
 
     Attributes
     ----------
-    before_matrix, before_offset : ndarray (paths, 3, 3), (paths, 3)
-        The image of the source by the walls before the edge is at ``before_matrix @ x + before_offset``.
-    after_matrix, after_offset : ndarray (paths, 3, 3), (paths, 3)
-        The same of the receiver, by the walls after the edge from its own side.
     frame : ndarray (paths, 4, 3)
         Start of the edge, m, and its vectors `across`, `out` and `along`, see `Edges`.
     n : ndarray (paths,)
@@ -54,10 +47,6 @@ class EdgePaths(PathFamily):
         Of all edges of the room.
     """
 
-    before_matrix: Floats
-    before_offset: Floats
-    after_matrix: Floats
-    after_offset: Floats
     frame: Floats
     n: Floats
     faces: NDArray[np.int64]
@@ -94,26 +83,26 @@ class EdgePaths(PathFamily):
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
         index = np.arange(len(self))[rows]
-        heard_at = self._image("after", index, receiver.position(times)[None])
+        heard_at = self.image("after", index, receiver.position(times)[None])
         shape = heard_at.shape[:2]
 
         def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
-            emitted_at = self._image("before", index[p], source.position(emission_time))
+            emitted_at = self.image("before", index[p], source.position(emission_time))
             first, second = self._legs(index[p], emitted_at, heard_at[p, t])
-            velocity = self._turned("before", index[p], source.velocity(emission_time))
+            velocity = self.turned("before", index[p], source.velocity(emission_time))
             return first.time + second.time, first.mach_at_departure(velocity)
 
-        first, second = self._legs(index[:, None], self._image("before", index, source.position(times)[None]), heard_at)
+        first, second = self._legs(index[:, None], self.image("before", index, source.position(times)[None]), heard_at)
         delay, emission_time = first.time + second.time, np.broadcast_to(times, shape)
         if motion == "retarded":
             delay = refine_delay(travel, delay, times)
             emission_time = times - delay
         flat = emission_time.ravel()
-        emitted_at = self._image("before", index, source.position(flat).reshape(*shape, 3))
-        velocity = self._turned("before", index, source.velocity(flat).reshape(*shape, 3))
+        emitted_at = self.image("before", index, source.position(flat).reshape(*shape, 3))
+        velocity = self.turned("before", index, source.velocity(flat).reshape(*shape, 3))
         first, second = self._legs(index[:, None], emitted_at, heard_at)
         mach = first.mach_at_departure(velocity)
-        receding = second.mach_at_arrival(self._turned("after", index, receiver.velocity(times)[None]))
+        receding = second.mach_at_arrival(self.turned("after", index, receiver.velocity(times)[None]))
         rate, factor = receding - mach, np.ones(shape)
         if motion == "retarded":
             rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
@@ -139,18 +128,11 @@ class EdgePaths(PathFamily):
         late = found.emission_time != times  # as received; quasi-static sound is emitted at once
         wave = 2.0 * np.pi * at.frequencies / speed / (1.0 - np.where(late, mach, 0.0))[..., None]
         response: Complexes = self._edge_field(
-            index, self._image("before", index, emitted_at),
-            self._image("after", index, receiver.trajectory.position(times)[None]), wave, at,
+            index, self.image("before", index, emitted_at),
+            self.image("after", index, receiver.trajectory.position(times)[None]), wave, at,
         )  # fmt: skip
         response *= at.air(found.length) * found.mach_factor[..., None]
-        for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
-            response *= at.reflection(walls)[:, None, :]
-            for bounce, normals in at.angular_bounces(walls):
-                met = walls[:, bounce]
-                for wall in np.unique(met[at.angular[met]]):
-                    here = np.flatnonzero(met == wall)
-                    cosine = np.abs(np.einsum("pti,pi->pt", direction[here], normals[here]))
-                    response[here] *= at.reflection_at(wall, cosine)
+        self.reflect(response, index, found, at)
         at.apply_directivities(response, self.ends(rows), found, times)
         return response
 
@@ -161,37 +143,18 @@ class EdgePaths(PathFamily):
         now = np.array([time])
         emitted_at = source.position(self.arrivals(index, now, motion).emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        apex = self._apex(index, *(self._image(s, index, x) for s, x in (("before", emitted_at), ("after", heard_at))))
-        planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
-        before, after = self._walls_of_sides(index)
-        there, back = (path_vertices(planes, w, x, apex) for w, x in ((before, emitted_at), (after, heard_at)))
-        found = np.full((len(index), self.objects.shape[1] + 2, 3), np.nan)
-        for p, (walls, others) in enumerate(zip(before, after, strict=True)):
-            n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
-            found[p, : n + 2] = there[p, : n + 2]
-            found[p, n + 2 : n + m + 3] = back[p, m::-1]
-        return found
+        apex = self._apex(index, *(self.image(s, index, x) for s, x in (("before", emitted_at), ("after", heard_at))))
+        return self.vertices_by(index, emitted_at, apex, heard_at)
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return the lengths (P,) of the shortest ways between places (P, 3) and others, m."""
         index = np.arange(len(self))[rows]
-        first, second = self._legs(index, self._image("before", index, source), self._image("after", index, receiver))
+        first, second = self._legs(index, self.image("before", index, source), self.image("after", index, receiver))
         return np.asarray(first.length + second.length)
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field at an edge."""
         return _LOUDEST * at.largest_reflection(self.walls[rows])
-
-    def _image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
-        """Return where places (P, [T,] 3) are seen by the edge of each path."""
-        offset = (self.before_offset if side == "before" else self.after_offset)[index]
-        return self._turned(side, index, places) + offset.reshape(len(index), *[1] * (places.ndim - 2), 3)
-
-    def _turned(self, side: str, index: NDArray[np.int64], vectors: Floats) -> Floats:
-        """Return how vectors (P, [T,] 3) are seen by the edge of each path."""
-        matrix = (self.before_matrix if side == "before" else self.after_matrix)[index]
-        vectors = np.broadcast_to(vectors, (len(index), *vectors.shape[1:]))
-        return np.asarray(np.einsum("pij,p...j->p...i", matrix, vectors))
 
     def _cylindrical(self, index: NDArray[np.int64], places: Floats) -> tuple[Floats, Floats, Floats]:
         """Return r (...), θ (...) and z (...) of places (..., 3) about the edges of paths (...)."""
@@ -211,16 +174,6 @@ class EdgePaths(PathFamily):
     def _legs(self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats) -> tuple[Leg, Leg]:
         apex = self._apex(index, emitted_at, heard_at)
         return self.medium.leg(emitted_at, apex), self.medium.leg(apex, heard_at)
-
-    def _walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
-        """Return the walls (P, N) before the edge from the source's side, and after it from the receiver's."""
-        kinds, walls = self.interactions[index], self.walls[index]
-        edge = np.argmax(kinds == DIFFRACTION, axis=1)[:, None]
-        step = np.arange(kinds.shape[1])
-        before = np.where(step < edge, walls, -1)
-        backwards = self.order[index][:, None] - 1 - step  # the last one first
-        kept = (backwards > edge) & (np.take_along_axis(kinds, np.maximum(backwards, 0), axis=1) == SPECULAR)
-        return before, np.where(kept, np.take_along_axis(walls, np.maximum(backwards, 0), axis=1), -1)
 
     def _edge_field(
         self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse
