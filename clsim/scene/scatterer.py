@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
-from clsim.acoustics.scattering import Glint, ellipsoid_glint, sphere_field, sphere_glint
+from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength, sphere_field, sphere_strength
 from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.scene.motion.trajectory import Trajectory
@@ -16,6 +16,7 @@ from clsim.scene.motion.trajectory import Trajectory
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from clsim.acoustics.scattering import Glint
     from clsim.arrays import Complexes, Floats
 
 MODELS = ("series", "geometrical")
@@ -41,10 +42,12 @@ class Shape(Protocol):
         """Bound of the strength in any direction, m."""
         ...
 
-    def glint(
-        self, source: Floats, receiver: Floats, guess: Floats | None, weight: Floats | float
-    ) -> Glint | None:
-        """Return where ends (n, 3) see it, and how strongly, see `ellipsoid_glint`; None for its centre."""
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
+        """Return where ends (3, n) see it, see `ellipsoid_glint`; None for its centre."""
+        ...
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return how strongly (n,) it scatters between ends (3, n), m, and the cosine (n,) that `field` takes."""
         ...
 
     def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
@@ -64,11 +67,14 @@ class PointShape:
     radius: ClassVar[float] = 0.0
     is_complex: ClassVar[bool] = False
 
-    def glint(
-        self, source: Floats, receiver: Floats, guess: Floats | None, weight: Floats | float
-    ) -> Glint | None:
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
         """Return None: it is its own centre."""
         return None
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return the one strength (n,), m, and 1."""
+        one = np.ones(source.shape[1])
+        return self.strongest * one, one
 
     def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
         """Return None: it has no field of its own."""
@@ -96,11 +102,14 @@ class EllipsoidShape:
         """Half the largest geometric mean of both radii of curvature, where it is flattest, m."""
         return float(0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2)
 
-    def glint(
-        self, source: Floats, receiver: Floats, guess: Floats | None, weight: Floats | float
-    ) -> Glint | None:
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
         """Return its specular point."""
-        return ellipsoid_glint(self.semi_axes, source, receiver, guess, weight)
+        return ellipsoid_glint(self.semi_axes, source, receiver, near, weight)
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return the strength (n,) at its specular point, m, and 1."""
+        found = glint or self.glint(source, receiver, None, 1.0)
+        return ellipsoid_strength(self.semi_axes, source, receiver, found), np.ones(source.shape[1])
 
     def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
         """Return None: geometrical optics are the same at all frequencies."""
@@ -123,11 +132,14 @@ class SphereShape:
         """Half the radius; what goes on behind a sphere is stronger, and is bounded by `field`, m."""
         return 0.5 * self.radius
 
-    def glint(
-        self, source: Floats, receiver: Floats, guess: Floats | None, weight: Floats | float
-    ) -> Glint | None:
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
         """Return its specular point."""
-        return sphere_glint(self.radius, source, receiver, guess, weight)
+        return ellipsoid_glint(np.full(3, self.radius), source, receiver, near, weight)
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return the strength (n,) that its field is relative to, m, and the cosine (n,) of half the angle."""
+        found = glint or self.glint(source, receiver, None, 1.0)
+        return sphere_strength(self.radius, source, receiver, found)
 
     def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
         """Return the field of its modes over that of geometrical optics."""

@@ -33,7 +33,7 @@ class ScatteredArrivals(Arrivals):
     second_length : ndarray (P, T)
         From the scatterer to the receiver, m.
     strength, cosine : ndarray (P, T)
-        Of the scatterer, m and 1, see `Glint`.
+        Of the scatterer, m and 1, see `Shape`.
     """
 
     second_length: Floats

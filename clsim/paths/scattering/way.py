@@ -39,7 +39,7 @@ class Way:
     source_velocity : ndarray (..., 3)
         Of the source when it was emitted, m/s.
     strength, cosine : ndarray (...)
-        See `Glint`.
+        See `Shape`.
     """
 
     delay: Floats
@@ -64,7 +64,9 @@ class Body:
 
     def __init__(self, scatterer: Scatterer) -> None:
         self._shape, self._trajectory = scatterer.shape, scatterer.trajectory
+        self._turned = scatterer.trajectory.has_orientation and scatterer.shape.radius > 0.0
         self._glint: Glint | None = None
+        self._ends: list[Floats] = []
 
     @property
     def change(self) -> float:
@@ -73,29 +75,30 @@ class Body:
 
     def seen(
         self, times: Floats, source: Floats, receiver: Floats, weight: Floats | float
-    ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return place and velocity (..., 3) of what scatters at times (...) for ends (..., 3), strength and cosine.
+    ) -> tuple[Floats, Floats]:
+        """Return place and velocity (..., 3) of what scatters at times (...) for ends (..., 3).
 
         The weight of the way to the receiver is that of `ellipsoid_glint`.
         """
-        shape = times.shape
         centre, velocity = self._trajectory.position(times), self._trajectory.velocity(times)
-        away = [np.broadcast_to(end, (*shape, 3)) - centre for end in (source, receiver)]
-        turned = self._trajectory.has_orientation and self._shape.radius > 0.0
-        if turned:
+        away = [end - centre for end in (source, receiver)]
+        if self._turned:
             axes = _axes(self._trajectory.orientation(times))
             away = [np.einsum("...ij,...i->...j", axes, v) for v in away]
-        guess = None if self._glint is None else self._glint.guess
-        found = self._shape.glint(*(v.reshape(-1, 3) for v in away), guess, np.ravel(weight) if np.ndim(weight) else weight)
-        if found is None:
-            one = np.ones(shape)
-            return centre, velocity, self._shape.strongest * one, one
-        self._glint = found
-        offset = found.place.reshape(*shape, 3)
-        if turned:
+        self._ends = [np.ascontiguousarray(v.reshape(-1, 3).T) for v in away]
+        flat = weight.ravel() if isinstance(weight, np.ndarray) else weight
+        self._glint = self._shape.glint(*self._ends, self._glint, flat)
+        if self._glint is None:
+            return centre, velocity
+        offset = self._glint.place.T.reshape(*times.shape, 3)
+        if self._turned:
             offset = np.einsum("...ij,...j->...i", axes, offset)
             velocity = velocity + np.cross(self._trajectory.angular_velocity(times), offset)
-        return centre + offset, velocity, found.strength.reshape(shape), found.cosine.reshape(shape)
+        return centre + offset, velocity
+
+    def strength(self, shape: tuple[int, ...]) -> list[Floats]:
+        """Return strength and cosine, of a shape, of what was last seen."""
+        return [values.reshape(shape) for values in self._shape.strength(*self._ends, self._glint)]
 
 
 def _axes(quaternions: Floats) -> Floats:
@@ -142,7 +145,7 @@ def scattered_way(
     for _ in range(_ROUNDS):
         event = times - late if retarded else np.broadcast_to(times, shape)
         emitted_at, source_velocity = source(event - first_time if retarded else event)
-        place, velocity, strength, cosine = body.seen(event, emitted_at, heard_at, weight)
+        place, velocity = body.seen(event, emitted_at, heard_at, weight)
         second, first = medium.leg(place, heard_at), medium.leg(emitted_at, place)
         later, more = second.time - late, first.time - first_time
         if retarded:
@@ -161,4 +164,4 @@ def scattered_way(
             f"must be seen from both ends, but no way by {scatterer.name!r} was found from {times[0]:.6g} to "
             f"{times[-1]:.6g} s",
         )
-    return Way(late + first_time, late, first, second, place, velocity, source_velocity, strength, cosine)
+    return Way(late + first_time, late, first, second, place, velocity, source_velocity, *body.strength(shape))

@@ -76,6 +76,8 @@ class HostTracks:
         times = node_times(start, block, blocks, rate)
         first, last = bounds.samples_from(start)
         begins = block * np.arange(blocks)
+        spread = filters.filter_half / rate  # as on the device: before and after it nothing sounds
+        emitted = filters.start - spread, filters.start + filters.signal.duration + spread
         for i, index in enumerate(batch.pairs):
             here = batch.of_pair(i)
             delay, change, gain = plan.tracks.evaluate(index, times, filters.basis, batch.path[here])
@@ -87,13 +89,14 @@ class HostTracks:
             swiftness = 2.0 * math.pi * filters.swiftness
             wrong = block_error(delay, change, sized, swiftness, block / rate, part, plan.delay_terms)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
+            sounds = (times[3:] - delay[:, 3:] >= emitted[0]) & (times[:-3] - delay[:, :-3] <= emitted[1])
             terms = plan.delay_terms
             made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
             cubics[:, :, here] = made
             np.maximum(
                 error,
                 _by_segment(
-                    np.where(heard, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, plan.segment // block
+                    np.where(heard & sounds, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, plan.segment // block
                 ),
                 out=error,
             )
