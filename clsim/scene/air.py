@@ -162,7 +162,7 @@ class Air:
         Parameters
         ----------
         frequency : array_like
-            As for `absorption_at`, Hz.
+            Frequencies of any shape, as for `absorption_at`, Hz.
 
         Returns
         -------
