@@ -12,7 +12,7 @@ __kernel void coarse_delays(__global const double* image_matrix, __global const 
     const trajectory path = {knots, knot_count, first_knot, knot_rate, 1.0 / speed_of_sound};
     const receivers_in_image receiver =
         receivers_at(image_matrix, slots, slot, image_offset_of(image_offset, slots, slot),
-                     receivers + (STATIC_RECEIVERS ? receiver_of[slot] : (long)receiver_of[slot] * ends + end));
+                     receivers + (STATIC_RECEIVERS ? receiver_of[slot] : receiver_of[slot] * (long)ends + end));
     const double at[4] = {end - 1, end, end + 1, end + 2};
     const reals walk = SIDE_BY_SIDE(at, );
     arrivals a;
