@@ -217,8 +217,8 @@ ELSEWHERE = {
     "flex dropped": ("near", "render", "(sample[j] * flex + bend)", "bend"),
     "the other phase": ("doubled", "render", "((ahead) & 1) * ((stride) / 2)", "(~(ahead) & 1) * ((stride) / 2)"),
     "one phase for both": ("doubled", "branches", "at % OVERSAMPLING * (stride", "0 * (stride"),
-    "delays in the recording's samples": ("doubled", "tracks", "rate = OVERSAMPLING * sampling_rate", "rate = sampling_rate"),
-    "rates in the recording's samples": ("doubled", "tracks", "0.5 * OVERSAMPLING * BLOCK", "0.5 * BLOCK"),
+    "delays in the recording's samples": ("doubled", "tracks", "branch_rate = oversampling * sampling_rate", "branch_rate = sampling_rate"),
+    "rates in the recording's samples": ("doubled", "tracks", "0.5 * oversampling * block_samples", "0.5 * block_samples"),
     "receiver's direction": ("lopsided", "tracks", "-(float)inner(receiver_frame[1]", "(float)inner(receiver_frame[1]"),
 }  # fmt: skip
 
