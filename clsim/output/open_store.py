@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
-from clsim.output.stores import STORE_FORMAT, check_packages
+from clsim.output.stores import STORE_FORMAT, STORES
+from clsim.packages import check_packages
 
 if TYPE_CHECKING:
     import os
@@ -44,7 +45,7 @@ def open_store(path: str | os.PathLike[str]) -> Any:
     if not (path / "zarr.json").exists() and path.is_dir():
         path = next((p for p in inside if p.exists()), path)
     kind = "hdf5" if path.suffix == ".h5" else "zarr"
-    check_packages(kind, "path", "store")
+    check_packages("path", kind, "store", *STORES[kind].packages)
     import xarray
 
     try:

@@ -19,6 +19,7 @@ from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
 from clsim.output.raw_rows import RawRows
+from clsim.packages import check_packages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.output.spectrogram import Readable
+    from clsim.pictures.spectrogram import Readable
 
 STORE_FORMAT = 1
 
@@ -393,20 +394,11 @@ def check_store(kind: str, receiver_names: Sequence[str]) -> None:
     InputError
         If a package is missing, or a name is one that the format cannot hold.
     """
-    check_packages(kind, "--store", "store")
+    check_packages("--store", kind, "store", *STORES[kind].packages)
     for i, name in enumerate(receiver_names):
         problem = STORES[kind].problem_of(name)
         if problem:
             raise InputError(f"receivers[{i}]", problem)
-
-
-def check_packages(kind: str, field: str, extra: str) -> None:
-    """Raise an InputError if a package that a kind of store needs is missing."""
-    from importlib.util import find_spec
-
-    missing = [name for name in STORES[kind].packages if find_spec(name) is None]
-    if missing:
-        raise InputError(field, f'{kind} needs {" and ".join(missing)}: pip install "clsim[{extra}]"')
 
 
 def texts(values: Any) -> NDArray[Any]:

@@ -199,6 +199,36 @@ class PathSet:
             tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers), self.object_names,
         )  # fmt: skip
 
+    def to_dataframe(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
+        """Return what every path does at the given times as a pandas DataFrame, a row per path and time.
+
+        Parameters
+        ----------
+        times, motion, amplitude
+            As for `table`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            See `PathTable.to_dataframe`.
+        """
+        return self.table(times, motion, amplitude).to_dataframe()
+
+    def to_xarray(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
+        """Return what every path does at the given times as an xarray Dataset.
+
+        Parameters
+        ----------
+        times, motion, amplitude
+            As for `table`.
+
+        Returns
+        -------
+        xarray.Dataset
+            See `PathTable.to_xarray`.
+        """
+        return self.table(times, motion, amplitude).to_xarray()
+
     def vertices(self, time: float, motion: str = "retarded") -> Floats:
         """Return where every path leaves, meets something and arrives, as it is heard at a time.
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.output.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
 from clsim.paths.family import DIFFRACTION
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
 from clsim.scene.room.edges import Edges
+from clsim.scene.view import frame_times, viewed_ends, viewed_walls
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,9 +18,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
-    from clsim.scene.scene import Scene
 
-_TRAIL = 400  # points of a drawn trajectory
 _SEEN = 1e-4  # m, to which the page rounds
 
 
@@ -89,9 +88,8 @@ def viewed(
         Called with 1 for every frame.
     """
     scene = paths.scene
-    moves = any(np.isfinite(item.trajectory.end) for _, item in scene.named_ends())
-    times = np.linspace(0.0, duration, frames) if moves and frames > 1 else np.zeros(1)
-    ends = _ends(scene, times)
+    times = frame_times(scene, duration, frames)
+    ends = viewed_ends(scene, times)
     shown: list[ViewedPaths] = []
     kept: list[int] = []
     for i, time in enumerate(times):
@@ -107,7 +105,7 @@ def viewed(
     notes = (f"Only the {limit} strongest paths are drawn and counted.",) if most == limit else ()
     edges = scene.room.edges() if np.any(paths.interactions == DIFFRACTION) else Edges.none()
     return View(
-        tuple(_walls(scene)), still, times[kept], tuple(shown), notes, np.stack([edges.start, edges.stop], axis=1)
+        tuple(viewed_walls(scene)), still, times[kept], tuple(shown), notes, np.stack([edges.start, edges.stop], axis=1)
     )
 
 
@@ -138,24 +136,3 @@ def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: s
     ]
     order = table.order[heard]
     return ViewedPaths(tuple(c[: n + 2] for c, n in zip(corners, order, strict=True)), order, tuple(names))
-
-
-def _walls(scene: Scene) -> list[ViewedWall]:
-    mesh = scene.room.as_mesh()
-    names = {id(m): m.name or m.describe() for m in mesh.faces.materials}
-    corners = mesh.vertices[mesh.triangles]
-    walls = []
-    for w, name in enumerate(mesh.faces.names):
-        mine = corners[mesh.walls.of_triangle == w]
-        walls.append(ViewedWall(name, names[id(mesh.faces.materials[w])], mine, mesh.walls.edges_of(w)))
-    return walls
-
-
-def _ends(scene: Scene, times: Floats) -> list[ViewedEnd]:
-    found = []
-    for field, item in scene.named_ends():
-        first, last = item.time_range
-        trail = item.trajectory.position(np.linspace(first, max(last, first), _TRAIL if last > first else 1))
-        at = item.trajectory.position(np.clip(times, first, last) if np.isfinite(item.trajectory.end) else times)
-        found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail)))
-    return found
