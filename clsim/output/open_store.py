@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from clsim.errors import InputError
 from clsim.output.stores import STORE_FORMAT, STORES
 from clsim.packages import check_packages
+from clsim.recording import with_times
 
 if TYPE_CHECKING:
     import os
@@ -55,9 +56,7 @@ def open_store(path: str | os.PathLike[str]) -> Any:
     except (OSError, ValueError, KeyError) as error:
         raise InputError("path", f"must be a store of clsim, but {path} is none: {error}") from error
     check_format(found.attrs, path)
-    rate, samples = found.attrs["sampling_rate"], found.sizes["time"]
-    index = xarray.indexes.RangeIndex.linspace(0.0, samples / rate, samples, endpoint=False, dim="time")
-    return found.assign_coords(xarray.Coordinates.from_xindex(index))
+    return with_times(found, found.attrs["sampling_rate"])
 
 
 def check_format(attributes: Any, path: Path) -> None:

@@ -20,6 +20,7 @@ from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
 from clsim.output.raw_rows import RawRows
 from clsim.packages import check_packages
+from clsim.recording import sound_attributes, sound_coordinates
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,27 +85,14 @@ class StoredSound:
 
     def coordinates(self) -> Any:
         """Return all but the sound as an xarray Dataset."""
-        import xarray
-
-        return xarray.Dataset(
-            coords={
-                "receiver": texts(self.receiver_names),
-                "unit": ("receiver", texts(self.units)),
-                "axis": texts("xyz"),
-                "position": (("receiver", "axis"), self.positions, {"units": "m", "long_name": "position at 0 s"}),
-            },
-            attrs=self.attributes(),
-        )
+        found = sound_coordinates(self.receiver_names, self.units, self.positions)
+        found.attrs = self.attributes()
+        return found
 
     @property
     def sound_attributes(self) -> dict[str, Any]:
         """Return what stands beside the samples."""
-        units = sorted(set(self.units))
-        named = {"units": units[0]} if len(units) == 1 else {}
-        what = "sound pressure or voltage, unit by receiver"
-        if self.carrier is not None:
-            what = "complex envelope of sound pressure about the carrier"
-        return named | {"long_name": what}
+        return sound_attributes(self.units, self.carrier)
 
 
 class SoundStore(ABC):
@@ -399,11 +387,6 @@ def check_store(kind: str, receiver_names: Sequence[str]) -> None:
         problem = STORES[kind].problem_of(name)
         if problem:
             raise InputError(f"receivers[{i}]", problem)
-
-
-def texts(values: Any) -> NDArray[Any]:
-    """Return texts as an array that Zarr and HDF5 keep at their own lengths."""
-    return np.array(list(values), dtype=object)
 
 
 def consolidate(path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from clsim.files.atomic import atomic_path
 from clsim.paths.family import DIFFRACTION
-from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
 from clsim.scene.room.edges import Edges
 from clsim.scene.view import frame_times, viewed_ends, viewed_walls
 
@@ -16,8 +17,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from clsim.arrays import Floats
-    from clsim.paths.path_set import PathSet
+    from clsim.paths.path_table import PathTable
+    from clsim.scene.scene import Scene
 
 _SEEN = 1e-4  # m, to which the page rounds
 
@@ -37,7 +41,29 @@ class View:
     edges: Floats
 
 
-def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: Any) -> None:
+class Viewable(Protocol):
+    """What a page asks of a `PathSet`, which shows itself by this file."""
+
+    @property
+    def scene(self) -> Scene:
+        """Where the paths are."""
+        ...
+
+    @property
+    def interactions(self) -> NDArray[np.signedinteger[Any]]:
+        """What happens on each path's way (paths, N)."""
+        ...
+
+    def table(self, times: Floats, motion: str, amplitude: str) -> PathTable:
+        """Return what every path does."""
+        ...
+
+    def vertices(self, time: float, motion: str) -> Floats:
+        """Return the corners of every path (paths, N + 2, 3), m."""
+        ...
+
+
+def view_scene(paths: Viewable, page: Path, *, title: str = "scene", **options: Any) -> None:
     """Write a page that shows the room, the trajectories and the paths over time.
 
     Parameters
@@ -51,15 +77,22 @@ def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: A
     **options
         As in `viewed`.
     """
+    text = paths_page(paths, title=title, **options)
+    with atomic_path(page) as temporary:
+        temporary.write_text(text, "utf-8")
+
+
+def paths_page(paths: Viewable, *, title: str, **options: Any) -> str:
+    """Return the text of that page; what is given is as in `view_scene`."""
     view = viewed(paths, **options)
-    write_page(
-        page, title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes,
+    return page_text(
+        title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes,
         edges=view.edges,
     )  # fmt: skip
 
 
 def viewed(
-    paths: PathSet,
+    paths: Viewable,
     *,
     duration: float,
     frames: int = 120,
@@ -88,8 +121,8 @@ def viewed(
         Called with 1 for every frame.
     """
     scene = paths.scene
-    times = frame_times(scene, duration, frames)
-    ends = viewed_ends(scene, times)
+    times = frame_times(scene.named_ends(), duration, frames)
+    ends = viewed_ends(scene.named_ends(), times)
     shown: list[ViewedPaths] = []
     kept: list[int] = []
     for i, time in enumerate(times):
@@ -105,7 +138,12 @@ def viewed(
     notes = (f"Only the {limit} strongest paths are drawn and counted.",) if most == limit else ()
     edges = scene.room.edges() if np.any(paths.interactions == DIFFRACTION) else Edges.none()
     return View(
-        tuple(viewed_walls(scene)), still, times[kept], tuple(shown), notes, np.stack([edges.start, edges.stop], axis=1)
+        tuple(viewed_walls(scene.room)),
+        still,
+        times[kept],
+        tuple(shown),
+        notes,
+        np.stack([edges.start, edges.stop], axis=1),
     )
 
 
@@ -119,7 +157,7 @@ def _same(one: ViewedPaths, other: ViewedPaths) -> bool:
     return one.labels == other.labels and all(map(_alike, one.corners, other.corners))
 
 
-def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
+def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
     """Return the strongest paths that are heard at a time."""
     table = paths.table(np.array([time]), motion, amplitude)
     heard = np.flatnonzero(table.heard[:, 0])

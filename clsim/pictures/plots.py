@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 RANGE_DB = 75.0  # shown below the loudest
 _DPI = 130
+_PIECES = 4000  # of a waveform that are drawn
 _REFERENCES = {"Pa": ("20 µPa", 0.0), "V": ("1 V", -93.9794)}  # levels come re 20e-6
 DIRECT = "#c1272d"
 _REFLECTED = "#1f77b4"
@@ -61,12 +62,31 @@ def spectrogram_picture(
     unit : {"Pa", "V"}
         Of the samples; levels are re 20 µPa or 1 V.
     """
+    figure, axes = new_figure(5.0)
+    draw_spectrogram(
+        figure, axes, pressure, sampling_rate, title=title, band=band, overlay=overlay, segment=segment, unit=unit
+    )
+    save_figure(figure, path)
+
+
+def draw_spectrogram(
+    figure: Figure,
+    axes: Axes,
+    pressure: Readable,
+    sampling_rate: float,
+    *,
+    title: str,
+    band: tuple[float, float] | None = None,
+    overlay: list[tuple[Floats, Floats, str]] | None = None,
+    segment: int | None = None,
+    unit: str = "Pa",
+) -> None:
+    """Draw level over time and frequency into axes; what is given is as in `spectrogram_picture`."""
     low, high = band or (0.0, 0.5 * sampling_rate)
     raster = spectrogram(pressure, sampling_rate, (low, high), segment)
     against, offset = _REFERENCES[unit]
     level = raster.level + np.float32(offset)
     peak = float(level.max())
-    figure, axes = new_figure(5.0)
     axes.grid(visible=False)
     kilo = 1e3 if high >= 2e3 else 1.0
     milli = 1e3 if raster.duration < 0.5 else 1.0
@@ -85,8 +105,24 @@ def spectrogram_picture(
         xlabel="time (ms)" if milli > 1.0 else "time (s)", ylabel="frequency (kHz)" if kilo > 1.0 else "frequency (Hz)",
         title=title, xlim=(0.0, raster.duration * milli), ylim=(low / kilo, high / kilo),
     )  # fmt: skip
-    figure.colorbar(shown, pad=0.015, aspect=30).set_label(f"level (dB re {against})", fontsize=12)
-    save_figure(figure, path)
+    figure.colorbar(shown, ax=axes, pad=0.015, aspect=30).set_label(f"level (dB re {against})", fontsize=12)
+
+
+def draw_waveform(axes: Axes, samples: Readable, sampling_rate: float, *, title: str, unit: str) -> None:
+    """Draw samples (n,) over time into axes: of many, least and largest of each of some thousand pieces."""
+    count = len(samples)
+    step = max(1, -(-count // _PIECES))
+    if step == 1:
+        times, ends = np.arange(count) / sampling_rate, np.asarray(samples[0:count])
+    else:
+        parts = [samples[i : min(i + step, count)] for i in range(0, count, step)]
+        times = np.repeat(np.arange(len(parts)) * step / sampling_rate, 2)
+        ends = np.array([end for part in parts for end in (part.min(), part.max())])
+    milli = count / sampling_rate < 0.5
+    axes.plot(times * (1e3 if milli else 1.0), ends, linewidth=0.6, color=_REFLECTED)
+    axes.set(xlabel="time (ms)" if milli else "time (s)", ylabel=unit, title=title)
+    axes.title.set_parse_math(False)
+    axes.margins(x=0.0)
 
 
 def envelope_picture(
