@@ -151,7 +151,7 @@ def test_bounds_hold() -> None:
 
 
 def test_engines_pages_and_identities_know_it(engine: str, tmp_path: Path) -> None:
-    from clsim.output.view import view_scene
+    from clsim.paths.view import view_scene
 
     scene = corridor(DRIVING, LEAVING)
     paths = clsim.find_paths(scene, 0)
