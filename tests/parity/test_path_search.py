@@ -6,6 +6,7 @@ from made_meshes import box, joined, l_room, pillar_room, screen
 from mutants import Mutants
 
 import clsim
+from clsim.paths.propagation import UniformAir
 from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.intervals import Intervals, VisibilityQuery, find_intervals
@@ -53,7 +54,7 @@ def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Tra
 
 def query(room, source, receivers, _order) -> VisibilityQuery:
     last = np.array([min(source.end + 0.1, r.end) for r in receivers])
-    return VisibilityQuery(room.walls, trajectory_tables(source, receivers), 343.0, np.zeros(len(last)), last, STEP)
+    return VisibilityQuery(room.walls, trajectory_tables(source, receivers), UniformAir(343.0), np.zeros(len(last)), last, STEP)
 
 
 def candidates(room, source, receivers, order) -> list[Candidates]:
