@@ -89,8 +89,9 @@ __kernel void intervals(double tolerance, double thickness, __global const doubl
                         __global const table_scale* scales,    // [ends]
                         __global const double* knots, __global const double* speeds,
                         __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
-                        double speed_of_sound, double slowest,  // slowest: least speed at which sound makes way, m/s
+                        double speed_of_sound,
                         __global const double* wind,    // [3], m/s
+                        double slowest,                 // speed at which sound makes way at least, m/s
                         __global const int* sequences, __global const int* receiver_of,  // [paths][ORDER], [paths]
                         __global const int* active, int active_count,  // paths that are not done
                         double resolution,              // s, to which ends are found

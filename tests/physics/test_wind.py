@@ -36,11 +36,9 @@ def by_moving_walls(cell: np.ndarray, wind: np.ndarray, time: float) -> tuple[fl
     """
     matrix, offset = np.eye(4), np.zeros(4)
     for axis, count in enumerate(cell):
-        walls = [(i % 2 == 0) == (count > 0) for i in range(abs(count))][::-1 if count % 2 == 0 else 1]
-        if count and not walls[-1] == (count > 0):
-            walls = walls[::-1]
-        for at_far_end in walls:
-            normal, height = np.eye(3)[axis], SIZE[axis] if at_far_end else 0.0
+        for step in range(abs(count)):  # walls alternate, and the last one is on the side of the cell
+            far = (count > 0) == ((abs(count) - 1 - step) % 2 == 0)
+            normal, height = np.eye(3)[axis], SIZE[axis] if far else 0.0
             mach = -wind[axis] / C
             up, down = np.array([mach, *normal]), np.array([-mach, *normal])
             mirror = np.eye(4) - 2.0 * np.outer(up, down) / (1.0 - mach**2)
@@ -75,7 +73,7 @@ def cell_of(paths: clsim.PathSet, row: int) -> tuple[int, ...]:
 
 
 def test_images_are_those_of_moving_walls_to_first_order() -> None:
-    """Errors fall with the square of the wind: at 1 m/s below 1 µs and 1e-4 of the gain; the direct sound is exact."""
+    """Errors fall with the square of the wind: at 1 m/s below 1 µs and 1e-5 of the gain; the direct sound is exact."""
     errors = []
     for strength in (8.0, 4.0, 1.0):
         wind = strength * np.array([0.8, -0.48, 0.36])
@@ -90,12 +88,13 @@ def test_images_are_those_of_moving_walls_to_first_order() -> None:
         assert late[0] < 1e-15
         assert louder[0] < 1e-12
         errors.append((max(late), max(louder)))
-    (late_8, louder_8), (late_4, louder_4), (late_1, louder_1) = errors
-    assert late_8 / late_4 == pytest.approx(4.0, rel=0.1)
-    assert late_4 / late_1 == pytest.approx(16.0, rel=0.1)
-    assert late_1 < 1e-6
+    at_8, at_4, at_1 = np.array(errors)
+    np.testing.assert_allclose(at_8 / at_4, 4.0, rtol=0.1)
+    np.testing.assert_allclose(at_4 / at_1, 16.0, rtol=0.1)
+    assert at_1[0] < 1e-6
+    assert at_1[1] < 1e-5
     shift = abs(paths.table([0.4]).delay - clsim.find_paths(scene(None), 4).table([0.4]).delay)
-    assert shift.min() > 8.0 * late_1  # what the wind does is much more than what is wrong with it
+    assert shift.min() > 8.0 * at_1[0]  # what the wind does is much more than what is wrong with it
 
 
 def test_no_wind_is_still_air_to_the_last_bit() -> None:
