@@ -160,7 +160,7 @@ PROGRAMS = {
         (*_ROUNDING, "common/vector.h", "render/branches.cl"),
         {
             "emitted": _in("float", "rows of emitted samples"),
-            "first_emitted": _INT,
+            "first_emitted": Argument("long"),
             "taps": _in("float", "rows, tap_count"),
             "tap_count": _INT, "width": _INT, "stride": _INT, "first_row": _INT,
             "rows": _out("float", "rows, stride"),

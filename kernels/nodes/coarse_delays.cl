@@ -13,7 +13,7 @@ __kernel void coarse_delays(__global const double* image_matrix, __global const 
     const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const receivers_in_image receiver =
         receivers_at(&path, image_matrix, slots, slot, image_offset_of(image_offset, slots, slot),
-                     receivers + (STATIC_RECEIVERS ? receiver_of[slot] : (long)receiver_of[slot] * ends + end));
+                     receivers + (STATIC_RECEIVERS ? receiver_of[slot] : receiver_of[slot] * (long)ends + end));
     const double at[4] = {end - 1, end, end + 1, end + 2};
     const reals walk = SIDE_BY_SIDE(at, );
     arrivals a;

@@ -8,12 +8,12 @@ typedef struct {
 
 static triple image_offset_of(__global const double* offset, int slots, int slot)
 {
-    const triple out = {offset[slot], offset[slots + slot], offset[2 * slots + slot]};
+    const triple out = {offset[slot], offset[(long)slots + slot], offset[2 * (long)slots + slot]};
     return out;
 }
 
 // Vectors by the transposed matrix of an image.
-static triples turned_back(__global const double* matrix, int slots, int slot, triples v)
+static triples turned_back(__global const double* matrix, long slots, int slot, triples v)
 {
     __global const double* m = matrix + slot;
     const triples out = {m[0] * v.x + m[3 * slots] * v.y + m[6 * slots] * v.z,

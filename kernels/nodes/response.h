@@ -58,15 +58,15 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
         loss = loss < 80.0f ? loss : (bins)(80.0f);
         const bins air = exponential(-loss) * common;
         for (int part = 0; part < PARTS; part++) {
-            r.part[part][b] = s->reflection[(slot * PARTS + part) * BIN_VECTORS + b] * air;
+            r.part[part][b] = s->reflection[((long)slot * PARTS + part) * BIN_VECTORS + b] * air;
         }
     }
     for (int i = 0; i < ANGULAR; i++) {
-        const int wall = s->wall_of[i * slots + slot];
+        const int wall = s->wall_of[i * (long)slots + slot];
         if (wall < 0) break;
-        __global const float* n = s->normal + 3 * i * slots + slot;
+        __global const float* n = s->normal + 3 * i * (long)slots + slot;
         const float cosine = n[0] * (float)a->departure.x + n[slots] * (float)a->departure.y +
-                             n[2 * slots] * (float)a->departure.z;
+                             n[2 * (long)slots] * (float)a->departure.z;
         // Over the root of the cosine: hard walls change within 0.1 degree of grazing.
         apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
     }

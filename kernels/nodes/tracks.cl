@@ -123,7 +123,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             longest = delay_now > longest ? delay_now : longest;
         }
         __global float* c = polynomials + place_of(block, slot, FUNCTIONS, slots);
-        delay[block * slots + slot] = write_delay(&w, apart, sampling_rate, delay_samples, c);
+        delay[block * (long)slots + slot] = write_delay(&w, apart, sampling_rate, delay_samples, c);
         write_terms(powers, heard, apart, c);
         if (!heard) continue;
 #if SPARSE
@@ -142,6 +142,6 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             error = squared > error ? squared : error;
         }
     }
-    found[walk * slots + slot] = (float4)(error, strength, shortest, longest);
-    unheld[walk * slots + slot] = rest;
+    found[walk * (long)slots + slot] = (float4)(error, strength, shortest, longest);
+    unheld[walk * (long)slots + slot] = rest;
 }

@@ -38,7 +38,7 @@ static void locate(const trajectory* path, reals emitted, arrivals* a)
         knot = knot < 0 ? 0 : knot;
         knot = knot < path->count ? knot : path->count - 1;
         whole[i] = (double)knot;
-        a->knot[i] = path->knots + knot * KNOT_COLUMNS;
+        a->knot[i] = path->knots + (long)knot * KNOT_COLUMNS;
     }
     const reals u = place - SIDE_BY_SIDE(whole, );
     a->u = u < 0.0 ? (reals)0.0 : u < 1.0 ? u : (reals)1.0;

@@ -106,7 +106,7 @@ __kernel void intervals(double tolerance, double thickness, __global const doubl
     const search s = {{tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
                        line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 0),
                       trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 1 + receiver_of[path]),
-                      sequences + ORDER * path, 1.0 / slowest};
+                      sequences + ORDER * (long)path, 1.0 / slowest};
     __global progress* p = states + path;
     int evaluations = 0;
     while (p->depth > 0 && evaluations < budget) {

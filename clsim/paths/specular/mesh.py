@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.opencl.device import DeviceInfo
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import Intervals
     from clsim.paths.trajectory_tables import TrajectoryTables
@@ -255,13 +256,13 @@ def report(progress: Progress, first: float, last: float, share: float) -> None:
     progress(first + share * (last - first))
 
 
-def _float64_device(engine: str, name: str | None) -> Any:
+def _float64_device(engine: str, name: str | None) -> tuple[DeviceInfo, Any] | None:
     """Return the device that validates paths, None for NumPy: asked for, or where no device has float64."""
     if engine == "opencl":
         try:
             info, chosen = find_device(name)
             if info.fp64:
-                return chosen
+                return info, chosen
             reason = f"{info.name} has no float64"
         except DeviceError:
             if name is not None:
@@ -280,7 +281,7 @@ def _tell_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> None:
     )
 
 
-def _planter(walls: Walls, ends: TrajectoryTables, device: Any) -> Callable[..., BeamTree]:
+def _planter(walls: Walls, ends: TrajectoryTables, device: tuple[DeviceInfo, Any] | None) -> Callable[..., BeamTree]:
     """Return what makes beam trees in a room: from a sphere to others, as in `BeamTree`."""
     lookup = DeviceLookup(walls, device) if device is not None and len(walls) > _FEW_WALLS else WallLookup(walls)
     source = np.zeros(1, dtype=np.int64)

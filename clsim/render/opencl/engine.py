@@ -12,12 +12,13 @@ from clsim.errors import ClsimError, DeviceError, warn
 from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, upload, work
+from clsim.opencl.limits import check_group
 from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
 from clsim.render.opencl.device_nodes import NODE_PROGRAMS, DeviceTracks
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
-from clsim.render.opencl.limits import Limits, check_group
+from clsim.render.opencl.limits import BATCH, Limits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     NodeMaker = DeviceTracks | HostTracks
 
-BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
@@ -191,7 +191,7 @@ class OpenclEngine:
                 here = [pair.during(plan, start + first * plan.segment, start + last * plan.segment) for pair in active]
                 per_segment = bytes_per_node(plan, source) * (plan.segment // plan.shortest_block)
                 slots = self.limits.node_budget // per_segment
-                heard = [pair for pair in here if len(pair.rows)]
+                heard = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
                 for some in _batches(heard, slots, [self.maker(pair.index) for pair in heard]):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
