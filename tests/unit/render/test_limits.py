@@ -130,7 +130,8 @@ def test_memory_of_a_plan_is_what_is_taken(device: None) -> None:
         tracemalloc.stop()
         for scratch in (engine._scratch, *(maker._scratch for maker in engine._makers.values())):
             taken += sum(buffer.size for buffer in scratch._kept.values())
-        assert 0.9 * taken < made.memory_bytes < 2.5 * taken, (name, taken, made.memory_bytes, made._memory())
+        # Nodes are counted in blocks of 768 and of 384 samples, three times those that this motion needs.
+        assert 0.9 * taken < made.memory_bytes < 3.1 * taken, (name, taken, made.memory_bytes, made._memory())
     assert plans["small"].memory_bytes < 48 * 2**20 < plans["paths"].memory_bytes
 
 
