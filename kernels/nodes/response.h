@@ -18,8 +18,9 @@ typedef struct {
 
 // What of an arrival gains depend on.
 typedef struct {
-    double delay, mach_factor;
-    triple departure;
+    float through, length;      // m of air, and over which pressure falls
+    double mach_factor;
+    triple departure, arrival;  // along the path, both as seen from the source's own room
     __global const double* knot;
     double u;
 } arrival;
@@ -42,11 +43,10 @@ static void project(const response* r, __global const gains* projection, gains* 
 }
 
 // Returns the response's mean square over the nodes; `unheld` is that of what the functions do not hold of it.
-static float path_gains(const arrival* a, double speed_of_sound, const surroundings* s, int slots, int slot,
-                        const triple* receiver_frame, gains* gain, float* unheld)
+static float path_gains(const arrival* a, const surroundings* s, int slots, int slot, const triple* receiver_frame, gains* gain,
+                        float* unheld)
 {
-    const float distance = (float)(a->delay * speed_of_sound);
-    float common = 1.0f / distance;
+    float common = 1.0f / a->length;
 #if MACH_EXPONENT >= 1
     common *= (float)a->mach_factor;
 #endif
@@ -55,7 +55,7 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
 #endif
     response r;
     for (int b = 0; b < BIN_VECTORS; b++) {
-        bins loss = s->nepers[b] * (distance - 1.0f);
+        bins loss = s->nepers[b] * (a->through - 1.0f);
         loss = loss < 80.0f ? loss : (bins)(80.0f);
         const bins air = exponential(-loss) * common;
         for (int part = 0; part < PARTS; part++) {
@@ -80,10 +80,10 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
                  (float)inner(z, a->departure), &r);
 #endif
 #if RECEIVER_DIRECTIVITY == AXIAL
-    apply_cubics(s->receiver_directivity, 0.5f * (float)(1.0 - inner(receiver_frame[0], a->departure)), &r);
+    apply_cubics(s->receiver_directivity, 0.5f * (float)(1.0 - inner(receiver_frame[0], a->arrival)), &r);
 #elif RECEIVER_DIRECTIVITY == SPHERICAL
-    apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->departure),
-                 -(float)inner(receiver_frame[1], a->departure), -(float)inner(receiver_frame[2], a->departure), &r);
+    apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->arrival),
+                 -(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r);
 #endif
     project(&r, s->projection, gain);
     // What is heard, and what of it the functions do not hold.
