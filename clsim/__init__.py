@@ -7,6 +7,7 @@ The pipeline is four values and three arrows between them::
 `render` takes the last two arrows at once.
 """
 
+from clsim import score as score
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices

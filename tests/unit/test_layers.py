@@ -26,6 +26,7 @@ LAYERS = [
     ("paths",),
     ("tracks",),
     ("recording", "impulse_responses"),
+    ("score",),
     ("render",),
     ("output",),
     ("scene_file",),
