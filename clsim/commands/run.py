@@ -16,7 +16,6 @@ from clsim.scene_file import load_scene
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
 from clsim.workflow.outputs import COMPLETED, GROUND_TRUTH, RunOutputs
-from clsim.workflow.pictures import draw_pictures
 from clsim.workflow.pipeline import check_table_size, input_files, plan_scene, table_times
 from clsim.workflow.result_folder import ResultFolder
 
@@ -119,6 +118,8 @@ def _fill(
     if outputs.table in missing:
         write_table(planned.path_table(times), results.work / outputs.table)
     if any(name.endswith(".png") for name in missing):
+        from clsim.workflow.pictures import draw_pictures  # late: what draws takes longer to import than all else
+
         draw_pictures(planned, times, store, results, outputs, missing)
     if GROUND_TRUTH in missing:
         write_ground_truth(planned.ground_truth(times), results.work / GROUND_TRUTH)

@@ -81,6 +81,7 @@ _TRAJECTORY = {
     "knots": _in("double", "knot_count, KNOT_COLUMNS"),
     "knot_count": _INT, "first_knot": _DOUBLE, "knot_rate": _DOUBLE,
 }  # fmt: skip
+_MEDIUM = {"speed_of_sound": _DOUBLE, "wind": _in("double", "3")}
 _BRANCHES = {"branches": _in("float", "rows, stride"), "stride": _INT, "lead": _INT}
 _BLOCKS = {
     "delay": _in("int", "blocks, slots"),
@@ -132,13 +133,13 @@ _CROSSINGS = {
 _INTERVALS = {
     **_ROOM, "places": _in("table_place", "1 + receivers"), "scales": _in("table_scale", "1 + receivers"),
     "knots": _in("double", "knots, KNOT_COLUMNS"), "speeds": _in("double", "speeds"),
-    "mounts": _in("double4", "1 + receivers"), "speed_of_sound": _DOUBLE, "sequences": _in("int", "paths, ORDER"),
+    "mounts": _in("double4", "1 + receivers"), **_MEDIUM, "slowest": _DOUBLE, "sequences": _in("int", "paths, ORDER"),
     "receiver_of": _in("int", "paths"), "active": _in("int", "active_count"), "active_count": _INT,
     "resolution": _DOUBLE, "smallest_move": _DOUBLE, "graze": _DOUBLE, "budget": _INT,
     "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
 }  # fmt: skip
 _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
-_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
+_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
 
@@ -159,7 +160,7 @@ PROGRAMS = {
         (*_ROUNDING, "common/vector.h", "render/branches.cl"),
         {
             "emitted": _in("float", "rows of emitted samples"),
-            "first_emitted": _INT,
+            "first_emitted": Argument("long"),
             "taps": _in("float", "rows, tap_count"),
             "tap_count": _INT, "width": _INT, "stride": _INT, "first_row": _INT,
             "rows": _out("float", "rows, stride"),
@@ -177,7 +178,7 @@ PROGRAMS = {
             **_TRAJECTORY,
             "start": _DOUBLE,
             "walk_time": _DOUBLE,
-            "speed_of_sound": _DOUBLE,
+            **_MEDIUM,
             "delays": _out("double", "ends, 2, slots"),
         },
         frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL"}),
@@ -202,7 +203,7 @@ PROGRAMS = {
             **_TRAJECTORY,
             "start": _DOUBLE,
             "sampling_rate": _DOUBLE,
-            "speed_of_sound": _DOUBLE,
+            **_MEDIUM,
             "nepers": _in("bins", "BIN_VECTORS"),
             "projection": _in("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
             "functions": _in("bins", "FUNCTIONS, PARTS, BIN_VECTORS"),

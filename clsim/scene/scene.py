@@ -64,7 +64,7 @@ class Scene:
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
         ends = self.named_ends()
-        check_motions(self.room, ends, self.air.speed_of_sound)
+        check_motions(self.room, ends, self.air.slowest)
         check_sides(self.room, ends)
         warn_of_units(self.room, self.sources)
         for i, source in enumerate(self.sources):

@@ -20,6 +20,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* knots, int knot_count, double first_knot, double knot_rate,
                      double start,                         // time of the run's first sample, s
                      double sampling_rate, double speed_of_sound,
+                     __global const double* wind,          // [3], m/s
                      __global const bins* nepers, __global const gains* projection, __global const bins* functions,
                      __global const bins* weight, __global const gains* strengths,
                      double delay_samples,                 // added to the delay
@@ -40,7 +41,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
     const int first = walk * WALK, apart = BESIDE, last = first + WALK < blocks ? first + WALK : blocks;
-    const trajectory path = {knots, knot_count, first_knot, knot_rate, 1.0 / speed_of_sound};
+    const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const triple offset = image_offset_of(image_offset, slots, slot);
     __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
     const surroundings around = {nepers,     projection,  functions, weight, strengths,
@@ -61,7 +62,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, rows + (STATIC_RECEIVERS ? 0 : first),
                                 start + first * block_time, block_time, predicted, -1};
 #if STATIC_RECEIVERS
-    nodes_of_path.receiver[0] = receivers_at(image_matrix, slots, slot, offset, rows);
+    nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, rows);
 #endif
 #if DELAY_TERMS == 4
     smooth_gains slow;
@@ -122,7 +123,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             longest = delay_now > longest ? delay_now : longest;
         }
         __global float* c = polynomials + place_of(block, slot, FUNCTIONS, slots);
-        delay[block * slots + slot] = write_delay(&w, apart, sampling_rate, delay_samples, c);
+        delay[block * (long)slots + slot] = write_delay(&w, apart, sampling_rate, delay_samples, c);
         write_terms(powers, heard, apart, c);
         if (!heard) continue;
 #if SPARSE
@@ -141,6 +142,6 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             error = squared > error ? squared : error;
         }
     }
-    found[walk * slots + slot] = (float4)(error, strength, shortest, longest);
-    unheld[walk * slots + slot] = rest;
+    found[walk * (long)slots + slot] = (float4)(error, strength, shortest, longest);
+    unheld[walk * (long)slots + slot] = rest;
 }

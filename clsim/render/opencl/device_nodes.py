@@ -81,6 +81,11 @@ class DeviceTracks:
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
+        wind = scene.air.wind
+        self._medium = {
+            "speed_of_sound": scene.air.speed_of_sound,
+            "wind": None if wind is None else self._upload(np.array(wind)),
+        }
         self._knot_rates = []
         for source, filters in zip(scene.sources, plan.source_filters, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
@@ -163,8 +168,7 @@ class DeviceTracks:
         kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source) | constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, speed_of_sound=self._tracks.scene.air.speed_of_sound,
-            delays=out,
+            start=start / rate, walk_time=segment / rate, **self._medium, delays=out,
         )  # fmt: skip
         return out
 
@@ -175,7 +179,7 @@ class DeviceTracks:
         import pyopencl as cl
 
         plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
-        filters, c = plan.source_filters[chunk.source], self._tracks.scene.air.speed_of_sound
+        filters = plan.source_filters[chunk.source]
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
@@ -200,7 +204,7 @@ class DeviceTracks:
             receivers=receivers, nodes=receivers.shape[1],
             heard_from=heard_from, heard_until=heard_until,
             coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
-            start=start / rate, sampling_rate=rate, speed_of_sound=c, delay_samples=filters.delay_samples,
+            start=start / rate, sampling_rate=rate, **self._medium, delay_samples=filters.delay_samples,
             emitted_first=filters.start - spread, emitted_last=filters.start + filters.signal.duration + spread,
             angular_frequency=2.0 * math.pi * filters.swiftness,
             smooth=self._smooth(chunk, receivers, block), origin=start - chunk.first,
@@ -232,6 +236,7 @@ class DeviceTracks:
             "RETARDED": int(self._tracks.motion == "retarded"),
             "STATIC_RECEIVERS": int(self._all_static),
             "NODES_AT_ONCE": self._together,
+            "WIND": int(self._medium["wind"] is not None),
         }
 
     def _constants(self, source: int, block: int) -> dict[str, Any]:
