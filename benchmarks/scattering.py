@@ -43,7 +43,9 @@ def walker(duration: float) -> list[clsim.Scatterer]:
 def scene(duration: float, scatterers: list[clsim.Scatterer]) -> clsim.Scene:
     """Return a room with a sonar in it."""
     room = clsim.Shoebox((8.0, 5.0, 3.0), clsim.Material.from_reflection(0.8))
-    sound = clsim.Signal.pulses(clsim.Signal.chirp(38e3, 42e3, 0.01, RATE, window="tukey"), 0.05, round(duration / 0.05))
+    sound = clsim.Signal.pulses(
+        clsim.Signal.chirp(38e3, 42e3, 0.01, RATE, window="tukey"), 0.05, round(duration / 0.05)
+    )
     source = clsim.Source("speaker", sound, clsim.Trajectory.fixed((1.0, 2.5, 1.2)))
     ears = [clsim.Receiver(f"ear {i}", clsim.Trajectory.fixed((1.0, 2.4 + 0.2 * i, 1.2))) for i in range(2)]
     return clsim.Scene(room, clsim.Air(), [source], ears, scatterers=scatterers)

@@ -147,10 +147,8 @@ def sphere_strength(radius: float, source: Floats, receiver: Floats, glint: Glin
     """
     both = _unit(source) + _unit(receiver)
     cosine = 0.5 * np.sqrt(_dot(both, both))
-    near = 0.0
-    for end in (source, receiver):
-        away = glint.place - end
-        near = near + 1.0 / np.sqrt(_dot(away, away))
+    apart = [glint.place - end for end in (source, receiver)]
+    near = sum(1.0 / np.sqrt(_dot(away, away)) for away in apart)
     return np.asarray(0.5 * radius / (1.0 + 0.5 * radius * cosine * near)), cosine
 
 
@@ -167,9 +165,7 @@ def _between(s: Floats, r: Floats) -> tuple[Floats, Any]:
     return nearest, _dot(nearest, nearest) < 1.0
 
 
-def _search(
-    scale: Floats, s: Floats, r: Floats, between: Floats, weight: Floats | float
-) -> tuple[Floats, Floats]:
+def _search(scale: Floats, s: Floats, r: Floats, between: Floats, weight: Floats | float) -> tuple[Floats, Floats]:
     """Return unit vectors (3, n) of the shortest ways, and by how much the last step has changed them."""
     u, change = _newton(scale, s, r, _unit(scale * (_unit(s) + _unit(r))), weight, _LONGEST_STEP)
     rest = np.flatnonzero(change > _FAR)
@@ -219,7 +215,7 @@ def _bend(scale: Floats, s: Floats, r: Floats, u: Floats, weight: Floats | float
     other[0], other[1], other[2] = b, sign + u[1] * u[1] * a, -u[1]
     p, q, place = scale * one, scale * other, scale * u
     pp, pq, qq = _dot(p, p), _dot(p, q), _dot(q, q)
-    gp = gq = h11 = h12 = h22 = inward = 0.0
+    gp = gq = h11 = h12 = h22 = inward = np.zeros(u.shape[1])
     for end, w in ((s, 1.0), (r, weight)):
         away = place - end
         near = 1.0 / np.sqrt(_dot(away, away))

@@ -38,7 +38,9 @@ class TwoSidedPaths(PathFamily, ABC):
     after_matrix: Floats
     after_offset: Floats
 
-    def reflect(self, response: Floats | Complexes, index: NDArray[np.int64], found: Arrivals, at: SceneResponse) -> Any:
+    def reflect(
+        self, response: Floats | Complexes, index: NDArray[np.int64], found: Arrivals, at: SceneResponse
+    ) -> Any:
         """Multiply responses (P, T, F) of paths (P,) by the factors of the walls of both sides, in place."""
         for walls, direction in zip(self.walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
@@ -72,6 +74,11 @@ class TwoSidedPaths(PathFamily, ABC):
         matrix = (self.before_matrix if side == "before" else self.after_matrix)[index]
         vectors = np.broadcast_to(vectors, (len(index), *vectors.shape[1:]))
         return np.asarray(np.einsum("pij,p...j->p...i", matrix, vectors))
+
+    def turned_back(self, side: str, index: NDArray[np.int64], vectors: Floats) -> Floats:
+        """Return how vectors (P, T, 3) that the place of each path sees run at the end itself."""
+        matrix = (self.before_matrix if side == "before" else self.after_matrix)[index]
+        return np.asarray(np.einsum("pji,ptj->pti", matrix, vectors))
 
     def walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
         """Return the walls (P, N) before the place from the source's side, and after it from the receiver's."""

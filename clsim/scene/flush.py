@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.ends import End
-    from clsim.scene.scatterer import Scatterer
     from clsim.scene.room.protocol import Room
+    from clsim.scene.scatterer import Scatterer
 
 _ALONG = 1e-6  # cosine below which a direction runs along a wall
 

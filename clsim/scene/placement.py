@@ -27,7 +27,7 @@ _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room an
 _SCAN_BLOCK = 65536  # instants among which the nearest approach is sought
 
 
-def check_motions(room: Room, ends: Sequence[tuple[str, Placed]], speed_of_sound: float) -> None:
+def check_motions(room: Room, ends: Sequence[tuple[str, Placed]], slowest: float) -> None:
     """Refuse trajectories that leave the room, meet a wall, or are as fast as sound, with time and place."""
     static = [i for i, (_, item) in enumerate(ends) if item.trajectory.is_static and item.flush is False]
     checked = set(range(len(ends)))
@@ -35,10 +35,10 @@ def check_motions(room: Room, ends: Sequence[tuple[str, Placed]], speed_of_sound
         free = room.clearance(_places([ends[i][1] for i in static])) > 0.0
         checked -= {static[i] for i in np.flatnonzero(free)}
     for i in sorted(checked):
-        _check_motion(room, *ends[i], speed_of_sound)
+        _check_motion(room, *ends[i], slowest)
 
 
-def _check_motion(room: Room, field_name: str, item: Placed, speed_of_sound: float) -> None:
+def _check_motion(room: Room, field_name: str, item: Placed, slowest: float) -> None:
     try:
         mount = find_mount(room, item)
     except InputError as error:
@@ -57,10 +57,10 @@ def _check_motion(room: Room, field_name: str, item: Placed, speed_of_sound: flo
                 f"{_place(positions, times, contact.index)}{contact.hint}",
             )
     speed, time = item.trajectory.peak_speed(start, end, _SCAN_RATE)
-    if speed >= speed_of_sound:
+    if speed >= slowest:
         raise InputError(
             f"{field_name}.trajectory",
-            f"must stay below the speed of sound, {speed_of_sound:.6g} m/s, "
+            f"must stay below the speed of sound, {slowest:.6g} m/s, "
             f"but {item.name!r} moves at {speed:.6g} m/s at {time:.6g} s",
         )
 
@@ -105,7 +105,7 @@ def _too_close(
 
 
 def check_scatterers(
-    scatterers: Sequence[tuple[str, Scatterer]], ends: Sequence[tuple[str, End]], nearest: float, speed_of_sound: float
+    scatterers: Sequence[tuple[str, Scatterer]], ends: Sequence[tuple[str, End]], nearest: float, slowest: float
 ) -> None:
     """Refuse scatterers that end before a signal, turn as fast as sound, or come to ends nearer than a distance, m."""
     last = max((item.end for _, item in ends if isinstance(item, Source)), default=0.0)
@@ -113,13 +113,14 @@ def check_scatterers(
         if last > scatterer.trajectory.end * (1 + 1e-12) + 1e-9:
             raise InputError(
                 f"{field_name}.trajectory",
-                f"must last as long as all signals, which end at {last:g} s, but ends at {scatterer.trajectory.end:g} s",
+                f"must last as long as all signals, which end at {last:g} s, "
+                f"but ends at {scatterer.trajectory.end:g} s",
             )
         surface = scatterer.peak_speeds()[1]
-        if surface >= speed_of_sound:
+        if surface >= slowest:
             raise InputError(
                 f"{field_name}.trajectory",
-                f"must keep the surface below the speed of sound, {speed_of_sound:.6g} m/s, but that of "
+                f"must keep the surface below the speed of sound, {slowest:.6g} m/s, but that of "
                 f"{scatterer.name!r} may move at {surface:.6g} m/s",
             )
         for _, end in ends:

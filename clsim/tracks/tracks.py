@@ -285,7 +285,7 @@ class SceneTracks(Tracks):
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
         """Return the largest peak speed, and by how much all speeds must be scaled for another rate of delays."""
         v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
-        scale = max_rate * self.scene.air.speed_of_sound / (v_s + v_r + max_rate * v_s)
+        scale = max_rate * self.scene.air.slowest / (v_s + v_r + max_rate * v_s)
         return max(v_s, v_r), scale * max(v_s, v_r)
 
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
@@ -323,9 +323,7 @@ class SceneTracks(Tracks):
     def last_time(self) -> float:
         """Return the end of the first trajectory of a moving receiver or scatterer, or infinity."""
         scattered = min((s.trajectory.end for s in self.scene.scatterers), default=np.inf)
-        return float(
-            min(_clock_time(r, np.array([min(r.trajectory.end, scattered)]))[0] for r in self.scene.receivers)
-        )
+        return float(min(_clock_time(r, np.array([min(r.trajectory.end, scattered)]))[0] for r in self.scene.receivers))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

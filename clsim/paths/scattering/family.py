@@ -10,7 +10,7 @@ import numpy as np
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.family import PeakSpeeds, ends_at
 from clsim.paths.propagation import delay_bounds
-from clsim.paths.scattering.way import Way, scattered_way
+from clsim.paths.scattering.way import scattered_way
 from clsim.paths.two_sided import TwoSidedPaths
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.family import Instant, Rows
     from clsim.paths.response import SceneResponse
-    from clsim.scene.motion.motion import Motion
 
 _AT_A_TIME = 4096  # nodes that are looked at together: what is worked on stays in the cache
 
@@ -108,54 +107,34 @@ class ScatteredPaths(TwoSidedPaths):
         self, which: int, index: NDArray[np.int64], times: Floats, motion: str, amplitude: str
     ) -> dict[str, Floats]:
         """Return the columns (P, T) of arrivals by one scatterer."""
-        retarded = motion == "retarded"
-        way = self._way(which, index, times, motion)
-        receiver = self.ends(index)[1].trajectory
-        receding = way.second.mach_at_arrival(self.turned("after", index, receiver.velocity(times)[None]))
-        leaving = way.second.mach_at_departure(way.velocity)
-        coming = way.first.mach_at_arrival(way.velocity)
-        mach = way.first.mach_at_departure(way.source_velocity)
+        retarded, ends = motion == "retarded", _PairEnds(self, index, times)
+        way = scattered_way(self.medium, self.scene.scatterers[which], ends, times, retarded)
+        mach, coming, leaving = way.mach, way.coming, way.leaving
+        onwards, departing = self.turned_back("after", index, way.second.direction), ends.leaving(way.first.direction)
+        receding = way.second.sound.growth(onwards, self.ends(index)[1].trajectory.velocity(times))
         rate, factor = receding - leaving + coming - mach, np.ones_like(mach)
         if retarded:  # not 1 less a number near 1: that would leave fewer digits
             rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) / ((1 - leaving) * (1 - mach))
             factor = ((1.0 - mach) * (1.0 - leaving)) ** -MACH_EXPONENT[amplitude]
+        departure, arrival = way.first.sound.normal(departing), -way.second.sound.normal(onwards)
+        first, second = way.first.length, way.second.length
+        if way.first.sound.carried is not None:  # as of paths by walls in wind
+            first = first * np.sum(departure * departing, axis=-1)
+            second = second * -np.sum(arrival * onwards, axis=-1)
         return {
-            "delay": way.delay, "delay_rate": rate,
-            "departure": np.einsum("pji,ptj->pti", self.before_matrix[index], way.first.departure),
-            "arrival": -np.einsum("pji,ptj->pti", self.after_matrix[index], way.second.arrival),
-            "length": way.first.length + way.second.length,
+            "delay": way.delay, "delay_rate": rate, "departure": departure, "arrival": arrival,
+            "length": first + second, "through": way.first.sound.through + way.second.sound.through,
             "emission_time": times - way.delay if retarded else np.broadcast_to(times, way.delay.shape),
-            "mach_factor": factor, "second_length": way.second.length, "strength": way.strength, "cosine": way.cosine,
+            "mach_factor": factor, "second_length": second, "strength": way.strength, "cosine": way.cosine,
         }  # fmt: skip
-
-    def _way(self, which: int, index: NDArray[np.int64], times: Floats, motion: str) -> Way:
-        """Return the ways of paths (P,) by one scatterer at times (T,)."""
-        source, receiver = (end.trajectory for end in self.ends(index))
-
-        def emitter(at: Floats) -> tuple[Floats, Floats]:
-            return self._emitted(source, index, at)
-
-        heard_at = np.ascontiguousarray(self.image("after", index, receiver.position(times)[None]))
-        return scattered_way(
-            self.medium, self.scene.scatterers[which], emitter, heard_at, times, motion == "retarded"
-        )  # fmt: skip
-
-    def _emitted(self, source: Motion, index: NDArray[np.int64], times: Floats) -> tuple[Floats, Floats]:
-        """Return where images of a source are and how they move (P, T, 3) at times (P, T)."""
-        if source.is_static:
-            place = self.image("before", index, source.position(np.zeros(1))[None])
-            return np.broadcast_to(place, (*times.shape, 3)), np.zeros((1, 1, 3))
-        flat = times.ravel()
-        place, velocity = (f(flat).reshape(*times.shape, 3) for f in (source.position, source.velocity))
-        return self.image("before", index, place), self.turned("before", index, velocity)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): scatterers, spreading, air, walls, directivities."""
         index, here = np.arange(len(self))[rows], cast("ScatteredArrivals", found)
         spreading = here.strength / ((here.length - here.second_length) * here.second_length)
-        response: Any = at.air(found.length).astype(np.complex128 if self.is_complex else np.float64)
+        response: Any = at.air(found.through).astype(np.complex128 if self.is_complex else np.float64)
         response *= (found.mach_factor * spreading)[..., None]
-        wave = 2.0 * np.pi * at.frequencies / self.medium.slowest
+        wave = 2.0 * np.pi * at.frequencies / self.scene.air.speed_of_sound
         for which in np.unique(self.scatterer[index]):
             mine = np.flatnonzero(self.scatterer[index] == which)
             field = self.scene.scatterers[which].shape.field(wave, here.cosine[mine])
@@ -172,7 +151,8 @@ class ScatteredPaths(TwoSidedPaths):
         place, delay = np.empty((len(index), 3)), np.empty(len(index))
         for which in np.unique(self.scatterer[index]):
             mine = np.flatnonzero(self.scatterer[index] == which)
-            way = self._way(int(which), index[mine], now, motion)
+            ends = _PairEnds(self, index[mine], now)
+            way = scattered_way(self.medium, self.scene.scatterers[which], ends, now, motion == "retarded")
             place[mine], delay[mine] = way.place[:, 0], way.delay[:, 0]
         emitted_at = source.position(time - delay if motion == "retarded" else np.full(len(index), time))
         return self.vertices_by(index, emitted_at, place, np.broadcast_to(receiver.position(now), emitted_at.shape))
@@ -213,7 +193,7 @@ class ScatteredPaths(TwoSidedPaths):
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times a bound of what scatterers send back."""
-        index, c = np.arange(len(self))[rows], self.medium.slowest
+        index, c = np.arange(len(self))[rows], self.scene.air.speed_of_sound
         wave, sizes = 2.0 * np.pi * at.frequencies / c, []
         for scatterer, (_, surface) in zip(self.scene.scatterers, self.speeds, strict=True):
             field = scatterer.shape.field(wave, np.linspace(0.0, 1.0, 257))
@@ -221,3 +201,26 @@ class ScatteredPaths(TwoSidedPaths):
             sizes.append(np.broadcast_to(scatterer.shape.strongest * most / (1.0 - surface / c) ** 2, len(wave)))
         bound = np.array(sizes)[self.scatterer[index]] / self.nearest[index][:, None]
         return np.asarray(bound * at.largest_reflection(self.walls[index]))
+
+
+class _PairEnds:
+    """Both ends of paths `index` (P,) between one source and one receiver, as scatterers see them."""
+
+    def __init__(self, paths: ScatteredPaths, index: NDArray[np.int64], times: Floats) -> None:
+        self._paths, self._index = paths, index
+        self._source, receiver = (end.trajectory for end in paths.ends(index))
+        self.receiver = receiver.position(times)
+        self.heard_at = np.ascontiguousarray(paths.image("after", index, self.receiver[None]))
+
+    def emitted(self, times: Floats) -> tuple[Floats, Floats, Floats | None]:
+        """Return images of the source, its places, and its velocities, None for rest, (P, T, 3) at times (P, T)."""
+        if self._source.is_static:
+            place = self._source.position(np.zeros((1, 1)))
+            image = self._paths.image("before", self._index, place)
+            return np.broadcast_to(image, (*times.shape, 3)), place, None
+        place = self._source.position(times)
+        return self._paths.image("before", self._index, place), place, self._source.velocity(times)
+
+    def leaving(self, direction: Floats) -> Floats:
+        """Return in which directions (P, T, 3) ways leave the source that reach the scatterer in given ones."""
+        return self._paths.turned_back("before", self._index, direction)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
-from clsim.paths.propagation import medium_of
+from clsim.paths.propagation import medium_of, straight
 from clsim.paths.scattering.family import ScatteredPaths
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scene import Scene
@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.family import PathFamily
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.family import SpecularPaths
     from clsim.scene.motion.motion import Motion
 
-    Finder = Callable[[Scene, PathSearch], SpecularPaths]
+    Finder = Callable[[Scene, PathSearch], PathFamily]
 
 LARGEST_SCATTERING_ORDER = 3
 _PROBES = 10.0  # Hz, at which distances from scatterers are looked at
@@ -69,7 +70,7 @@ def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> Scattered
     """
     legs = replace(search, max_order=search.scattering_order, progress=lambda share: None)
     before, after = _sides(scene)
-    found_before, found_after = find(before, legs), find(after, legs)
+    found_before, found_after = (cast("SpecularPaths", find(side, legs)) for side in (before, after))
     most = len(found_before) * len(found_after) // max(len(scene.scatterers), 1)
     rows: list[dict[str, Any]] = []
     count = 0
@@ -123,25 +124,26 @@ def _heard(
     if len(known):
         sent = scene.scatterers[ends[1]].trajectory.position(events[known])
         images = np.einsum("pij,pj->pi", after.image_matrix[rows[known]], sent) + after.image_offset[rows[known]]
-        heard[known] += _flight(scene, images, scene.receivers[ends[2]].trajectory, events[known])
+        heard[known] += _flight(scene, (sent, images), scene.receivers[ends[2]].trajectory, events[known])
     return heard
 
 
-def _flight(scene: Scene, places: Floats, receiver: Motion, times: Floats) -> Floats:
-    """Return how long sound takes (n,) from places (n, 3) at times (n,) to a receiver that moves on meanwhile, s."""
+def _flight(scene: Scene, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
+    """Return how long sound takes (n,) to a receiver that moves on meanwhile, s.
+
+    It is sent from places (n, 3) at times (n,), and comes from images (n, 3) of these, m.
+    """
     medium, flight = medium_of(scene.air), np.zeros(len(times))
-    for _ in range(_STEPS):
-        leg = medium.leg(places, receiver.position(times + flight))
-        step = (leg.time - flight) / (1.0 - leg.mach_at_arrival(receiver.velocity(times + flight)))
+    for _ in range(_STEPS):  # each by the Mach number of the receiver
+        at = receiver.position(times + flight)
+        step = medium.passage(straight(places[1], at)[0], at - places[0]).time - flight
         flight = flight + step
         if np.abs(step).max() <= _FOUND:
             break
     return flight
 
 
-def _columns(
-    before: SpecularPaths, after: SpecularPaths, pairs: _Pairs, ends: tuple[int, int, int]
-) -> dict[str, Any]:
+def _columns(before: SpecularPaths, after: SpecularPaths, pairs: _Pairs, ends: tuple[int, int, int]) -> dict[str, Any]:
     """Return the columns of the paths of some pairs of sides."""
     one, two = pairs.before, pairs.after
     width = before.objects.shape[1] + after.objects.shape[1] + 1
@@ -188,9 +190,7 @@ def _nearest(family: ScatteredPaths) -> Floats:
     return found
 
 
-def _apart(
-    family: ScatteredPaths, side: str, rows: NDArray[np.int64], end: Source | Receiver, which: int
-) -> Floats:
+def _apart(family: ScatteredPaths, side: str, rows: NDArray[np.int64], end: Source | Receiver, which: int) -> Floats:
     """Return bounds (P,) from below of the distances of images of an end from a scatterer at any two near times, m."""
     scatterer, c = family.scene.scatterers[which], family.medium.slowest
     moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
@@ -204,4 +204,3 @@ def _apart(
         least = np.minimum(least, apart.min(axis=1))
     # Sound takes d / c from one to the other, in which either moves on.
     return (least - 0.5 * speed / _PROBES) / (1.0 + speed / c)
-

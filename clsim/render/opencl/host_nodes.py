@@ -96,7 +96,9 @@ class HostTracks:
             np.maximum(
                 error,
                 _by_segment(
-                    np.where(heard & sounds, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, plan.segment // block
+                    np.where(heard & sounds, wrong, 0.0),
+                    np.abs(sized).sum(axis=0)[:, 1:-2] * heard,
+                    plan.segment // block,
                 ),
                 out=error,
             )
