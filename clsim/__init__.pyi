@@ -7,6 +7,7 @@ from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import PathTable
+from clsim.paths.scattering.truth import ScattererTruth, scatterer_truth
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
@@ -64,6 +65,7 @@ __all__ = [
     "RenderOptions",
     "Rendering",
     "Scatterer",
+    "ScattererTruth",
     "Scene",
     "Shoebox",
     "Signal",
@@ -88,5 +90,6 @@ __all__ = [
     "render_chunks",
     "render_tracks",
     "run_study",
+    "scatterer_truth",
     "track",
 ]

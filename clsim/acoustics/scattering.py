@@ -171,7 +171,7 @@ def _search(scale: Floats, s: Floats, r: Floats, between: Floats, weight: Floats
     rest = np.flatnonzero(change > _FAR)
     if len(rest):
         some = weight[rest] if isinstance(weight, np.ndarray) else weight
-        u[:, rest], change[rest] = _careful(scale, *(v[:, rest] for v in (s, r, between, u)), some)
+        u[:, rest], change[rest] = _careful(scale, s[:, rest], r[:, rest], between[:, rest], u[:, rest], some)
     return u, change
 
 

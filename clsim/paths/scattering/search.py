@@ -13,6 +13,7 @@ from clsim.errors import InputError
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
 from clsim.paths.propagation import medium_of, straight
 from clsim.paths.scattering.family import ScatteredPaths
+from clsim.paths.specular.family import SpecularPaths
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scene import Scene
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.family import PathFamily
     from clsim.paths.search import PathSearch
-    from clsim.paths.specular.family import SpecularPaths
     from clsim.scene.motion.motion import Motion
 
     Finder = Callable[[Scene, PathSearch], PathFamily]
@@ -86,6 +86,18 @@ def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> Scattered
                         f"{search.scattering_order} gives about {most}",
                     )
                 rows.append(_columns(found_before, found_after, pairs, (source, which, receiver)))
+    return _family(scene, rows)
+
+
+def direct_ways(scene: Scene) -> ScatteredPaths:
+    """Return the paths by no wall by every scatterer, whatever is in the way."""
+    before, after = (SpecularPaths.direct(side) for side in _sides(scene))
+    rows = [
+        _columns(before, after, _pairs(scene, before, after, (source, which, receiver)), (source, which, receiver))
+        for source in range(len(scene.sources))
+        for receiver in range(len(scene.receivers))
+        for which in range(len(scene.scatterers))
+    ]
     return _family(scene, rows)
 
 
