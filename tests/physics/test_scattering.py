@@ -352,4 +352,3 @@ def heard_of_a_sphere(scene: clsim.Scene, radius: float, times: np.ndarray) -> n
     for k, column in zip(loud, fitted.T, strict=True):
         out += spectrum[k] * (powers[1] @ column) * np.exp(2j * np.pi * k * RATE / size * late)
     return 2.0 / size * (out * gain).real
-
