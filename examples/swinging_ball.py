@@ -56,7 +56,13 @@ def draw(heard: clsim.Recording, truth: clsim.ScattererTruth, path: Path) -> Non
     )  # fmt: skip
     line = (truth.doppler_factor[0, 0, 0] - 1.0) * CARRIER
     axes.plot(truth.times, line, color="white", linewidth=1.0, linestyle="--", label="theory, by no wall")
-    axes.set(xlabel="time (s)", ylabel="Doppler shift (Hz)", ylim=(-800.0, 800.0), title="A ball on a string at 40 kHz")
+    axes.set(
+        xlim=times,
+        xlabel="time (s)",
+        ylabel="Doppler shift (Hz)",
+        ylim=(-800.0, 800.0),
+        title="A ball on a string at 40 kHz",
+    )
     axes.legend(loc="upper right")
     figure.colorbar(image, label="level (dB)")
     figure.savefig(path, dpi=110)

@@ -145,7 +145,7 @@ def sphere_strength(radius: float, source: Floats, receiver: Floats, glint: Glin
     -----
     The strength is that of geometrical optics along the normal, ``a / 2 / (1 + a cos(theta) (1 / d1 + 1 / d2) / 2)``,
     in every direction: across the plane of incidence that has a zero at grazing incidence, which is the field's to
-    decide. The cosine is that of half the angle between the directions to both ends from the centre.
+    decide. Our own derivation, and choice. The cosine is that of half the angle between the directions to both ends from the centre.
     """
     both = _unit(source) + _unit(receiver)
     cosine = 0.5 * np.sqrt(_dot(both, both))
@@ -297,6 +297,11 @@ def sphere_field(radius: float, wave: Floats, cosine: Floats) -> Complexes:
     ndarray (..., F)
         ``F(ka, gamma) exp(-2 j k a cos(theta))``: 1 for high frequencies but for the waves that creep round, away from
         the shadow. Splines over the angle hold it within -90 dB.
+
+    Notes
+    -----
+    Our own derivation: the front comes back from the nearest point of the surface, ``2 a cos(theta)`` before what is
+    scattered at the centre would.
     """
     values = _field_table(tuple((radius * wave).tolist()))(2.0 * np.arcsin(np.minimum(cosine, 1.0)))
     return np.asarray(values)
