@@ -64,7 +64,7 @@ def _both(kind: str, shape: str) -> Argument:
 
 _INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
-_TRIPLES = ("common/triple.h",)
+_TRIPLES = ("common/float64.h", "common/triple.h")
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _POLYNOMIALS = ("common/polynomials.h",)
@@ -81,6 +81,32 @@ _TRAJECTORY = {
     "knots": _in("double", "knot_count, KNOT_COLUMNS"),
     "knot_count": _INT, "first_knot": _DOUBLE, "knot_rate": _DOUBLE,
 }  # fmt: skip
+_PATHS_HEARD = {
+    "reflection": _in("bins", "slots, PARTS, BIN_VECTORS"),
+    "wall_of": _in("int", "ANGULAR, slots"),
+    "normal": _in("float", "ANGULAR, 3, slots"),
+    "heard_from": _in("int", "slots"),
+    "heard_until": _in("int", "slots"),
+}
+_BASIS = {
+    "nepers": _in("bins", "BIN_VECTORS"),
+    "projection": _in("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
+    "functions": _in("bins", "FUNCTIONS, PARTS, BIN_VECTORS"),
+    "weight": _in("bins", "BIN_VECTORS"),
+    "strengths": _in("gains", "GAIN_VECTORS"),
+}
+_TABLES = {
+    "wall_tables": _in("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
+    "source_directivity": _in("bins", "a table"),
+    "receiver_directivities": _in("bins", "tables"),
+    "directivity_of": _in("int", "receivers"),
+}
+_NODES_MADE = {
+    "delay": _out("int", "blocks, slots"),
+    "polynomials": _out("float", "blocks, slots, terms"),
+    "found": _out("float4", "walks, slots"),
+    "unheld": _out("float", "walks, slots"),
+}
 _BRANCHES = {"branches": _in("float", "rows, stride"), "stride": _INT, "lead": _INT}
 _BLOCKS = {
     "delay": _in("int", "blocks, slots"),
@@ -138,6 +164,11 @@ _INTERVALS = {
     "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
 }  # fmt: skip
 _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
+_NODE_CONSTANTS = {
+    "BLOCK", "WALK", "SUBBLOCK", "FINE", "OVERSAMPLING", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS",
+    "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT", "ANGULAR", "SOURCE_DIRECTIVITY",
+    "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
+}  # fmt: skip
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
@@ -186,15 +217,11 @@ PROGRAMS = {
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
             "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h",
-            "nodes/smooth.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
+            "nodes/write_delay.h", "nodes/smooth.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **_IMAGES,
-            "reflection": _in("bins", "slots, PARTS, BIN_VECTORS"),
-            "wall_of": _in("int", "ANGULAR, slots"),
-            "normal": _in("float", "ANGULAR, 3, slots"),
-            "heard_from": _in("int", "slots"),
-            "heard_until": _in("int", "slots"),
+            **_PATHS_HEARD,
             "receivers": _in("receiver_node", "receivers, nodes"),
             "nodes": _INT,
             "coarse_delays": _in("double", "ends of walks, 2, slots"),
@@ -203,25 +230,15 @@ PROGRAMS = {
             "start": _DOUBLE,
             "sampling_rate": _DOUBLE,
             "speed_of_sound": _DOUBLE,
-            "nepers": _in("bins", "BIN_VECTORS"),
-            "projection": _in("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
-            "functions": _in("bins", "FUNCTIONS, PARTS, BIN_VECTORS"),
-            "weight": _in("bins", "BIN_VECTORS"),
-            "strengths": _in("gains", "GAIN_VECTORS"),
+            **_BASIS,
             "delay_samples": _DOUBLE,
             "emitted_first": _DOUBLE,
             "emitted_last": _DOUBLE,
             "angular_frequency": _FLOAT,
             "smooth": _FLOAT,
-            "wall_tables": _in("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
-            "source_directivity": _in("bins", "a table"),
-            "receiver_directivities": _in("bins", "tables"),
-            "directivity_of": _in("int", "receivers"),
+            **_TABLES,
             "blocks": _INT,
-            "delay": _out("int", "blocks, slots"),
-            "polynomials": _out("float", "blocks, slots, terms"),
-            "found": _out("float4", "walks, slots"),
-            "unheld": _out("float", "walks, slots"),
+            **_NODES_MADE,
             "following": _in("int", "cells"),
             "preceding": _in("int", "cells"),
             "cells": _INT,
@@ -229,15 +246,41 @@ PROGRAMS = {
             "max_rate": _DOUBLE,
             "activity": _out("int", "blocks, slots"),
         },
-        frozenset(
-            _DELAY_CONSTANTS
-            | {
-                "BLOCK", "WALK", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
-                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
-                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
-                "SMOOTH_ERROR",
-            }
+        frozenset(_DELAY_CONSTANTS | _NODE_CONSTANTS | {"CELL", "SMOOTH_ERROR"}),
+    ),
+    "pair_tracks": Program(
+        (
+            "common/float32.h", "common/triple.h", "common/pairs.h", *_ROUNDING, *_GAINS, "nodes/spectrum.h",
+            "nodes/lookup_tables.h", "nodes/response.h", "nodes/pair_delay.h", *_POLYNOMIALS, "nodes/block.h",
+            *_MASK, "nodes/activity.h", "nodes/pair_tracks.cl",
         ),
+        {
+            "image_matrix": _in("float2", "9, slots"),
+            "image_offset": _in("float2", "3, slots"),
+            "receiver_of": _in("int", "slots"),
+            **_PATHS_HEARD,
+            "receivers": _in("pair_receiver", "receivers, nodes"),
+            "nodes": _INT,
+            "knots": _in("float", "knot_count, KNOT_COLUMNS"),
+            "rests": _in("float", "knot_count, CUBIC_COLUMNS"),
+            "knot_count": _INT, "knot_rate": _FLOAT,
+            "numbers": _in("float2", "5"),
+            "speed_of_sound": _FLOAT,
+            **_BASIS,
+            "emitted_first": _FLOAT,
+            "emitted_last": _FLOAT,
+            "angular_frequency": _FLOAT,
+            **_TABLES,
+            "blocks": _INT,
+            **_NODES_MADE,
+            "following": _in("int", "cells"),
+            "preceding": _in("int", "cells"),
+            "cells": _INT,
+            "origin": _FLOAT,
+            "max_rate": _FLOAT,
+            "activity": _out("int", "blocks, slots"),
+        },
+        frozenset(_NODE_CONSTANTS | {"CELL", "KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}),
     ),
     "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), _MEETINGS, frozenset({"PARALLEL"})),
     "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), _CROSSINGS, frozenset(_CROSSING_CONSTANTS)),

@@ -17,10 +17,10 @@ typedef struct {
 
 // What of an arrival gains depend on.
 typedef struct {
-    double delay, mach_factor;
+    real delay, mach_factor;
     triple departure;
-    __global const double* knot;
-    double u;
+    __global const real* knot;
+    real u;
 } arrival;
 
 // Gains of functions: products with every node. Four sums at a time, so that none waits for the one before.
@@ -41,7 +41,7 @@ static void project(const response* r, __global const gains* projection, gains* 
 }
 
 // Returns the response's mean square over the nodes; `unheld` is that of what the functions do not hold of it.
-static float path_gains(const arrival* a, double speed_of_sound, const surroundings* s, int slots, int slot,
+static float path_gains(const arrival* a, real speed_of_sound, const surroundings* s, int slots, int slot,
                         const triple* receiver_frame, gains* gain, float* unheld)
 {
     const float distance = (float)(a->delay * speed_of_sound);
@@ -71,15 +71,15 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
         apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
     }
 #if SOURCE_DIRECTIVITY == AXIAL
-    const double cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
-    apply_cubics(s->source_directivity, 0.5f * (float)(1.0 + cosine), &r);
+    const real cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
+    apply_cubics(s->source_directivity, 0.5f * (float)(1 + cosine), &r);
 #elif SOURCE_DIRECTIVITY == SPHERICAL
     const triple x = cubic(a->knot + CUBIC_COLUMNS, a->u), y = cubic(a->knot + 2 * CUBIC_COLUMNS, a->u), z = cross_product(x, y);
     apply_sphere(s->source_directivity, (float)inner(x, a->departure), (float)inner(y, a->departure),
                  (float)inner(z, a->departure), &r);
 #endif
 #if RECEIVER_DIRECTIVITY == AXIAL
-    apply_cubics(s->receiver_directivity, 0.5f * (float)(1.0 - inner(receiver_frame[0], a->departure)), &r);
+    apply_cubics(s->receiver_directivity, 0.5f * (float)(1 - inner(receiver_frame[0], a->departure)), &r);
 #elif RECEIVER_DIRECTIVITY == SPHERICAL
     apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->departure),
                  -(float)inner(receiver_frame[1], a->departure), -(float)inner(receiver_frame[2], a->departure), &r);
