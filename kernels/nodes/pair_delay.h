@@ -59,12 +59,14 @@ static pair_receiver_in_image pair_receiver_at(__global const pair* image_matrix
     out.position.y = turned_back_in_pairs(m + slots, slots, apart);
     out.position.z = turned_back_in_pairs(m + 2 * slots, slots, apart);
     out.velocity = turned_back(m, slots, here.velocity);
-    out.frame[0] = turned_back(m, slots, here.axes[0]);
+#if RECEIVER_DIRECTIVITY != OMNI
     const triple x = {here.axes[0][0], here.axes[0][1], here.axes[0][2]}, y = {here.axes[1][0], here.axes[1][1], here.axes[1][2]};
     const triple z = cross_product(x, y);
     const float third[3] = {z.x, z.y, z.z};
+    out.frame[0] = turned_back(m, slots, here.axes[0]);
     out.frame[1] = turned_back(m, slots, here.axes[1]);
     out.frame[2] = turned_back(m, slots, third);
+#endif
     out.clock_error = here.clock_error;
     out.clock_drift = here.clock_drift;
     return out;
