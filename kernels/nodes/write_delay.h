@@ -1,12 +1,11 @@
 // The delay of a block as polynomial of samples less the whole ones, from nodes in float64.
 
-// Write the delay; returns its whole part.
-static int write_delay(const window* node, int apart, double sampling_rate, double delay_samples, __global float* c)
+// Write the delay in samples of the branches, of which a block has twice `half_block`; returns its whole part.
+static int write_delay(const window* node, int apart, double rate, double half_block, double delay_samples, __global float* c)
 {
 #if DELAY_TERMS == 8
-    return write_septic(node->delay, node->rate, sampling_rate, delay_samples, c);
+    return write_septic(node->delay, node->rate, rate, half_block, delay_samples, c);
 #else
-    const double rate = OVERSAMPLING * sampling_rate, half_block = 0.5 * OVERSAMPLING * BLOCK;
     const double p0 = node->delay[1] * rate + delay_samples, p1 = node->delay[2] * rate + delay_samples;
     const double e0 = node->rate[1] * half_block, e1 = node->rate[2] * half_block;
     const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;

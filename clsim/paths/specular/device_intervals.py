@@ -81,8 +81,10 @@ class DeviceSearch:
         self._arguments |= {name: self._upload(getattr(ends, name)) for name in tables}
         self._arguments |= {
             "smallest_move": SMALLEST_MOVE * walls.size, "graze": GRAZE * walls.size, "resolution": query.resolution,
-            "speed_of_sound": query.speed_of_sound,
+            "speed_of_sound": query.medium.speed_of_sound, "slowest": query.medium.slowest, "wind": None,
         }  # fmt: skip
+        if query.medium.wind is not None:
+            self._arguments["wind"] = self._upload(np.array(query.medium.wind))
 
     def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
         """Return the intervals in which paths are valid; arguments as in `find_intervals`."""
@@ -118,7 +120,8 @@ class DeviceSearch:
         states = self._beginning(query.first[receiver], query.last[receiver])
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
-            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
+            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(query.medium.wind is not None),
+            "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
             "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
             "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
             "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),

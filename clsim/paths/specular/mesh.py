@@ -12,6 +12,7 @@ import numpy as np
 from clsim.arrays import as_count, read_only
 from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
+from clsim.paths.propagation import medium_of
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.device_walls import DeviceLookup
@@ -186,21 +187,21 @@ def visibility_query(
     InputError
         If the source may be as fast as sound.
     """
-    c = scene.air.speed_of_sound
+    medium = medium_of(scene.air)
     trajectories = [r.trajectory for r in scene.receivers]
     mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
     ends = trajectory_tables(source.trajectory, trajectories, mounts)
-    longest = (legs + 1) * _diameter(room, ends) / c
+    longest = (legs + 1) * _diameter(room, ends) / medium.slowest
     last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
     fastest = float(ends.scales[0, 2])
-    if fastest >= c:  # a bound: at a sharp corner up to twice the speed
+    if fastest >= medium.slowest:  # a bound: at a sharp corner up to twice the speed
         raise InputError(
             "sources.trajectory",
-            f"must surely stay below the speed of sound, {c:.6g} m/s, for paths in a mesh, but {source.name!r} is "
-            f"only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
+            f"must surely stay below the speed of sound, {medium.slowest:.6g} m/s, for paths in a mesh, but "
+            f"{source.name!r} is only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
         )
     fine = resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
-    return VisibilityQuery(room.walls, ends, c, np.zeros(len(last)), last, fine), longest
+    return VisibilityQuery(room.walls, ends, medium, np.zeros(len(last)), last, fine), longest
 
 
 def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> SpecularPaths:

@@ -81,6 +81,11 @@ class DeviceTracks:
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
+        wind = scene.air.wind
+        self._medium = {
+            "speed_of_sound": scene.air.speed_of_sound,
+            "wind": None if wind is None else self._upload(np.array(wind)),
+        }
         self._knot_rates = []
         for source, filters in zip(scene.sources, plan.source_filters, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
@@ -166,13 +171,13 @@ class DeviceTracks:
         ends = groups * self._together
         out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * batch.count)
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
-        constants: dict[str, Any] = {"RECEIVER_DIRECTIVITY": OMNI, "OMNI": OMNI, "SPHERICAL": SPHERICAL}  # no beams
-        constants["NODES_AT_ONCE"] = self._together
-        kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source) | constants)
+        constants = {"RECEIVER_DIRECTIVITY": OMNI, "OMNI": OMNI, "SPHERICAL": SPHERICAL}  # no beams: delays only
+        constants |= self._motion_constants(source) | self._exact_constants
+        del constants["SMOOTH_ERROR"]
+        kernel = self._compiler.kernel("coarse_delays", constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, speed_of_sound=self._tracks.scene.air.speed_of_sound,
-            delays=out,
+            start=start / rate, walk_time=segment / rate, **self._medium, delays=out,
         )  # fmt: skip
         return out
 
@@ -183,7 +188,7 @@ class DeviceTracks:
         import pyopencl as cl
 
         plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
-        filters, c = plan.source_filters[chunk.source], self._tracks.scene.air.speed_of_sound
+        filters = plan.source_filters[chunk.source]
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
@@ -202,10 +207,12 @@ class DeviceTracks:
         made = {
             "delay": delay, "polynomials": polynomials, "found": found_there, "unheld": unheld_there, "blocks": blocks,
             "directivity_of": around.directivity_of[batch.receiver], "nodes": receivers.shape[1],
-            "heard_from": heard_from, "heard_until": heard_until, "speed_of_sound": c,
-            "angular_frequency": 2.0 * math.pi * filters.swiftness,
+            "heard_from": heard_from, "heard_until": heard_until, "activity": activity,
+            "angular_frequency": 2.0 * math.pi * filters.swiftness, "max_rate": self._max_rates[chunk.source],
+            "origin": start - chunk.first,
         }  # fmt: skip
-        self._launch(chunk, start, block, walks, receivers, made | around.basis | around.tables | cells, activity)
+        shape = self._shape(chunk.source, block)
+        self._launch(chunk, start, walks, receivers, made | around.basis | around.tables | cells | shape)
         if meanwhile is not None:
             meanwhile()
         cl.enqueue_copy(self._queue, found, found_there)
@@ -213,22 +220,27 @@ class DeviceTracks:
         return _nodes_made(batch.first_slot[:-1], (delay, polynomials, activity), found, unheld)
 
     def _launch(
-        self, chunk: DeviceChunk, start: int, block: int, walks: int, receivers: NDArray[Any], more: dict[str, Any],
-        activity: Any,
-    ) -> None:  # fmt: skip
+        self, chunk: DeviceChunk, start: int, walks: int, receivers: NDArray[Any], more: dict[str, Any]
+    ) -> None:
         """Make the nodes of some walks from a sample on."""
-        plan, rate, filters = self._plan, self._plan.sampling_rate, self._plan.source_filters[chunk.source]
-        first, last = self._sounding(chunk.source)
-        constants = self._constants(chunk.source, block) | {"SPARSE": int(activity is not None)}
-        constants |= {"CELL": CELL, "SMOOTH_ERROR": np.float32(SMOOTH_ERROR), "NODES_AT_ONCE": self._together}
-        kernel = self._compiler.kernel("tracks", constants)
+        rate, source, segment = self._plan.sampling_rate, chunk.source, self._plan.segment
+        first, last = self._sounding(source)
+        constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
+        kernel = self._compiler.kernel("tracks", constants | self._exact_constants)
         kernel(
             self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
-            receivers=receivers, coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
-            start=start / rate, sampling_rate=rate, delay_samples=filters.delay_samples, emitted_first=first,
-            emitted_last=last, smooth=self._smooth(chunk, receivers, block), origin=start - chunk.first,
-            max_rate=self._max_rates[chunk.source], activity=activity,
+            **self._medium, receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
+            first_walk=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
+            delay_samples=self._plan.source_filters[source].delay_samples,
+            oversampling=self._plan.source_filters[source].oversampling,
+            smooth=self._smooth(chunk, receivers, more["block_samples"]),
         )  # fmt: skip
+
+    @property
+    def _exact_constants(self) -> dict[str, Any]:
+        """Constants of the program in float64."""
+        wind = int(self._medium["wind"] is not None)
+        return {"SMOOTH_ERROR": np.float32(SMOOTH_ERROR), "NODES_AT_ONCE": self._together, "WIND": wind}
 
     def _sounding(self, source: int) -> tuple[float, float]:
         """Return when anything sounds of a source, s: functions' filters are longer than what is emitted."""
@@ -256,16 +268,25 @@ class DeviceTracks:
             "STATIC_RECEIVERS": int(self._all_static),
         }
 
-    def _constants(self, source: int, block: int) -> dict[str, Any]:
+    def _shape(self, source: int, block: int) -> dict[str, float]:
+        """Return what differs from block to block and from scene to scene at no cost: arguments, not constants."""
+        subblock = self._plan.subblock(source, block)
+        return {
+            "block_samples": block,
+            "walk_blocks": self._plan.segment // block,
+            "subblock_samples": subblock,
+            "subblock_share": 0.0 if self._plan.is_fine(block) else subblock / block,
+            "function_count": len(self._plan.source_filters[source].basis),
+            "angular": self._surroundings[source].angular,
+        }
+
+    def _constants(self, source: int) -> dict[str, Any]:
         retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
+        functions = len(self._plan.source_filters[source].basis)
         return self._motion_constants(source) | {
-            "BLOCK": block,
-            "SUBBLOCK": self._plan.subblock(source, block),
-            "FINE": int(self._plan.is_fine(block)),
-            "OVERSAMPLING": self._plan.source_filters[source].oversampling,
-            "WALK": self._plan.segment // block,
+            "CELL": CELL,
             "DELAY_TERMS": self._plan.delay_terms,
-            "FUNCTIONS": len(self._plan.source_filters[source].basis),
+            "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
             "FREQUENCIES": around.count,
             "PARTS": around.parts,
             "CELLS": CELLS,
@@ -279,7 +300,6 @@ class DeviceTracks:
             "AXIAL": AXIAL,
             "SPHERICAL": SPHERICAL,
             "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
-            "ANGULAR": around.angular,
         }
 
     def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:

@@ -157,11 +157,12 @@ class OpenclEngine:
     def maker(self, pair: int) -> NodeMaker:
         """Return what makes the nodes of a pair: the device, where it has a program for such paths.
 
-        Without float64 envelopes have none: a septic of the delay takes more than pairs of floats hold.
+        Without float64 there is none for envelopes, whose delays are septics, and for wind.
         """
-        plan, of_scene, exact = self._plan, self._plan.tracks.of_scene, self._info.fp64
+        plan, of_scene = self._plan, self._plan.tracks.of_scene
         family = None if of_scene is None else of_scene.pair_paths[pair].family
-        programs = NODE_PROGRAMS if exact else PAIR_PROGRAMS if plan.baseband is None else {}
+        in_pairs = of_scene is not None and plan.baseband is None and of_scene.scene.air.wind is None
+        programs = NODE_PROGRAMS if self._info.fp64 else PAIR_PROGRAMS if in_pairs else {}
         program = None if family is None else programs.get(family.device or "")
         kind = None if program is None else family
         if kind not in self._makers:

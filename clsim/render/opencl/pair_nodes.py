@@ -8,7 +8,6 @@ import numpy as np
 
 from clsim.opencl.launch import work
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS
-from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.device_nodes import DeviceTracks
 
 if TYPE_CHECKING:
@@ -62,29 +61,33 @@ class PairTracks(DeviceTracks):
         """Return nothing: nodes are predicted from those before."""
 
     def _launch(
-        self, chunk: DeviceChunk, start: int, block: int, walks: int, receivers: NDArray[Any], more: dict[str, Any],
-        activity: Any,
-    ) -> None:  # fmt: skip
-        rate, filters = self._plan.sampling_rate, self._plan.source_filters[chunk.source]
+        self, chunk: DeviceChunk, start: int, walks: int, receivers: NDArray[Any], more: dict[str, Any]
+    ) -> None:
+        rate, filters, block = self._plan.sampling_rate, self._plan.source_filters[chunk.source], more["block_samples"]
         trajectory = chunk.trajectory.copy()
         origin = trajectory.pop("first_knot")
         first, last = self._sounding(chunk.source)
-        slowness = 1.0 / self._tracks.scene.air.speed_of_sound
-        numbers = np.array(
-            [start / rate - origin, block / rate, slowness, filters.oversampling * rate, filters.delay_samples]
-        )
+        c, times = self._tracks.scene.air.speed_of_sound, filters.oversampling
+        numbers = [
+            start / rate - origin,
+            block / rate,
+            1.0 / c,
+            times * rate,
+            filters.delay_samples,
+            0.5 * times * block,
+        ]
         told = np.zeros(receivers.shape, PAIR_RECEIVER)
         for name in ("velocity", "axes"):
             told[name] = receivers[name]
         for name in ("position", "clock_error"):
             told[name] = pairs(receivers[name])
         told["clock_drift"] = receivers["clock_rate"] - 1.0
-        constants = self._constants(chunk.source, block) | {"SPARSE": int(activity is not None), "CELL": CELL}
+        constants = self._constants(chunk.source) | {"SPARSE": int(more["activity"] is not None)}
         kernel = self._compiler.kernel("pair_tracks", constants)
         kernel(
             self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **trajectory, **more,
-            receivers=told, numbers=pairs(numbers), emitted_first=first - origin, emitted_last=last - origin,
-            origin=start - chunk.first, max_rate=self._max_rates[chunk.source], activity=activity,
+            receivers=told, numbers=pairs(np.array(numbers)), speed_of_sound=c, emitted_first=first - origin,
+            emitted_last=last - origin,
         )  # fmt: skip
 
 
