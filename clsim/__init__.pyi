@@ -15,6 +15,7 @@ from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
+from clsim.room_measures import RoomMeasures, room_measures
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
@@ -62,6 +63,7 @@ __all__ = [
     "Recording",
     "RenderOptions",
     "Rendering",
+    "RoomMeasures",
     "Scene",
     "Shoebox",
     "Signal",
@@ -85,6 +87,7 @@ __all__ = [
     "render",
     "render_chunks",
     "render_tracks",
+    "room_measures",
     "run_study",
     "track",
 ]

@@ -28,7 +28,7 @@ LAYERS = [
     ("paths",),
     ("tracks",),
     ("recording", "impulse_responses"),
-    ("score",),
+    ("room_measures", "score"),
     ("render",),
     ("output",),
     ("scene_file",),
