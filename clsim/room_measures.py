@@ -33,7 +33,8 @@ class RoomMeasures:
     frequencies : ndarray (bands,)
         Centres of the bands, Hz.
     t20, t30 : ndarray (sources, receivers, bands)
-        Reverberation times from the decay between -5 and -25 dB, and -5 and -35 dB, s; NaN where a response ends before.
+        Reverberation times from the decay between -5 and -25 dB, and -5 and -35 dB, s; NaN where a response ends
+        before.
     c50, c80 : ndarray (sources, receivers, bands)
         Clarity, dB.
     d50 : ndarray (sources, receivers, bands)
@@ -72,7 +73,7 @@ class RoomMeasures:
             If xarray is missing.
         """
         over = ("source", "receiver", "frequency")
-        variables = {name: (over, getattr(self, name)) for name in _OF_PAIRS}
+        variables: dict[str, Any] = {name: (over, getattr(self, name)) for name in _OF_PAIRS}
         variables |= {name: (("frequency",), getattr(self, name)) for name in ("sabine", "eyring")}
         coordinates = {
             "source": ("source", np.array(self.source_names, dtype=object)),
@@ -93,7 +94,7 @@ def room_measures(responses: ImpulseResponses, bands: str | None = "octave") -> 
     responses : ImpulseResponses
         From `impulse_responses`, of orders high enough that the decay is there.
     bands : {"octave", "third-octave"}, optional
-        Into which responses are cut: those that lie within the band of the responses; None for their whole band as it is.
+        Into which responses are cut: those that lie within the band of the responses; None for their whole band.
 
     Returns
     -------
@@ -108,7 +109,7 @@ def room_measures(responses: ImpulseResponses, bands: str | None = "octave") -> 
     Notes
     -----
     ISO 3382-1:2009, section 5.3.3 and annex A.2; T30 is ``-60 dB`` over the slope of a line through the decay. Band
-    filters have the magnitude of Butterworth filters of order 3 at either edge (IEC 61260-1:2014, annex), without phase.
+    filters have the magnitude of Butterworth filters of order 3 at either edge, without phase.
     Early sound is what comes within 50 or 80 ms of the first arrival. Sabine's and Eyring's times take the walls'
     absorption averaged over angles of incidence of a diffuse field, and the air's.
     """
@@ -141,13 +142,11 @@ def _centres(band: tuple[float, float], bands: str | None) -> Floats:
         return np.array([math.sqrt(max(low, 1e-3 * high) * high)])
     as_choice("bands", bands, tuple(BANDS))
     parts = BANDS[bands]
-    centres = 1000.0 * 2.0 ** (np.arange(-8 * parts, 11 * parts) / parts)
+    centres = 1000.0 * 2.0 ** (np.arange(-5 * parts, 11 * parts) / parts)
     half = 2.0 ** (0.5 / parts)
     kept: Floats = centres[(centres / half >= low) & (centres * half <= high)]
     if not len(kept):
-        raise InputError(
-            "bands", f"must lie within the responses' band, {low:g} to {high:g} Hz, but no {bands} band does"
-        )
+        raise InputError("bands", f"must lie within {low:g} to {high:g} Hz of the responses, but no {bands} band does")
     return kept
 
 

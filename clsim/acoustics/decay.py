@@ -92,7 +92,7 @@ def clarity(samples: Floats, split: int) -> float:
 
     Notes
     -----
-    ISO 3382-1:2009, eq. (A.10).
+    ISO 3382-1:2009, annex A.2.3.
     """
     early, late = float(np.sum(np.square(samples[:split]))), float(np.sum(np.square(samples[split:])))
     if late == 0.0:
@@ -117,7 +117,7 @@ def definition(samples: Floats, split: int) -> float:
 
     Notes
     -----
-    ISO 3382-1:2009, eq. (A.11).
+    ISO 3382-1:2009, annex A.2.3.
     """
     whole = float(np.sum(np.square(samples)))
     return float(np.sum(np.square(samples[:split]))) / whole if whole > 0.0 else math.nan
