@@ -1,5 +1,6 @@
 from clsim import score as score
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.exchange.mcap_files import write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
@@ -90,4 +91,5 @@ __all__ = [
     "room_measures",
     "run_study",
     "track",
+    "write_mcap",
 ]

@@ -31,6 +31,7 @@ LAYERS = [
     ("room_measures", "score"),
     ("render",),
     ("output",),
+    ("exchange",),
     ("scene_file",),
     ("cluster",),
     ("workflow",),
