@@ -203,7 +203,8 @@ PROGRAMS = {
             "start": _DOUBLE,
             "sampling_rate": _DOUBLE,
             "speed_of_sound": _DOUBLE,
-            "nepers": _in("bins", "BIN_VECTORS"),
+            "nepers": _in("bins", "AIR_TERMS, BIN_VECTORS"),
+            "lead": _in("bins", "AIR_TERMS, BIN_VECTORS"),
             "projection": _in("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
             "functions": _in("bins", "FUNCTIONS, PARTS, BIN_VECTORS"),
             "weight": _in("bins", "BIN_VECTORS"),
@@ -233,9 +234,9 @@ PROGRAMS = {
             _DELAY_CONSTANTS
             | {
                 "BLOCK", "WALK", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
-                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
-                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
-                "SMOOTH_ERROR",
+                "FUNCTIONS", "FREQUENCIES", "PARTS", "AIR_TERMS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS",
+                "MACH_EXPONENT", "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL",
+                "GAIN_ERROR", "SMOOTH_ERROR",
             }
         ),
     ),

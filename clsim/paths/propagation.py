@@ -10,6 +10,7 @@ The kernels (``delay.h``) are the small twin of this file.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -63,8 +64,8 @@ class Leg:
         return np.asarray(np.sum(self.arrival * velocity, axis=-1) / self.arrival_speed)
 
 
-class Medium(Protocol):
-    """What sound travels in."""
+class SpeedBounds(Protocol):
+    """How fast sound can be."""
 
     @property
     def slowest(self) -> float:
@@ -75,6 +76,10 @@ class Medium(Protocol):
     def fastest(self) -> float:
         """Bound on the speed of sound from above, in any direction, m/s."""
         ...
+
+
+class Medium(SpeedBounds, Protocol):
+    """What sound travels in."""
 
     def travel_time(self, start: Floats, stop: Floats) -> Floats:
         """Return the time (...) that sound takes from places (..., 3) to others, s."""
@@ -114,9 +119,18 @@ class StillAir:
         return Leg(length / c, length, direction, direction, c, c)
 
 
-def medium_of(air: Air) -> Medium:
-    """Return what sound travels in, of the air of a scene."""
-    return StillAir(air.speed_of_sound)
+@dataclass(frozen=True, slots=True)
+class SpeedRange:
+    """Bounds of the speed of sound in some media, m/s."""
+
+    slowest: float
+    fastest: float
+
+
+@lru_cache(maxsize=256)
+def medium_of(air: Air, frequency: float) -> Medium:
+    """Return what sound of a frequency, Hz, travels in, of the air of a scene."""
+    return StillAir(air.speed_at(frequency))
 
 
 def solve_delay(medium: Medium, source: Motion, stop: Floats, times: Floats) -> Floats:
@@ -177,14 +191,14 @@ def contract_delay(medium: Medium, position: Callable[[Floats], Floats], stop: F
 
 
 def delay_bounds(
-    medium: Medium, length: Floats, slack: Floats | float, source_speed: Floats | float
+    speeds: SpeedBounds, length: Floats, slack: Floats | float, source_speed: Floats | float
 ) -> tuple[Floats, Floats]:
     """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
 
     Parameters
     ----------
-    medium : Medium
-        What sound travels in.
+    speeds : SpeedBounds
+        Of sound.
     length : ndarray (n,)
         Of the ways at some instant of reception, with source and receiver where they are then, m.
     slack : float or ndarray (n,)
@@ -192,10 +206,10 @@ def delay_bounds(
     source_speed : float or ndarray (n,)
         Largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
     """
-    low = np.maximum(length - slack, 0.0) / (medium.fastest + source_speed)
-    return low, (length + slack) / (medium.slowest - source_speed)
+    low = np.maximum(length - slack, 0.0) / (speeds.fastest + source_speed)
+    return low, (length + slack) / (speeds.slowest - source_speed)
 
 
-def max_delay_rate(medium: Medium, source_speed: float, receiver_speed: float) -> float:
+def max_delay_rate(speeds: SpeedBounds, source_speed: float, receiver_speed: float) -> float:
     """Return a bound on how fast a delay changes with the time of reception, s/s, from the largest speeds, m/s."""
-    return (source_speed + receiver_speed) / (medium.slowest - source_speed)
+    return (source_speed + receiver_speed) / (speeds.slowest - source_speed)

@@ -2,7 +2,8 @@
 // frequencies, projected on FUNCTIONS functions of frequency. The twin of paths/response.py.
 
 typedef struct {
-    __global const bins* nepers;         // [BIN_VECTORS], of the amplitude, 1/m
+    __global const bins* nepers;         // [AIR_TERMS or 1][BIN_VECTORS], of the amplitude, 1/m
+    __global const bins* lead;           // [AIR_TERMS][BIN_VECTORS], before the delay's phase, turns in a metre
     __global const gains* projection;    // [PARTS][FREQUENCIES][GAIN_VECTORS]
     __global const bins* functions;      // [FUNCTIONS][PARTS][BIN_VECTORS], weighted
     __global const bins* weight;         // [BIN_VECTORS]
@@ -22,6 +23,15 @@ typedef struct {
     __global const double* knot;
     double u;
 } arrival;
+
+// What air does to frequencies that are raised by motion: polynomials of AIR_TERMS terms of the ratio less 1. Air that
+// does not disperse (AIR_TERMS 0) is that of the emitted frequency.
+static bins of_air(__global const bins* terms, int b, float raised)
+{
+    bins sum = terms[(AIR_TERMS > 0 ? AIR_TERMS - 1 : 0) * BIN_VECTORS + b];
+    for (int i = AIR_TERMS - 2; i >= 0; i--) sum = sum * raised + terms[i * BIN_VECTORS + b];
+    return sum;
+}
 
 // Gains of functions: products with every node. Four sums at a time, so that none waits for the one before.
 static void project(const response* r, __global const gains* projection, gains* gain)
@@ -52,14 +62,18 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
 #if MACH_EXPONENT >= 2
     common *= (float)a->mach_factor;
 #endif
+    const float raised = (float)(a->mach_factor - 1.0);
     response r;
     for (int b = 0; b < BIN_VECTORS; b++) {
-        bins loss = s->nepers[b] * (distance - 1.0f);
+        bins loss = of_air(s->nepers, b, raised) * (distance - 1.0f);
         loss = loss < 80.0f ? loss : (bins)(80.0f);
         const bins air = exponential(-loss) * common;
         for (int part = 0; part < PARTS; part++) {
             r.part[part][b] = s->reflection[(slot * PARTS + part) * BIN_VECTORS + b] * air;
         }
+#if AIR_TERMS && PARTS == 2
+        turn(&r, b, of_air(s->lead, b, raised) * (distance - 1.0f));
+#endif
     }
     for (int i = 0; i < ANGULAR; i++) {
         const int wall = s->wall_of[i * slots + slot];

@@ -20,7 +20,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* knots, int knot_count, double first_knot, double knot_rate,
                      double start,                         // time of the run's first sample, s
                      double sampling_rate, double speed_of_sound,
-                     __global const bins* nepers, __global const gains* projection, __global const bins* functions,
+                     __global const bins* nepers, __global const bins* lead,
+                     __global const gains* projection, __global const bins* functions,
                      __global const bins* weight, __global const gains* strengths,
                      double delay_samples,                 // added to the delay
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
@@ -43,7 +44,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     const trajectory path = {knots, knot_count, first_knot, knot_rate, 1.0 / speed_of_sound};
     const triple offset = image_offset_of(image_offset, slots, slot);
     __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
-    const surroundings around = {nepers,     projection,  functions, weight, strengths,
+    const surroundings around = {nepers,     lead,        projection, functions, weight, strengths,
                                  reflection, wall_tables, wall_of,   normal, source_directivity,
                                  receiver_directivities + directivity_of[receiver_of[slot]]};
     const double block_time = (double)BLOCK / sampling_rate, walk_time = WALK * block_time;

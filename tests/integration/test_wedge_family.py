@@ -75,11 +75,20 @@ class WedgePaths(PathFamily):
         if motion == "retarded":
             rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
         return Arrivals(
-            delay, rate, first.departure, -second.arrival, first.length + second.length, emission_time, factor
+            delay,
+            rate,
+            first.departure,
+            -second.arrival,
+            first.length + second.length,
+            emission_time,
+            factor,
+            np.ones(shape),
         )
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Any:
-        response = self.gain * at.air(found.length) * (found.mach_factor / found.length)[..., None]
+        response = (
+            self.gain * at.air(found.length, found.frequency_ratio) * (found.mach_factor / found.length)[..., None]
+        )
         at.apply_directivities(response, self.ends(rows), found, times)
         return response
 
@@ -103,7 +112,7 @@ class WedgePaths(PathFamily):
 
     def _legs(self, source: Floats, receiver: Floats) -> tuple[Leg, Leg]:
         apex = self.apex(source, receiver)
-        return self.medium.leg(source, apex), self.medium.leg(apex, receiver)
+        return self.medium(0).leg(source, apex), self.medium(0).leg(apex, receiver)
 
 
 def find_wedge(scene: clsim.Scene, search: PathSearch) -> WedgePaths:

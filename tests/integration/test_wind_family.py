@@ -60,8 +60,7 @@ class WindyPaths(SpecularPaths):
 
     wind: float
 
-    @property
-    def medium(self) -> Medium:
+    def medium(self, source: int) -> Medium:
         return UniformWind(self.scene.air.speed_of_sound, (self.wind, 0.0, 0.0))
 
 

@@ -114,12 +114,12 @@ class EdgePaths(PathFamily):
         first, second = self._legs(index[:, None], emitted_at, heard_at)
         mach = first.mach_at_departure(velocity)
         receding = second.mach_at_arrival(self._turned("after", index, receiver.velocity(times)[None]))
-        rate, factor = receding - mach, np.ones(shape)
+        rate, factor, ratio = receding - mach, np.ones(shape), np.ones(shape)
         if motion == "retarded":
-            rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
+            rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude], 1.0 / (1.0 - mach)
         departure = np.einsum("pji,ptj->pti", self.before_matrix[index], first.departure)
         arrival = -np.einsum("pji,ptj->pti", self.after_matrix[index], second.arrival)
-        return Arrivals(delay, rate, departure, arrival, first.length + second.length, emission_time, factor)
+        return Arrivals(delay, rate, departure, arrival, first.length + second.length, emission_time, factor, ratio)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, spreading, air, walls, directivities.
@@ -134,7 +134,7 @@ class EdgePaths(PathFamily):
         shape = found.delay.shape
         emitted_at = source.trajectory.position(found.emission_time.ravel()).reshape(*shape, 3)
         velocity = source.trajectory.velocity(found.emission_time.ravel()).reshape(*shape, 3)
-        speed = self.medium.slowest
+        speed = self.medium(int(self.source[rows][0])).slowest
         mach = np.sum(found.departure * velocity, axis=-1) / speed
         late = found.emission_time != times  # as received; quasi-static sound is emitted at once
         wave = 2.0 * np.pi * at.frequencies / speed / (1.0 - np.where(late, mach, 0.0))[..., None]
@@ -142,7 +142,7 @@ class EdgePaths(PathFamily):
             index, self._image("before", index, emitted_at),
             self._image("after", index, receiver.trajectory.position(times)[None]), wave, at,
         )  # fmt: skip
-        response *= at.air(found.length) * found.mach_factor[..., None]
+        response *= at.air(found.length, found.frequency_ratio) * found.mach_factor[..., None]
         for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
             for bounce, normals in at.angular_bounces(walls):
@@ -210,7 +210,8 @@ class EdgePaths(PathFamily):
 
     def _legs(self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats) -> tuple[Leg, Leg]:
         apex = self._apex(index, emitted_at, heard_at)
-        return self.medium.leg(emitted_at, apex), self.medium.leg(apex, heard_at)
+        medium = self.medium(int(self.source[index.flat[0]]))
+        return medium.leg(emitted_at, apex), medium.leg(apex, heard_at)
 
     def _walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
         """Return the walls (P, N) before the edge from the source's side, and after it from the receiver's."""

@@ -57,7 +57,8 @@ class SpecularPaths(PathFamily):
     @property
     def device(self) -> str | None:
         """The program for images; none that knows a medium other than still air."""
-        return "images" if isinstance(self.medium, StillAir) else None
+        still = (isinstance(self.medium(source), StillAir) for source in range(len(self.scene.sources)))
+        return "images" if all(still) else None
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:
@@ -77,30 +78,31 @@ class SpecularPaths(PathFamily):
         """
         matrix, offset = self.image_matrix[rows], self.image_offset[rows]
         source, receiver = (end.trajectory for end in self.ends(rows))
-        times = np.asarray(times, dtype=np.float64)
+        medium, times = self.medium(int(self.source[rows][0])), np.asarray(times, dtype=np.float64)
         # Seen from the image's room the receiver stands at A^T (x_r - b): one mirrored receiver per path.
         mirrored = np.einsum("pji,ptj->pti", matrix, receiver.position(times)[None] - offset[:, None, :])
         if motion == "quasi-static":
             emission_time = np.broadcast_to(times, mirrored.shape[:2])
-            delay = self.medium.travel_time(source.position(times), mirrored)
+            delay = medium.travel_time(source.position(times), mirrored)
         else:
-            delay = solve_delay(self.medium, source, mirrored, times)
+            delay = solve_delay(medium, source, mirrored, times)
             emission_time = times - delay
         flat, shape = emission_time.ravel(), mirrored.shape
-        leg = self.medium.leg(source.position(flat).reshape(shape), mirrored)
+        leg = medium.leg(source.position(flat).reshape(shape), mirrored)
         mach = leg.mach_at_departure(source.velocity(flat).reshape(shape))
         receding = leg.mach_at_arrival(np.einsum("pji,tj->pti", matrix, receiver.velocity(times)))
         arrival = -np.einsum("pij,ptj->pti", matrix, leg.arrival)
         if motion == "quasi-static":
-            rate, mach_factor = receding - mach, np.ones_like(mach)
+            rate, mach_factor, ratio = receding - mach, np.ones_like(mach), np.ones_like(mach)
         else:
-            rate, mach_factor = (receding - mach) / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
-        return Arrivals(delay, rate, leg.departure, arrival, leg.length, emission_time, mach_factor)
+            rate, ratio = (receding - mach) / (1.0 - mach), 1.0 / (1.0 - mach)
+            mach_factor = (1.0 - mach) ** -MACH_EXPONENT[amplitude]
+        return Arrivals(delay, rate, leg.departure, arrival, leg.length, emission_time, mach_factor, ratio)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): spreading, air, walls and directivities."""
         walls = self.objects[rows]
-        response = at.air(found.length) * at.reflection(walls)[:, None, :]
+        response = at.air(found.length, found.frequency_ratio) * at.reflection(walls)[:, None, :]
         response *= (found.mach_factor / found.length)[..., None]
         for bounce, normals in at.angular_bounces(walls):
             met = walls[:, bounce]

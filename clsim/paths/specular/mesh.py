@@ -12,6 +12,7 @@ import numpy as np
 from clsim.arrays import as_count, read_only
 from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
+from clsim.paths.propagation import medium_of
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.device_walls import DeviceLookup
@@ -185,7 +186,7 @@ def visibility_query(
     InputError
         If the source may be as fast as sound.
     """
-    c = scene.air.speed_of_sound
+    c = medium_of(scene.air, source.emitted.centre_frequency).slowest
     trajectories = [r.trajectory for r in scene.receivers]
     mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
     ends = trajectory_tables(source.trajectory, trajectories, mounts)

@@ -91,7 +91,8 @@ class DeviceTracks:
                 knot_rate(source, min(filters.signal.duration + source.start, plan.duration), tolerance)
             )
         self._surroundings = [
-            Surroundings(scene, i, filters.basis, self._upload) for i, filters in enumerate(plan.source_filters)
+            Surroundings(scene, i, self._mach(i), filters.basis, self._upload)
+            for i, filters in enumerate(plan.source_filters)
         ]
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._static = {
@@ -163,7 +164,7 @@ class DeviceTracks:
         kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source) | constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, speed_of_sound=self._tracks.scene.air.speed_of_sound,
+            start=start / rate, walk_time=segment / rate, speed_of_sound=self._family.medium(source).slowest,
             delays=out,
         )  # fmt: skip
         return out
@@ -175,7 +176,7 @@ class DeviceTracks:
         import pyopencl as cl
 
         plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
-        filters, c = plan.source_filters[chunk.source], self._tracks.scene.air.speed_of_sound
+        filters, c = plan.source_filters[chunk.source], self._family.medium(chunk.source).slowest
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
@@ -225,6 +226,11 @@ class DeviceTracks:
             turn = max(turn, _largest_turn(receivers["axes"][..., 0, :]), _largest_turn(receivers["axes"][..., 1, :]))
         return _SMOOTH_SHARE * 10 ** (self._plan.motion_error_db / 10) if turn <= _MOST_TURN else 0.0
 
+    def _mach(self, source: int) -> float:
+        """Return a bound of a source's speed over that of sound, by as much as frequencies on the way follow it."""
+        speed = float(self._tracks.speeds.source[source]) if self._tracks.motion == "retarded" else 0.0
+        return speed / self._family.medium(source).slowest
+
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
         return {
@@ -247,6 +253,7 @@ class DeviceTracks:
             "FUNCTIONS": len(self._plan.source_filters[source].basis),
             "FREQUENCIES": around.count,
             "PARTS": around.parts,
+            "AIR_TERMS": around.air_terms,
             "CELLS": CELLS,
             "SIDE": SIDE,
             "FACE_CELLS": FACE_CELLS,
