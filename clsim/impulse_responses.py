@@ -50,7 +50,7 @@ class ImpulseResponses:
     scene : Scene
         The scene.
     first_arrivals : ndarray (sources, receivers)
-        Delay of the earliest path, s; nan where none is heard.
+        Delay of the earliest path, s, as in the path table; nan where none is heard.
     cut_db : ndarray (sources, receivers)
         Share of each response's energy that lay before time 0 and was cut, dB; -inf for none.
     """

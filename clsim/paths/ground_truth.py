@@ -27,7 +27,7 @@ class DirectPath:
     times : ndarray (T,)
         Times of reception, s.
     delay : ndarray (sources, receivers, T)
-        From emission to reception, s, also where a wall is in the way.
+        From emission to reception, s, also where a wall is in the way; group delays in air that disperses.
     doppler_factor : ndarray (sources, receivers, T)
         Received over emitted frequency, also where a wall is in the way.
     line_of_sight : ndarray (sources, receivers, T) of bool

@@ -151,6 +151,14 @@ def test_a_chirp_is_the_sum_over_its_spectrum(engine, v_s, v_r):
     assert error_db(got[some], spectral_sum(CHIRP, some / RATE, v_s, v_r).real) < -85.0
 
 
+def test_pieces_of_any_length_are_the_same():
+    """As resumed runs and studies render them."""
+    paths = direct(CHIRP, along(0.0), along(10.0, 2.0))
+    whole = clsim.render(paths, RATE, duration=0.2).pressure
+    pieces = clsim.render_chunks(clsim.plan_render(paths, RATE, duration=0.2, chunk=18_432))
+    np.testing.assert_array_equal(np.concatenate([piece for _, piece in pieces], axis=1), whole)
+
+
 def test_envelopes_are_those_of_the_sum():
     """Engines in baseband, of a source that moves."""
     narrow = clsim.Signal.chirp(38e3, 42e3, 0.01, RATE, window="hann")
@@ -242,3 +250,15 @@ def test_nothing_is_heard_before_the_fastest_frequency():
         early[dispersion] = 10.0 * np.log10(np.sum(got[:, :begin] ** 2, axis=1) / np.sum(got**2, axis=1))
     assert np.all(early[True] < -85.0)
     assert np.all(early[False] > -75.0)  # or this test could not fail
+
+
+def test_engines_agree_among_walls_and_beams_with_phases():
+    """A source that moves at 20 m/s and a piston, between porous walls."""
+    room = clsim.Shoebox((40.0, 8.0, 6.0), clsim.Material.from_porous(50e3, 0.02))
+    narrow = clsim.Signal.chirp(25e3, 45e3, 0.005, RATE, window="hann")
+    source = clsim.Source("s", narrow, along(0.0, 20.0), clsim.Piston(4.7e-3), aim=(1.0, 0.2, 0.0))
+    paths = clsim.find_paths(clsim.Scene(room, AIR, [source], [clsim.Receiver("r", along(8.0))]), 1)
+    exact, got = (
+        clsim.render(paths, RATE, duration=0.05, engine=e).pressure[0].astype(float) for e in ("reference", "opencl")
+    )
+    assert error_db(got, exact) < -85.0
