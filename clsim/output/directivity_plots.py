@@ -15,6 +15,7 @@ from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 if TYPE_CHECKING:
     import os
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from clsim.arrays import Floats
@@ -112,6 +113,17 @@ def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathL
     _save(figure, path)
 
 
+def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
+    """Draw by how much sound in air is faster than at 0 Hz."""
+    dispersing = replace(air, dispersion=True)
+    raised = [1e3 * (dispersing.speed_at(f) - air.speed_of_sound) for f in frequencies]
+    told = f"{100 * air.relative_humidity:g} %: {air.speed_of_sound:.3f} m/s"
+    axes.semilogx(frequencies / 1e3, raised, color=colour, label=told)
+    axes.set(xlabel="frequency (kHz)", ylabel="above the speed at 0 Hz (mm/s)", title="speed of sound by frequency")
+    axes.set(xlim=(1.0, 200.0), ylim=(0.0, None))
+    axes.legend(title="relative humidity: speed at 0 Hz", fontsize=9, loc="lower right")
+
+
 def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     """Draw absorption and speed of sound in air by frequency for some humidities, and absorption by humidity.
 
@@ -145,16 +157,9 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
         left.loglog(
             frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.relative_humidity:g} %"
         )
-        dispersing = replace(air, dispersion=True)
-        raised = [1e3 * (dispersing.speed_at(f) - air.speed_of_sound) for f in frequencies]
-        told = f"{100 * air.relative_humidity:g} %: {air.speed_of_sound:.3f} m/s"
-        speeds.semilogx(frequencies / 1e3, raised, color=colour, label=told)
+        _draw_speed(speeds, air, frequencies, colour)
     left.set(xlabel="frequency (kHz)", ylabel="absorption (dB/m)", title="absorption by frequency", xlim=(1.0, 200.0))
     left.legend(title="relative humidity", fontsize=9)
-    speeds.set(xlabel="frequency (kHz)", ylabel="above the speed at 0 Hz (mm/s)", xlim=(1.0, 200.0))
-    speeds.set(title="speed of sound by frequency")
-    speeds.set_ylim(0.0, None)
-    speeds.legend(title="relative humidity: speed at 0 Hz", fontsize=9, loc="lower right")
     for axis in (left.xaxis, left.yaxis, speeds.xaxis):
         axis.set_major_formatter("{x:g}")
     humidity = np.linspace(0.0, 1.0, 401)

@@ -271,7 +271,7 @@ class PairPaths:
         air = self.family.scene.air
         centre = self.family.scene.sources[self.source].emitted.centre_frequency
         apart = 1.0 / air.group_speed_at(centre) - 1.0 / air.speed_at(centre)
-        return apart * (found.length - 1.0) * found.frequency_ratio
+        return apart * (found.through - 1.0) * found.frequency_ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)

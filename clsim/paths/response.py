@@ -74,15 +74,13 @@ class SceneResponse:
                     covered(frequencies, material), 1.0, scene.air.speed_of_sound
                 )
 
-    def air(self, length: Floats, frequency_ratio: Floats) -> Floats | Complexes:
-        """Return what the air leaves (..., F) of 1 over lengths (...), relative to 1 m.
-
-        Air that disperses is that of the frequencies on the way, of which the ratios (...) to those emitted are given.
-        """
+    def air(self, found: Arrivals) -> Floats | Complexes:
+        """Return what the air leaves (P, T, F) of 1, relative to 1 m; if it disperses, of the frequencies in it."""
+        beyond, ratio = (found.through - 1.0)[..., None], found.frequency_ratio[..., None]
         if not self.disperses:
-            return np.asarray(np.exp(-(length - 1.0)[..., None] * self.nepers))
-        lossy, lead = self.air_at(1.0 if np.all(frequency_ratio == 1.0) else frequency_ratio[..., None])
-        return np.asarray(np.exp((length - 1.0)[..., None] * (1j * lead - lossy)))
+            return np.asarray(np.exp(-beyond * self.nepers))
+        lossy, lead = self.air_at(1.0 if np.all(ratio == 1.0) else ratio)
+        return np.asarray(np.exp(beyond * (1j * lead - lossy)))
 
     def air_at(self, frequency_ratio: Floats | float) -> tuple[Floats, Floats]:
         """Return absorption, 1/m, and lead before the delays' phase, rad/m, (..., F) at ratios of the frequencies."""

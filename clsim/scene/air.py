@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from clsim.acoustics.air import (
     vapour_fraction_giacomo,
     vapour_percent_iso9613,
 )
-from clsim.arrays import Floats, as_choice, as_flag, as_number
+from clsim.arrays import Floats, as_choice, as_flag, as_floats, as_number
 from clsim.errors import InputError, warn
 
 if TYPE_CHECKING:
@@ -27,11 +28,12 @@ if TYPE_CHECKING:
 _COLDEST, _HOTTEST = -73.0, 100.0  # °C: 200 K, where ISO 9613-1 stops claiming anything, and boiling water
 _THINNEST, _DENSEST = 1e4, 1e6  # Pa
 _SLOWEST, _FASTEST = 100.0, 2000.0  # m/s: heavy gases, hydrogen, water
+_STRONGEST = 0.5  # of the speed of sound, a wind
 
 
 @dataclass(frozen=True, slots=True, init=False)
 class Air:
-    """Air at rest, of one temperature, humidity and pressure.
+    """Air of one temperature, humidity and pressure, that rests or moves as a whole.
 
     Parameters
     ----------
@@ -48,11 +50,15 @@ class Air:
     dispersion : bool
         Whether the speed of sound depends on frequency, as it does where relaxations absorb; the speed is then that at
         zero frequency.
+    wind : array_like (3,), optional
+        Velocity of the air, below half the speed of sound, m/s; at rest when left out.
 
     Attributes
     ----------
     speed_of_sound : float
         The given speed, or what the formula gives, m/s.
+    wind : tuple or None
+        Velocity of the air, m/s; None where it rests.
 
     Raises
     ------
@@ -79,6 +85,7 @@ class Air:
     speed_of_sound: float = field(init=False)
     absorption: bool
     dispersion: bool
+    wind: tuple[float, float, float] | None
     _asked_speed: float | str | None = field(repr=False)  # so that `dataclasses.replace` keeps what was asked for
 
     def __init__(
@@ -89,6 +96,7 @@ class Air:
         speed_of_sound: float | str | None = None,
         absorption: bool = True,
         dispersion: bool = False,
+        wind: ArrayLike | None = None,
         *,
         _asked_speed: float | str | None = None,
     ) -> None:
@@ -108,12 +116,17 @@ class Air:
                 f"{humidity:g} is nothing but water vapour",
             )
         speed = _speed(asked, celsius, humidity, pascal)
-        values = (celsius, humidity, pascal, speed, absorbs, disperses, asked)
+        values = (celsius, humidity, pascal, speed, absorbs, disperses, _checked_wind(wind, speed), asked)
         for name, value in zip(self.__slots__, values, strict=True):
             object.__setattr__(self, name, value)
         for message in (_doubt_in_speed(self, asked, vapour), _doubt_in_absorption(self)):
             if message:
                 warn(message)
+
+    @property
+    def slowest(self) -> float:
+        """Speed at which sound makes way at least, against the wind, m/s."""
+        return self.speed_of_sound - (0.0 if self.wind is None else math.hypot(*self.wind))
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
         """Return the absorption of pure tones by ISO 9613-1, dB/m; zero in air without.
@@ -156,7 +169,7 @@ class Air:
         Parameters
         ----------
         frequency : array_like
-            As for `absorption_at`, Hz.
+            Frequencies of any shape, as for `absorption_at`, Hz.
 
         Returns
         -------
@@ -222,6 +235,19 @@ def _checked_speed(value: float | str | None) -> float | str | None:
     if isinstance(value, str):
         return as_choice("speed_of_sound", value, ("iso9613",))
     return as_number("speed_of_sound", value, at_least=_SLOWEST, at_most=_FASTEST, unit="m/s")
+
+
+def _checked_wind(value: ArrayLike | None, speed_of_sound: float) -> tuple[float, float, float] | None:
+    if value is None:
+        return None
+    x, y, z = as_floats("wind", value, (3,)).tolist()
+    if math.hypot(x, y, z) >= _STRONGEST * speed_of_sound:
+        raise InputError(
+            "wind",
+            f"must be slower than half the speed of sound, {_STRONGEST * speed_of_sound:.6g} m/s, "
+            f"but is {math.hypot(x, y, z):.6g} m/s",
+        )
+    return (x, y, z) if x or y or z else None
 
 
 def _speed(asked: float | str | None, celsius: float, humidity: float, pressure: float) -> float:

@@ -34,6 +34,7 @@ class _Air(Model):
     speed_of_sound: float | Literal["iso9613"] | None = None
     absorption: bool = True
     dispersion: bool = False
+    wind: Vector | None = None
 
 
 class _Common(Model):

@@ -81,9 +81,10 @@ def _bounds(tracks: SceneTracks, pair: int, until: float) -> tuple[Floats, float
     directivities = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
     reflected = paths.family.gain_bound(paths.rows, at) * directivities
     source_speed = float(tracks.speeds.source[paths.source])
-    mach_factor = (1.0 - source_speed / c) ** -MACH_EXPONENT[tracks.amplitude]
-    nepers = at.nepers * (1.0 - 2.0 * source_speed / c if at.disperses else 1.0)  # of the frequencies on the way
-    bound, strongest, slowest = np.zeros(len(reflected)), 0.0, paths.family.medium(paths.source).slowest
+    slowest = paths.family.medium(paths.source).slowest
+    mach_factor = (1.0 - source_speed / slowest) ** -MACH_EXPONENT[tracks.amplitude]
+    bound, strongest = np.zeros(len(reflected)), 0.0
+    nepers = at.nepers * (1.0 - 2.0 * source_speed / slowest if at.disperses else 1.0)  # of the frequencies on the way
     speed = source_speed + float(tracks.speeds.receiver[paths.receiver])
     member, step = tracks.pairs[pair], _STEP
     if member.always_heard:

@@ -228,8 +228,9 @@ def test_what_rings_before_its_time_is_gone():
     found = {}
     for dispersion in (False, True):
         air = Air(dispersion=dispersion)
-        scene = direct(CHIRP, along(0.0), along(10.0), air=air).scene
-        response = SceneResponse(scene, 0, f).air(np.array([10.0]), np.ones(1))[0]
+        paths = direct(CHIRP, along(0.0), along(10.0), air=air)
+        arrivals = next(iter(paths.families[0].pairs())).arrivals(np.zeros(1))
+        response = SceneResponse(paths.scene, 0, f).air(arrivals)[0, 0]
         delayed = response * np.exp(-2j * np.pi * f * (10.0 / air.speed_at(CHIRP.centre_frequency)))
         fastest = 10.0 / (air.speed_of_sound if not dispersion else air.speed_at(1e9))
         found[dispersion] = [early_db(delayed, rate, fastest - early) for early in (20e-6, 200e-6)]
