@@ -93,7 +93,7 @@ class EdgePaths(PathFamily):
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
         ways = _WaysOver(self, np.arange(len(self))[rows], receiver.position(times))
-        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
+        return arrivals_by(ways, self.medium(int(self.source[rows][0])), (source, receiver), times, motion, amplitude)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, spreading, air, walls, directivities.
@@ -116,7 +116,7 @@ class EdgePaths(PathFamily):
             index, self.image("before", index, emitted_at),
             self.image("after", index, receiver.trajectory.position(times)[None]), wave, at,
         )  # fmt: skip
-        response *= at.air(found.through) * found.mach_factor[..., None]
+        response *= at.air(found) * found.mach_factor[..., None]
         for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
             for bounce, normals in at.angular_bounces(walls):
