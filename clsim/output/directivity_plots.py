@@ -135,14 +135,12 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
             raise InputError(f"airs[{i}].absorption", "must be True to be drawn, but is False")
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    temperature, pressure = airs[0].temperature_celsius, airs[0].pressure
+    temperature, _, pressure = airs[0].state
     figure.suptitle(f"Absorption of air by ISO 9613-1, {temperature:g} °C, {pressure / 1e3:g} kPa", fontsize=12)
     frequencies = np.geomspace(1e3, 200e3, 400)
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(airs)))
     for air, colour in zip(airs, colours, strict=True):
-        left.loglog(
-            frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.relative_humidity:g} %"
-        )
+        left.loglog(frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.state[1]:g} %")
     left.set(xlabel="frequency (kHz)", ylabel="absorption (dB/m)", title="by frequency", xlim=(1.0, 200.0))
     left.legend(title="relative humidity", fontsize=9)
     for axis in (left.xaxis, left.yaxis):

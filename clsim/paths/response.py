@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.quaternions import rotate
+from clsim.scene.air_by_height import coefficients
 from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
@@ -48,7 +49,9 @@ class SceneResponse:
     frequencies : ndarray (F,)
         The same.
     nepers : ndarray (F,)
-        Absorption of the air, of the amplitude, 1/m.
+        Absorption of the air, of the amplitude, 1/m; half way up where it depends on the height.
+    least_nepers, most_nepers : ndarray (F,)
+        Bounds of it over all heights, 1/m.
     angular : ndarray (walls + 1,) bool
         Walls whose factor depends on the angle of incidence; False at the end, for -1, which is no wall.
     dtype : numpy type
@@ -59,6 +62,11 @@ class SceneResponse:
         self._scene, self.frequencies = scene, frequencies
         materials = scene.room.faces.materials
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
+        layers = [layer.absorption_at(frequencies) * NEPERS for layer in scene.air.layers]
+        self.least_nepers, self.most_nepers = self.nepers, self.nepers
+        if layers:
+            self._by_height = coefficients(np.array(layers))
+            self.least_nepers, self.most_nepers = 0.99 * np.min(layers, axis=0), 1.01 * np.max(layers, axis=0)
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
         self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
         self._factors = np.ones((len(materials) + 1, len(frequencies)), dtype=self.dtype)
@@ -69,9 +77,10 @@ class SceneResponse:
                     covered(frequencies, material), 1.0, scene.air.speed_of_sound
                 )
 
-    def air(self, length: Floats) -> Floats:
-        """Return what the air leaves (..., F) of 1 over lengths (...), relative to 1 m."""
-        return np.asarray(np.exp(-(length - 1.0)[..., None] * self.nepers))
+    def air(self, found: Arrivals) -> Floats:
+        """Return what the air leaves (P, T, F) of 1, relative to 1 m of the same air."""
+        nepers = self.nepers if found.means is None else found.means @ self._by_height
+        return np.asarray(np.exp(-(found.through - 1.0)[..., None] * nepers))
 
     def reflection(self, walls: Walls) -> Floats | Complexes:
         """Return the product of the factors (P, F) of walls (P, N), of those that are the same at every angle."""

@@ -60,6 +60,8 @@ class Scene:
         checked_room(self.room)
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
+        low, high = self.room.extent
+        object.__setattr__(self, "air", self.air.between(float(low[2]), float(high[2])))
         ends = self.named_ends()
         check_motions(self.room, ends, self.air.slowest)
         check_sides(self.room, ends)

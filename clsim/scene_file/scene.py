@@ -18,7 +18,7 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
-from clsim.scene_file.model import Model, Vector, within
+from clsim.scene_file.model import Model, Pair, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
 from clsim.scene_file.render_options import InterpolatorModel, RenderModel
 from clsim.scene_file.rooms import RoomModel
@@ -28,12 +28,13 @@ _PATHS = ("path", "phases_path")  # keys that name files
 
 
 class _Air(Model):
-    temperature_celsius: float = 20.0
-    relative_humidity: float = 0.5
+    temperature_celsius: float | Pair = 20.0
+    relative_humidity: float | Pair = 0.5
     pressure: float = 101_325.0
     speed_of_sound: float | Literal["iso9613"] | None = None
     absorption: bool = True
     wind: Vector | None = None
+    heights: Pair | None = None
 
 
 class _Common(Model):

@@ -92,7 +92,8 @@ def _bounds(tracks: SceneTracks, pair: int, until: float) -> tuple[Floats, float
     for begin, end in pairwise(edges):
         heard = (member.start < end) & (member.end > begin)
         nearest = np.maximum(tracks.delay_range(pair, begin, end)[0] * slowest, scene.min_distance)[:, None]
-        gain = reflected * np.exp(-at.nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
+        nepers = np.where(nearest > 1.0, at.least_nepers, at.most_nepers)
+        gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
         bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
         middle = np.array([0.5 * (begin + end)])
         now = np.abs(paths.gain(paths.arrivals(middle, tracks.motion, tracks.amplitude), middle)[:, 0])

@@ -58,7 +58,12 @@ GALES = {"L": (9.0, -4.0, 1.0), "slats": (-20.0, 5.0, 0.0)}  # m/s: what is hear
 def query(name, room, source, receivers, _order) -> VisibilityQuery:
     last = np.array([min(source.end + 0.1, r.end) for r in receivers])
     return VisibilityQuery(
-        room.walls, trajectory_tables(source, receivers), UniformAir(343.0, GALES.get(name)), np.zeros(len(last)), last, STEP
+        room.walls,
+        trajectory_tables(source, receivers),
+        UniformAir(343.0, GALES.get(name)),
+        np.zeros(len(last)),
+        last,
+        STEP,
     )
 
 
