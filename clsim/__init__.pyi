@@ -33,6 +33,7 @@ from clsim.scene_file import load_scene
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
 from clsim.version import __version__ as __version__
+from clsim.workflow.load_recording import load_recording
 
 __all__ = [
     "Air",
@@ -74,6 +75,7 @@ __all__ = [
     "grid_positions",
     "impulse_responses",
     "list_devices",
+    "load_recording",
     "load_scene",
     "open_store",
     "plan_render",

@@ -303,7 +303,8 @@ def lead_slope_iso9613(
 
     Notes
     -----
-    The sum of ``S (y / (1 + y) + 2 y / (1 + y)²) / 2 pi``, ``y = x²``, over both relaxations of `lead_iso9613` ([ISO]_ equation 3).
+    The sum of ``S (y / (1 + y) + 2 y / (1 + y)²) / 2 pi``, ``y = x²``, over both relaxations of `lead_iso9613`
+    ([ISO]_ equation 3).
 
     Examples
     --------

@@ -133,9 +133,8 @@ _CROSSINGS = {
 _INTERVALS = {
     **_ROOM, "places": _in("table_place", "1 + receivers"), "scales": _in("table_scale", "1 + receivers"),
     "knots": _in("double", "knots, KNOT_COLUMNS"), "speeds": _in("double", "speeds"),
-    "mounts": _in("double4", "1 + receivers"), **_MEDIUM, "slowest": _DOUBLE,
-    "sequences": _in("int", "paths, ORDER"), "receiver_of": _in("int", "paths"),
-    "active": _in("int", "active_count"), "active_count": _INT,
+    "mounts": _in("double4", "1 + receivers"), **_MEDIUM, "slowest": _DOUBLE, "sequences": _in("int", "paths, ORDER"),
+    "receiver_of": _in("int", "paths"), "active": _in("int", "active_count"), "active_count": _INT,
     "resolution": _DOUBLE, "smallest_move": _DOUBLE, "graze": _DOUBLE, "budget": _INT,
     "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
 }  # fmt: skip

@@ -19,8 +19,9 @@ import clsim
 PACKAGE = Path(clsim.__file__).parent
 ROOT = PACKAGE.parent
 LAYERS = [
-    ("errors", "arrays", "version"),
+    ("errors", "arrays", "packages", "version"),
     ("files", "numerics"),
+    ("pictures",),
     ("acoustics",),
     ("scene",),
     ("opencl",),

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 from clsim.errors import InputError
 from clsim.opencl.limits import FLOAT64, MOST_INDEX, SHARE, check_buffers, operations_in_launch
-from clsim.render.plan import NODE_BUDGET, Plan
+from clsim.render.plan import BATCH, NODE_BUDGET, Plan
 
 if TYPE_CHECKING:
     from clsim.opencl.device import DeviceInfo
 
-BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _LEVELS = 3  # block lengths whose polynomials are kept at the same time
 _OPERATIONS_PER_SAMPLE = 10.0  # of a path, beside two for every branch
 _OPERATIONS_PER_NODE = 2000.0 * FLOAT64  # of a path
