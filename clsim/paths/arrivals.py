@@ -57,8 +57,9 @@ class Arrivals:
 
     def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Arrivals:
         """Return what some of the paths bring at some of the times."""
-        columns: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Arrivals(**{name: None if x is None else x[rows, times] for name, x in columns.items()})
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}
+        some: dict[str, Any] = {name: None if x is None else x[rows, times] for name, x in columns.items()}
+        return Arrivals(**some)
 
 
 def slices_of(times: int, paths: int) -> list[slice]:

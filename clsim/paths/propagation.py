@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.air import Air
+    from clsim.scene.fluctuation import Fluctuation
     from clsim.scene.motion.motion import Motion
 
     Rows = NDArray[np.int64]
@@ -95,6 +96,10 @@ class Ways(Protocol):
         """Return unit vectors (P, T, 3) along the ways at the receiver, in the room, from places (P, T, 3)."""
         ...
 
+    def seen(self) -> Floats:
+        """Return the receiver (P, T, 3) as the source sees it, m."""
+        ...
+
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
         """Return where ways bend, arguments as for `leave`: shares (..., K) from 0 to 1, and heights (..., K), m."""
         ...
@@ -111,6 +116,11 @@ class Medium(Protocol):
     @property
     def fastest(self) -> float:
         """Bound on the speed of sound from above, in any direction, m/s."""
+        ...
+
+    @property
+    def fluctuation(self) -> Fluctuation | None:
+        """Noise of delays."""
         ...
 
     def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats | None:
@@ -148,6 +158,7 @@ class UniformAir:
 
     speed_of_sound: float
     wind: tuple[float, float, float] | None = None
+    fluctuation: Fluctuation | None = None
 
     @property
     def slowest(self) -> float:
@@ -183,7 +194,7 @@ class LayeredAir:
         Heights, m.
     slowest, fastest : float
         Bounds on the speed of sound, in any direction, m/s.
-    wind : tuple or None
+    wind, fluctuation : tuple or None, Fluctuation or None
         As of `UniformAir`.
     """
 
@@ -192,6 +203,7 @@ class LayeredAir:
     slowest: float
     fastest: float
     wind: tuple[float, float, float] | None
+    fluctuation: Fluctuation | None
 
     def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats:
         """Return means (..., terms) of Chebyshev polynomials of the height."""
@@ -216,7 +228,7 @@ def _passage(c: float | Floats, wind: tuple[float, float, float] | None, length:
 def medium_of(air: Air) -> UniformAir | LayeredAir:
     """Return what sound travels in, of the air of a scene."""
     if not air.layers:
-        return mean_medium_of(air)
+        return UniformAir(air.speed_of_sound, air.wind, air.fluctuation)
     assert air.extent is not None
     slowness = air.by_height(lambda layer: 1.0 / layer.speed_of_sound)
     fastest = max(layer.speed_of_sound for layer in air.layers) + air.speed_of_sound - mean_medium_of(air).slowest
@@ -226,11 +238,12 @@ def medium_of(air: Air) -> UniformAir | LayeredAir:
         (1.0 - _BEYOND_NODES) * air.slowest,
         (1.0 + _BEYOND_NODES) * fastest,
         air.wind,
+        air.fluctuation,
     )
 
 
 def mean_medium_of(air: Air) -> UniformAir:
-    """Return what sound travels in where heights do not count: to tell when a path is there."""
+    """Return what sound travels in where heights and noise do not count: to tell when a path is there."""
     return UniformAir(air.speed_of_sound, air.wind)
 
 
@@ -307,9 +320,13 @@ def arrivals_by(
 
     def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
         direction, sound, _ = passage(p, t, source.position(emission_time))
-        return sound.time, sound.growth(direction, source.velocity(emission_time))
+        time = sound.time if noise is None else sound.time + noise[0][p, t]
+        return time, sound.growth(direction, source.velocity(emission_time))
 
+    noise = _noise(ways_to, medium, ends, times)
     delay = passage(*whole, source.position(times)[None])[1].time
+    if noise is not None:
+        delay = delay + noise[0]
     emission_time = np.broadcast_to(times, delay.shape)
     if motion == "retarded":
         if not math.isinf(source.end):  # a fixed source was where it is
@@ -323,12 +340,25 @@ def arrivals_by(
         growth = partial(_growth_by_means, medium, sound.length, heard_at - start)
         mach -= growth(lambda step: medium.means(ways, *whole, start + step), velocity)
         receding += growth(lambda step: medium.means(ways_to(heard_at + step), *whole, start), heading)
-    rate, factor = receding - mach, np.ones_like(mach)
+    rate, factor = receding - mach if noise is None else receding - mach + noise[1], np.ones_like(mach)
     if motion == "retarded":
         rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
     departure, arrival = sound.normal(direction), -sound.normal(onwards)
     length = sound.length if sound.carried is None else sound.length * np.sum(departure * direction, axis=-1)
     return Arrivals(delay, rate, departure, arrival, length, sound.through, means, emission_time, factor)
+
+
+def _noise(
+    ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats
+) -> tuple[Floats, Floats] | None:
+    """Return what noise adds to delays (P, T), s, and to their rates, with both ends as at reception; or None."""
+    if medium.fluctuation is None:
+        return None
+    source, receiver = ends
+    heard_at, heading = receiver.position(times), receiver.velocity(times)
+    seen = ways_to(heard_at).seen()
+    turned = ways_to(heard_at + heading).seen() - seen  # isometries: velocities as the source sees them
+    return medium.fluctuation.at(times, seen, source.position(times), (turned, source.velocity(times)))
 
 
 def _growth_by_means(
@@ -393,9 +423,16 @@ def delay_bounds(
         Largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
     """
     low = np.maximum(length - slack, 0.0) / (medium.fastest + source_speed)
-    return low, (length + slack) / (medium.slowest - source_speed)
+    high = (length + slack) / (medium.slowest - source_speed)
+    if medium.fluctuation is None:
+        return low, high
+    noise = medium.fluctuation.most / (1.0 - source_speed / medium.slowest)
+    return np.maximum(low - noise, 0.0), high + noise
 
 
 def max_delay_rate(medium: Medium, source_speed: float, receiver_speed: float) -> float:
     """Return a bound on how fast a delay changes with the time of reception, s/s, from the largest speeds, m/s."""
-    return (source_speed + receiver_speed) / (medium.slowest - source_speed)
+    rate = (source_speed + receiver_speed) / (medium.slowest - source_speed)
+    if medium.fluctuation is None:
+        return rate
+    return rate + medium.fluctuation.most_rate(source_speed, receiver_speed) / (1.0 - source_speed / medium.slowest)

@@ -20,6 +20,7 @@ from clsim.acoustics.air import (
 from clsim.arrays import Floats, as_choice, as_flag, as_floats, as_number
 from clsim.errors import InputError, warn
 from clsim.scene.air_by_height import MOST_TERMS, UNPLACED, ByHeight, at_heights, coefficients, places, told_by_height
+from clsim.scene.fluctuation import Fluctuation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,6 +63,8 @@ class Air:
         Velocity of the air, below half the speed of sound, m/s; at rest when left out.
     heights : (float, float), optional
         Where the pairs hold, m; the room's lowest and highest point when left out.
+    fluctuation : Fluctuation, optional
+        Slow noise of delays; none when left out.
 
     Attributes
     ----------
@@ -103,6 +106,7 @@ class Air:
     dispersion: bool | None
     wind: tuple[float, float, float] | None
     heights: tuple[float, float] | None
+    fluctuation: Fluctuation | None
     extent: tuple[float, float] | None
     layers: tuple[Air, ...] = field(init=False, repr=False, compare=False)
     state: tuple[float, float, float] = field(init=False, repr=False, compare=False)  # °C, 1, Pa, half way up
@@ -118,6 +122,7 @@ class Air:
         dispersion: bool | None = None,
         wind: ArrayLike | None = None,
         heights: ArrayLike | None = None,
+        fluctuation: Fluctuation | None = None,
         *,
         extent: tuple[float, float] | None = None,
         _asked_speed: float | str | None = None,
@@ -133,9 +138,12 @@ class Air:
         if disperses and not absorbs:
             raise InputError("dispersion", "must be False or None in air without absorption, but is True")
         where = None if heights is None else _checked_heights(heights)
+        if not isinstance(fluctuation, Fluctuation | None):
+            raise InputError("fluctuation", f"must be a Fluctuation, but is {fluctuation!r:.80}")
         told = {
             "temperature_celsius": warm, "relative_humidity": humid, "pressure": pascal, "absorption": absorbs,
-            "dispersion": disperses, "wind": None, "heights": where, "extent": extent, "_asked_speed": asked,
+            "dispersion": disperses, "wind": None, "heights": where, "fluctuation": fluctuation,
+            "extent": extent, "_asked_speed": asked,
         }  # fmt: skip
         for name, value in told.items():
             object.__setattr__(self, name, value)
@@ -163,7 +171,18 @@ class Air:
                 warn(message)
 
     def at_height(self, height: Floats) -> Floats:
-        """Return temperature, °C, and relative humidity at heights (n,) in m, (2, n)."""
+        """Return temperature and relative humidity at some heights.
+
+        Parameters
+        ----------
+        height : ndarray (n,)
+            m.
+
+        Returns
+        -------
+        ndarray (2, n)
+            °C, and from 0 to 1.
+        """
         where = self.heights or self.extent or UNPLACED
         told = {"temperature_celsius": self.temperature_celsius, "relative_humidity": self.relative_humidity}
         return np.stack([at_heights(name, value, where, height) for name, value in told.items()])
@@ -218,6 +237,39 @@ class Air:
         """Whether the speed of sound depends on frequency."""
         by_formula = not isinstance(self._asked_speed, float)
         return self.absorption and (by_formula if self.dispersion is None else self.dispersion)
+
+    def describe(self) -> list[str]:
+        """Return what the air is like, a line each.
+
+        Returns
+        -------
+        list of str
+            Temperature, humidity and speed of sound; then what differs from air that rests and is the same everywhere.
+        """
+        celsius, humidity, _ = self.state
+        lines = [
+            f"air: {celsius:g} °C, {100.0 * humidity:g} % relative humidity, sound at {self.speed_of_sound:.2f} m/s"
+            + (" half way up" if self.layers else "")
+        ]
+        if self.layers:
+            low, high = self.extent or UNPLACED
+            (cold, warm), (dry, damp) = self.at_height(np.array([low, high])).tolist()
+            speeds = [layer.speed_of_sound for layer in self.layers]
+            bend = ((max(speeds) - min(speeds)) / (high - low) / self.speed_of_sound) ** 2 * 1e3 / 24.0
+            lines.append(
+                f"air: {cold:g} °C, {100.0 * dry:g} % at {low:g} m to {warm:g} °C, {100.0 * damp:g} % at {high:g} m, "
+                f"sound at {min(speeds):.2f} to {max(speeds):.2f} m/s; legs are straight, some {1e3 * bend:.2g} mm too "
+                f"long over 10 m at most"
+            )
+        if self.wind is not None:
+            lines.append("air: wind of ({:g}, {:g}, {:g}) m/s".format(*self.wind))
+        if self.fluctuation is not None:
+            told = self.fluctuation
+            lines.append(
+                f"air: delays fluctuate by {1e6 * told.rms:g} µs, over {told.correlation_time:g} s and "
+                f"{told.correlation_length:g} m, seed {told.seed}"
+            )
+        return lines
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
         """Return the absorption of pure tones by ISO 9613-1, dB/m, half way up; zero in air without.

@@ -121,23 +121,19 @@ class Scene:
             for field, item in self.named_ends()[:_MOST_LISTED]
         ]
         more = len(self.named_ends()) - len(ends)
-        air = (
-            f"air: {self.air.temperature_celsius:g} °C, {100.0 * self.air.relative_humidity:g} % relative humidity, "
-            f"sound at {self.air.speed_of_sound:.2f} m/s"
-        )
-        notes = [*([f"and {more} more"] if more else []), *self.room.describe(), air]
+        notes = [*([f"and {more} more"] if more else []), *self.room.describe(), *self.air.describe()]
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return what the room is like, a line each, and of ends in one that walls close which are inside at 0 s.
+        """Return what the room is like, a line each, how its air differs from one that is still and the same everywhere.
 
         Returns
         -------
         list of str
-            The lines.
+            The lines; of ends in a room that walls close they tell too which are inside at 0 s.
         """
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
-        return [*self.room.describe(), *(_side(self.room, field_name, item) for field_name, item in sides)]
+        return [*self.room.describe(), *self.air.describe()[1:], *(_side(self.room, field_name, item) for field_name, item in sides)]
 
 
 def _place(item: End) -> str:

@@ -107,6 +107,9 @@ class WaysOver:
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
         raise NotImplementedError  # the air is the same everywhere
 
+    def seen(self) -> Floats:
+        raise NotImplementedError  # and still
+
 
 def find_wedge(scene: clsim.Scene, search: PathSearch) -> WedgePaths:
     """Return one path over the edge for every source and receiver."""

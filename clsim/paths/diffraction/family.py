@@ -281,6 +281,10 @@ class _WaysOver:
         edges, emitted_at, heard_at = self._seen(p, t, start)
         return self._paths.legs(edges, emitted_at, heard_at)
 
+    def seen(self) -> Floats:
+        apart = self._heard_at - self._paths.before_offset[self._index][:, None]
+        return np.asarray(np.einsum("pji,ptj->pti", self._paths.before_matrix[self._index], apart))
+
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
         assert self._folds is not None
         edges, emitted_at, heard_at = self._seen(p, t, start)

@@ -57,8 +57,9 @@ class SpecularPaths(PathFamily):
 
     @property
     def device(self) -> str | None:
-        """The program for images; none that knows a medium other than air of one speed."""
-        return "images" if isinstance(self.medium, UniformAir) else None
+        """The program for images; none that knows a medium other than air of one speed, without noise."""
+        known = isinstance(self.medium, UniformAir) and self.medium.fluctuation is None
+        return "images" if known else None
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:
@@ -128,6 +129,9 @@ class _Images:
 
     def arrive(self, start: Floats) -> Floats:
         return np.asarray(np.einsum("pij,ptj->pti", self._matrix, straight(start, self._mirrored)[1]))
+
+    def seen(self) -> Floats:
+        return np.asarray(self._mirrored)
 
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
         assert self._folds is not None

@@ -35,6 +35,9 @@ class To:
     def bends(self, p: Any, t: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         raise AssertionError("the air is the same everywhere")
 
+    def seen(self) -> np.ndarray:
+        return self.stop
+
 
 def to_places(heard_at: np.ndarray) -> To:
     return To(heard_at[None])
