@@ -1,3 +1,4 @@
+from clsim import score as score
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices

@@ -192,8 +192,8 @@ PROGRAMS = {
         {
             **_IMAGES,
             "reflection": _in("bins", "slots, PARTS, BIN_VECTORS"),
-            "wall_of": _in("int", "ANGULAR, slots"),
-            "normal": _in("float", "ANGULAR, 3, slots"),
+            "wall_of": _in("int", "angular, slots"),
+            "normal": _in("float", "angular, 3, slots"),
             "heard_from": _in("int", "slots"),
             "heard_until": _in("int", "slots"),
             "receivers": _in("receiver_node", "receivers, nodes"),
@@ -206,9 +206,10 @@ PROGRAMS = {
             **_MEDIUM,
             "nepers": _in("bins", "BIN_VECTORS"),
             "projection": _in("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
-            "functions": _in("bins", "FUNCTIONS, PARTS, BIN_VECTORS"),
+            "functions": _in("bins", "function_count, PARTS, BIN_VECTORS"),
             "weight": _in("bins", "BIN_VECTORS"),
             "strengths": _in("gains", "GAIN_VECTORS"),
+            "function_count": _INT, "angular": _INT,
             "delay_samples": _DOUBLE,
             "emitted_first": _DOUBLE,
             "emitted_last": _DOUBLE,
@@ -218,7 +219,8 @@ PROGRAMS = {
             "source_directivity": _in("bins", "a table"),
             "receiver_directivities": _in("bins", "tables"),
             "directivity_of": _in("int", "receivers"),
-            "blocks": _INT,
+            "blocks": _INT, "block_samples": _INT, "walk_blocks": _INT,
+            "subblock_samples": _INT, "subblock_share": _FLOAT, "oversampling": _INT,
             "delay": _out("int", "blocks, slots"),
             "polynomials": _out("float", "blocks, slots, terms"),
             "found": _out("float4", "walks, slots"),
@@ -233,10 +235,9 @@ PROGRAMS = {
         frozenset(
             _DELAY_CONSTANTS
             | {
-                "BLOCK", "WALK", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
-                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
-                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
-                "SMOOTH_ERROR",
+                "CELL", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS",
+                "CUBIC_COLUMNS", "MACH_EXPONENT", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL",
+                "SPHERICAL", "GAIN_ERROR", "SMOOTH_ERROR",
             }
         ),
     ),

@@ -1,18 +1,19 @@
 // The gains of one path at one node: its response (spreading, air, walls, Mach factor, directivities) at FREQUENCIES
-// frequencies, projected on FUNCTIONS functions of frequency. The twin of paths/response.py.
+// frequencies, projected on at most FUNCTIONS functions of frequency. The twin of paths/response.py.
 
 typedef struct {
     __global const bins* nepers;         // [BIN_VECTORS], of the amplitude, 1/m
     __global const gains* projection;    // [PARTS][FREQUENCIES][GAIN_VECTORS]
-    __global const bins* functions;      // [FUNCTIONS][PARTS][BIN_VECTORS], weighted
+    __global const bins* functions;      // [function_count][PARTS][BIN_VECTORS], weighted
     __global const bins* weight;         // [BIN_VECTORS]
     __global const gains* sizes;         // [GAIN_VECTORS], most that each adds to a path
     __global const bins* reflection;     // [slots][PARTS][BIN_VECTORS], of walls that are the same at every angle
     __global const bins* walls;          // those that are not: [materials][CELLS][4][PARTS][BIN_VECTORS]
-    __global const int* wall_of;         // [ANGULAR][slots], -1 for none
-    __global const float* normal;        // [ANGULAR][3][slots], unfolded
+    __global const int* wall_of;         // [angular][slots], -1 for none
+    __global const float* normal;        // [angular][3][slots], unfolded
     __global const bins* source_directivity;    // AXIAL: [CELLS][4][PARTS][BIN_VECTORS]; SPHERICAL: [6][SIDE][SIDE][PARTS][BIN_VECTORS]
     __global const bins* receiver_directivity;  // likewise
+    int function_count, angular;         // how many, and of how many walls at most the factor depends on the angle
 } surroundings;
 
 // What of an arrival gains depend on.
@@ -61,7 +62,7 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
             r.part[part][b] = s->reflection[((long)slot * PARTS + part) * BIN_VECTORS + b] * air;
         }
     }
-    for (int i = 0; i < ANGULAR; i++) {
+    for (int i = 0; i < s->angular; i++) {
         const int wall = s->wall_of[i * (long)slots + slot];
         if (wall < 0) break;
         __global const float* n = s->normal + 3 * i * (long)slots + slot;
@@ -89,7 +90,7 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
     bins heard[PARTS * BIN_VECTORS], rest[PARTS * BIN_VECTORS], whole = 0.0f, left = 0.0f;
 #pragma unroll
     for (int b = 0; b < PARTS * BIN_VECTORS; b++) rest[b] = heard[b] = s->weight[b % BIN_VECTORS] * r.part[b / BIN_VECTORS][b % BIN_VECTORS];
-    for (int k = 0; k < FUNCTIONS; k++) {
+    for (int k = 0; k < s->function_count; k++) {
         const float held = ((const float*)gain)[k];
 #pragma unroll
         for (int b = 0; b < PARTS * BIN_VECTORS; b++) rest[b] -= s->functions[k * PARTS * BIN_VECTORS + b] * held;

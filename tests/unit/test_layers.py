@@ -28,6 +28,7 @@ LAYERS = [
     ("paths",),
     ("tracks",),
     ("recording", "impulse_responses"),
+    ("score",),
     ("render",),
     ("output",),
     ("scene_file",),

@@ -196,11 +196,12 @@ class DeviceTracks:
         if chunk.cells is not None:
             activity, cells = self._scratch.take(("activity", block), 4 * blocks * batch.count), chunk.cells
             cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * batch.count)
-        constants = self._constants(chunk.source, block) | {"SPARSE": int(activity is not None)}
+        constants = self._constants(chunk.source) | {"SPARSE": int(activity is not None)}
         kernel = self._compiler.kernel("tracks", constants)
         kernel(
             self._queue, work(batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **cells,
-            **around.basis, **around.tables, directivity_of=around.directivity_of[batch.receiver],
+            **around.basis, **around.tables, **self._shape(chunk.source, block),
+            directivity_of=around.directivity_of[batch.receiver],
             receivers=receivers, nodes=receivers.shape[1],
             heard_from=heard_from, heard_until=heard_until,
             coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
@@ -239,17 +240,26 @@ class DeviceTracks:
             "WIND": int(self._medium["wind"] is not None),
         }
 
-    def _constants(self, source: int, block: int) -> dict[str, Any]:
+    def _shape(self, source: int, block: int) -> dict[str, float]:
+        """Return what differs from block to block and from scene to scene at no cost: arguments, not constants."""
+        subblock = self._plan.subblock(source, block)
+        return {
+            "block_samples": block,
+            "walk_blocks": self._plan.segment // block,
+            "subblock_samples": subblock,
+            "subblock_share": 0.0 if self._plan.is_fine(block) else subblock / block,
+            "oversampling": self._plan.source_filters[source].oversampling,
+            "function_count": len(self._plan.source_filters[source].basis),
+            "angular": self._surroundings[source].angular,
+        }
+
+    def _constants(self, source: int) -> dict[str, Any]:
         retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
+        functions = len(self._plan.source_filters[source].basis)
         return self._motion_constants(source) | {
-            "BLOCK": block,
-            "SUBBLOCK": self._plan.subblock(source, block),
-            "FINE": int(self._plan.is_fine(block)),
-            "OVERSAMPLING": self._plan.source_filters[source].oversampling,
             "CELL": CELL,
-            "WALK": self._plan.segment // block,
             "DELAY_TERMS": self._plan.delay_terms,
-            "FUNCTIONS": len(self._plan.source_filters[source].basis),
+            "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
             "FREQUENCIES": around.count,
             "PARTS": around.parts,
             "CELLS": CELLS,
@@ -264,7 +274,6 @@ class DeviceTracks:
             "SPHERICAL": SPHERICAL,
             "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
             "SMOOTH_ERROR": np.float32(SMOOTH_ERROR),
-            "ANGULAR": around.angular,
         }
 
     def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:
