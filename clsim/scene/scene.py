@@ -125,7 +125,7 @@ class Scene:
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return what the room is like, a line each, how its air differs from one that is still and the same everywhere.
+        """Return what the room is like, a line each, and how its air differs from still air of one kind.
 
         Returns
         -------
@@ -133,7 +133,8 @@ class Scene:
             The lines; of ends in a room that walls close they tell too which are inside at 0 s.
         """
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
-        return [*self.room.describe(), *self.air.describe()[1:], *(_side(self.room, field_name, item) for field_name, item in sides)]
+        of_sides = [_side(self.room, field_name, item) for field_name, item in sides]
+        return [*self.room.describe(), *self.air.describe()[1:], *of_sides]
 
 
 def _place(item: End) -> str:
