@@ -19,10 +19,10 @@ typedef struct {
 // What of an arrival gains depend on.
 typedef struct {
     float through, length;      // m of air, and over which pressure falls
-    double mach_factor;
+    real mach_factor;
     triple departure, arrival;  // along the path, both as seen from the source's own room
-    __global const double* knot;
-    double u;
+    __global const real* knot;
+    real u;
 } arrival;
 
 // Gains of functions: products with every node. Four sums at a time, so that none waits for the one before.
@@ -72,15 +72,15 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
         apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
     }
 #if SOURCE_DIRECTIVITY == AXIAL
-    const double cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
-    apply_cubics(s->source_directivity, 0.5f * (float)(1.0 + cosine), &r);
+    const real cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
+    apply_cubics(s->source_directivity, 0.5f * (float)(1 + cosine), &r);
 #elif SOURCE_DIRECTIVITY == SPHERICAL
     const triple x = cubic(a->knot + CUBIC_COLUMNS, a->u), y = cubic(a->knot + 2 * CUBIC_COLUMNS, a->u), z = cross_product(x, y);
     apply_sphere(s->source_directivity, (float)inner(x, a->departure), (float)inner(y, a->departure),
                  (float)inner(z, a->departure), &r);
 #endif
 #if RECEIVER_DIRECTIVITY == AXIAL
-    apply_cubics(s->receiver_directivity, 0.5f * (float)(1.0 - inner(receiver_frame[0], a->arrival)), &r);
+    apply_cubics(s->receiver_directivity, 0.5f * (float)(1 - inner(receiver_frame[0], a->arrival)), &r);
 #elif RECEIVER_DIRECTIVITY == SPHERICAL
     apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->arrival),
                  -(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r);
