@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -105,8 +105,8 @@ class Ways(Protocol):
         ...
 
 
-class Medium(Protocol):
-    """What sound travels in."""
+class SpeedBounds(Protocol):
+    """How fast sound can be."""
 
     @property
     def slowest(self) -> float:
@@ -122,6 +122,10 @@ class Medium(Protocol):
     def fluctuation(self) -> Fluctuation | None:
         """Noise of delays."""
         ...
+
+
+class Medium(SpeedBounds, Protocol):
+    """What sound travels in."""
 
     def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats | None:
         """Return means (..., terms) of what it depends on along ways, arguments as for `Ways.leave`; or None."""
@@ -225,13 +229,24 @@ def _passage(c: float | Floats, wind: tuple[float, float, float] | None, length:
     return Passage(length, time, root / length, ((along / root - 1.0) / room)[..., None] * w, c * time)
 
 
-def medium_of(air: Air) -> UniformAir | LayeredAir:
-    """Return what sound travels in, of the air of a scene."""
+@dataclass(frozen=True, slots=True)
+class SpeedRange:
+    """Bounds of the speed of sound in some media, m/s, and their noise."""
+
+    slowest: float
+    fastest: float
+    fluctuation: Fluctuation | None
+
+
+@lru_cache(maxsize=256)
+def medium_of(air: Air, frequency: float) -> UniformAir | LayeredAir:
+    """Return what sound of a frequency, Hz, travels in, of the air of a scene."""
     if not air.layers:
-        return UniformAir(air.speed_of_sound, air.wind, air.fluctuation)
+        return UniformAir(air.speed_at(frequency), air.wind, air.fluctuation)
     assert air.extent is not None
-    slowness = air.by_height(lambda layer: 1.0 / layer.speed_of_sound)
-    fastest = max(layer.speed_of_sound for layer in air.layers) + air.speed_of_sound - mean_medium_of(air).slowest
+    slowness = air.by_height(lambda layer: 1.0 / layer.speed_at(frequency))
+    fastest = max(layer.speed_at(frequency) for layer in air.layers)
+    fastest += 0.0 if air.wind is None else math.hypot(*air.wind)
     return LayeredAir(
         tuple(slowness.tolist()),
         air.extent,
@@ -242,9 +257,9 @@ def medium_of(air: Air) -> UniformAir | LayeredAir:
     )
 
 
-def mean_medium_of(air: Air) -> UniformAir:
-    """Return what sound travels in where heights and noise do not count: to tell when a path is there."""
-    return UniformAir(air.speed_of_sound, air.wind)
+def mean_medium_of(air: Air, frequency: float) -> UniformAir:
+    """Return what it travels in where heights and noise do not count: to tell when a path is there."""
+    return UniformAir(air.speed_at(frequency), air.wind)
 
 
 def straight(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
@@ -340,12 +355,13 @@ def arrivals_by(
         growth = partial(_growth_by_means, medium, sound.length, heard_at - start)
         mach -= growth(lambda step: medium.means(ways, *whole, start + step), velocity)
         receding += growth(lambda step: medium.means(ways_to(heard_at + step), *whole, start), heading)
-    rate, factor = receding - mach if noise is None else receding - mach + noise[1], np.ones_like(mach)
+    rate = receding - mach if noise is None else receding - mach + noise[1]
+    factor, ratio = np.ones_like(mach), np.ones_like(mach)
     if motion == "retarded":
-        rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
+        rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude], 1.0 / (1.0 - mach)
     departure, arrival = sound.normal(direction), -sound.normal(onwards)
     length = sound.length if sound.carried is None else sound.length * np.sum(departure * direction, axis=-1)
-    return Arrivals(delay, rate, departure, arrival, length, sound.through, means, emission_time, factor)
+    return Arrivals(delay, rate, departure, arrival, length, sound.through, means, emission_time, factor, ratio)
 
 
 def _noise(
@@ -407,14 +423,14 @@ def contract_delay(
 
 
 def delay_bounds(
-    medium: Medium, length: Floats, slack: Floats | float, source_speed: Floats | float
+    speeds: SpeedBounds, length: Floats, slack: Floats | float, source_speed: Floats | float
 ) -> tuple[Floats, Floats]:
     """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
 
     Parameters
     ----------
-    medium : Medium
-        What sound travels in.
+    speeds : SpeedBounds
+        Of sound.
     length : ndarray (n,)
         Of the ways at some instant of reception, with source and receiver where they are then, m.
     slack : float or ndarray (n,)
@@ -422,17 +438,17 @@ def delay_bounds(
     source_speed : float or ndarray (n,)
         Largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
     """
-    low = np.maximum(length - slack, 0.0) / (medium.fastest + source_speed)
-    high = (length + slack) / (medium.slowest - source_speed)
-    if medium.fluctuation is None:
+    low = np.maximum(length - slack, 0.0) / (speeds.fastest + source_speed)
+    high = (length + slack) / (speeds.slowest - source_speed)
+    if speeds.fluctuation is None:
         return low, high
-    noise = medium.fluctuation.most / (1.0 - source_speed / medium.slowest)
+    noise = speeds.fluctuation.most / (1.0 - source_speed / speeds.slowest)
     return np.maximum(low - noise, 0.0), high + noise
 
 
-def max_delay_rate(medium: Medium, source_speed: float, receiver_speed: float) -> float:
+def max_delay_rate(speeds: SpeedBounds, source_speed: float, receiver_speed: float) -> float:
     """Return a bound on how fast a delay changes with the time of reception, s/s, from the largest speeds, m/s."""
-    rate = (source_speed + receiver_speed) / (medium.slowest - source_speed)
-    if medium.fluctuation is None:
+    rate = (source_speed + receiver_speed) / (speeds.slowest - source_speed)
+    if speeds.fluctuation is None:
         return rate
-    return rate + medium.fluctuation.most_rate(source_speed, receiver_speed) / (1.0 - source_speed / medium.slowest)
+    return rate + speeds.fluctuation.most_rate(source_speed, receiver_speed) / (1.0 - source_speed / speeds.slowest)

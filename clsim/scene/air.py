@@ -56,9 +56,9 @@ class Air:
         A speed, 100 to 2000 m/s; ISO 9613-1's formula by name; or None for Cramer's formula (1993, 314 ppm CO2).
     absorption : bool
         Whether the air absorbs sound, by ISO 9613-1; without it closed forms of walls and spreading hold exactly.
-    dispersion : bool or None
-        Whether the speed of sound depends on frequency, as it must where relaxations absorb; None for whether it comes
-        by a formula. Without it a speed holds at all frequencies, with it at zero frequency.
+    dispersion : bool
+        Whether the speed of sound depends on frequency, as it does where relaxations absorb; the speed is then that at
+        zero frequency.
     wind : array_like (3,), optional
         Velocity of the air, below half the speed of sound, m/s; at rest when left out.
     heights : (float, float), optional
@@ -103,7 +103,7 @@ class Air:
     pressure: float
     speed_of_sound: float = field(init=False)
     absorption: bool
-    dispersion: bool | None
+    dispersion: bool
     wind: tuple[float, float, float] | None
     heights: tuple[float, float] | None
     fluctuation: Fluctuation | None
@@ -119,7 +119,7 @@ class Air:
         pressure: float = 101_325.0,
         speed_of_sound: float | str | None = None,
         absorption: bool = True,
-        dispersion: bool | None = None,
+        dispersion: bool = False,
         wind: ArrayLike | None = None,
         heights: ArrayLike | None = None,
         fluctuation: Fluctuation | None = None,
@@ -134,9 +134,9 @@ class Air:
         pascal = as_number("pressure", pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa")
         asked = _checked_speed(_asked_speed if speed_of_sound is None else speed_of_sound)
         absorbs = as_flag("absorption", absorption)
-        disperses = None if dispersion is None else as_flag("dispersion", dispersion)
+        disperses = as_flag("dispersion", dispersion)
         if disperses and not absorbs:
-            raise InputError("dispersion", "must be False or None in air without absorption, but is True")
+            raise InputError("dispersion", "must be False in air without absorption, but is True")
         where = None if heights is None else _checked_heights(heights)
         if not isinstance(fluctuation, Fluctuation | None):
             raise InputError("fluctuation", f"must be a Fluctuation, but is {fluctuation!r:.80}")
@@ -232,12 +232,6 @@ class Air:
         slowest = min((layer.speed_of_sound for layer in self.layers), default=self.speed_of_sound)
         return slowest - (0.0 if self.wind is None else math.hypot(*self.wind))
 
-    @property
-    def disperses(self) -> bool:
-        """Whether the speed of sound depends on frequency."""
-        by_formula = not isinstance(self._asked_speed, float)
-        return self.absorption and (by_formula if self.dispersion is None else self.dispersion)
-
     def describe(self) -> list[str]:
         """Return what the air is like, a line each.
 
@@ -321,7 +315,7 @@ class Air:
         """
         f = np.asarray(frequency, dtype=np.float64)
         k = 2.0 * np.pi / self.speed_of_sound * f - 1j * np.log(10.0) / 20.0 * self.absorption_at(f)
-        return np.asarray(k - lead_iso9613(f, *self.state) if self.disperses else k)
+        return np.asarray(k - lead_iso9613(f, *self.state) if self.dispersion else k)
 
     def speed_at(self, frequency: float) -> float:
         """Return the speed of sound of a pure tone, that of its phase, m/s.
@@ -337,7 +331,7 @@ class Air:
             Speed, m/s.
         """
         c = self.speed_of_sound
-        if not self.disperses:
+        if not self.dispersion:
             return c
         return c / (1.0 - c * float(lead_iso9613(frequency, *self.state)) / (2.0 * np.pi * frequency))
 
@@ -355,7 +349,7 @@ class Air:
             Speed, m/s.
         """
         c = self.speed_of_sound
-        if not self.disperses:
+        if not self.dispersion:
             return c
         return c / (1.0 - c * float(lead_slope_iso9613(frequency, *self.state)))
 

@@ -58,7 +58,12 @@ class WedgePaths(PathFamily):
         times = np.asarray(times, dtype=np.float64)
         count = len(self.source[rows])
         return arrivals_by(
-            lambda heard_at: WaysOver(self, count, heard_at), self.medium, (source, receiver), times, motion, amplitude
+            lambda heard_at: WaysOver(self, count, heard_at),
+            self.medium(0),
+            (source, receiver),
+            times,
+            motion,
+            amplitude,
         )
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Any:

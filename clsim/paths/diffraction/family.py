@@ -98,8 +98,8 @@ class EdgePaths(PathFamily):
             planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
             folds = [Folds(planes, walls) for walls in self._walls_of_sides(index)]
         return arrivals_by(
-            lambda heard_at: _WaysOver(self, index, heard_at, folds), self.medium, (source, receiver), times, motion,
-            amplitude,
+            lambda heard_at: _WaysOver(self, index, heard_at, folds), self.medium(int(self.source[rows][0])),
+            (source, receiver), times, motion, amplitude,
         )  # fmt: skip
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:

@@ -58,8 +58,8 @@ class SpecularPaths(PathFamily):
     @property
     def device(self) -> str | None:
         """The program for images; none that knows a medium other than air of one speed, without noise."""
-        known = isinstance(self.medium, UniformAir) and self.medium.fluctuation is None
-        return "images" if known else None
+        media = [self.medium(source) for source in range(len(self.scene.sources))]
+        return "images" if all(isinstance(m, UniformAir) and m.fluctuation is None for m in media) else None
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:
@@ -77,7 +77,7 @@ class SpecularPaths(PathFamily):
         folds = Folds((faces.normals, faces.offsets), self.objects[rows]) if self.scene.air.layers else None
         return arrivals_by(
             lambda heard_at: _Images(*images, heard_at, folds),
-            self.medium,
+            self.medium(int(self.source[rows][0])),
             (source, receiver),
             times,
             motion,
