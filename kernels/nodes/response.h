@@ -63,7 +63,7 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
 #if MACH_EXPONENT >= 2
     common *= (float)a->mach_factor;
 #endif
-    const float raised = (float)(a->mach_factor - 1.0);
+    const float raised = (float)(a->mach_factor - 1);
     response r;
     for (int b = 0; b < BIN_VECTORS; b++) {
         bins loss = of_air(s->nepers, b, raised) * (a->through - 1.0f);
