@@ -73,7 +73,9 @@ def test_the_speed_is_what_the_absorption_asks_for():
         inside = np.sum(relaxed / v / (f**2 - v**2)) * width
         below = relaxed[0] / v[0] ** 2 * np.arctanh(1.0 / f) / f
         lead = 2.0 / np.pi * f**3 * (inside + below)
-        assert lead == pytest.approx(2.0 * np.pi * f / air.speed_of_sound - air.wavenumber_at(f).real, rel=1e-5)  # 1e-7 found
+        assert lead == pytest.approx(
+            2.0 * np.pi * f / air.speed_of_sound - air.wavenumber_at(f).real, rel=1e-5
+        )  # 1e-7 found
 
 
 def test_a_speed_holds_at_all_frequencies_unless_more_is_told():

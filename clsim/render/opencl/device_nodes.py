@@ -171,7 +171,7 @@ class DeviceTracks:
         out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * batch.count)
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
         constants = {"RECEIVER_DIRECTIVITY": OMNI, "OMNI": OMNI, "SPHERICAL": SPHERICAL}  # no beams: delays only
-        constants |= self._motion_constants(source) | self._exact_constants
+        constants |= self._motion_constants(source) | self._exact_constants(source)
         del constants["SMOOTH_ERROR"]
         kernel = self._compiler.kernel("coarse_delays", constants)
         kernel(
@@ -225,7 +225,7 @@ class DeviceTracks:
         rate, source, segment = self._plan.sampling_rate, chunk.source, self._plan.segment
         first, last = self._sounding(source)
         constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
-        kernel = self._compiler.kernel("tracks", constants | self._exact_constants)
+        kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
             self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
             **self._media[source], receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
@@ -235,10 +235,9 @@ class DeviceTracks:
             smooth=self._smooth(chunk, receivers, more["block_samples"]),
         )  # fmt: skip
 
-    @property
-    def _exact_constants(self) -> dict[str, Any]:
+    def _exact_constants(self, source: int) -> dict[str, Any]:
         """Constants of the program in float64."""
-        wind = int(self._media[0]["wind"] is not None)
+        wind = int(self._media[source]["wind"] is not None)
         return {"SMOOTH_ERROR": np.float32(SMOOTH_ERROR), "NODES_AT_ONCE": self._together, "WIND": wind}
 
     def _sounding(self, source: int) -> tuple[float, float]:
