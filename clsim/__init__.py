@@ -20,13 +20,16 @@ from clsim.version import __version__ as __version__
 
 
 def _homes() -> dict[str, str]:
-    """Return the modules of the public names, as the stub imports them."""
+    """Return the modules of the public names, as the stub imports them; packages are those of clsim itself."""
     stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8"))
     imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
     return {alias.name: str(node.module) for node in imports for alias in node.names if alias.name[0] != "_"}
 
 
 _HOMES = _homes()
+_PACKAGES = [name for name, home in _HOMES.items() if home == "clsim"]
+for _name in _PACKAGES:
+    del _HOMES[_name]
 __all__ = sorted(_HOMES)
 
 
@@ -38,6 +41,8 @@ class _Package(ModuleType):
             super().__setattr__(name, value)
 
     def __getattr__(self, name: str) -> object:
+        if name in _PACKAGES:
+            return import_module(f"clsim.{name}")
         if name not in _HOMES:
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
         value: object = getattr(import_module(_HOMES[name]), name)
@@ -45,7 +50,7 @@ class _Package(ModuleType):
         return value
 
     def __dir__(self) -> list[str]:
-        return sorted({*self.__dict__, *_HOMES})
+        return sorted({*self.__dict__, *_HOMES, *_PACKAGES})
 
 
 sys.modules[__name__].__class__ = _Package
