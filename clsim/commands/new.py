@@ -68,9 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_force(parser)
     parser.add_argument("--mesh", type=Path, metavar="FILE", help="the room: OBJ, STL, PLY, GLB or OFF")
     parser.add_argument("--scale", type=float, default=1.0, metavar="M", help="metres in the mesh's unit (default: 1)")
-    parser.add_argument(
-        "--up", choices=("x", "y", "z"), default="z", help="the mesh axis that points up"
-    )
+    parser.add_argument("--up", choices=("x", "y", "z"), default="z", help="the mesh axis that points up")
     parser.add_argument(
         "--trajectory", type=Path, metavar="FILE", help="the source's motion: TUM, EuRoC or CSV with a header"
     )
