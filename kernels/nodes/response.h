@@ -1,28 +1,39 @@
 // The gains of one path at one node: its response (spreading, air, walls, Mach factor, directivities) at FREQUENCIES
-// frequencies, projected on FUNCTIONS functions of frequency. The twin of paths/response.py.
+// frequencies, projected on at most FUNCTIONS functions of frequency. The twin of paths/response.py.
 
 typedef struct {
-    __global const bins* nepers;         // [BIN_VECTORS], of the amplitude, 1/m
+    __global const bins* nepers;         // [AIR_TERMS or 1][BIN_VECTORS], of the amplitude, 1/m
+    __global const bins* lead;           // [AIR_TERMS][BIN_VECTORS], before the delay's phase, turns in a metre
     __global const gains* projection;    // [PARTS][FREQUENCIES][GAIN_VECTORS]
-    __global const bins* functions;      // [FUNCTIONS][PARTS][BIN_VECTORS], weighted
+    __global const bins* functions;      // [function_count][PARTS][BIN_VECTORS], weighted
     __global const bins* weight;         // [BIN_VECTORS]
     __global const gains* sizes;         // [GAIN_VECTORS], most that each adds to a path
     __global const bins* reflection;     // [slots][PARTS][BIN_VECTORS], of walls that are the same at every angle
     __global const bins* walls;          // those that are not: [materials][CELLS][4][PARTS][BIN_VECTORS]
-    __global const int* wall_of;         // [ANGULAR][slots], -1 for none
-    __global const float* normal;        // [ANGULAR][3][slots], unfolded
+    __global const int* wall_of;         // [angular][slots], -1 for none
+    __global const float* normal;        // [angular][3][slots], unfolded
     __global const bins* source_directivity;    // AXIAL: [CELLS][4][PARTS][BIN_VECTORS]; SPHERICAL: [6][SIDE][SIDE][PARTS][BIN_VECTORS]
     __global const bins* receiver_directivity;  // likewise
+    int function_count, angular;         // how many, and of how many walls at most the factor depends on the angle
 } surroundings;
 
 // What of an arrival gains depend on.
 typedef struct {
     float through, length;      // m of air, and over which pressure falls
-    double mach_factor;
+    real mach_factor;
     triple departure, arrival;  // along the path, both as seen from the source's own room
-    __global const double* knot;
-    double u;
+    __global const real* knot;
+    real u;
 } arrival;
+
+// What air does to frequencies that are raised by motion: polynomials of AIR_TERMS terms of the ratio less 1. Air that
+// does not disperse (AIR_TERMS 0) is that of the emitted frequency.
+static bins of_air(__global const bins* terms, int b, float raised)
+{
+    bins sum = terms[(AIR_TERMS > 0 ? AIR_TERMS - 1 : 0) * BIN_VECTORS + b];
+    for (int i = AIR_TERMS - 2; i >= 0; i--) sum = sum * raised + terms[i * BIN_VECTORS + b];
+    return sum;
+}
 
 // Gains of functions: products with every node. Four sums at a time, so that none waits for the one before.
 static void project(const response* r, __global const gains* projection, gains* gain)
@@ -52,16 +63,20 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
 #if MACH_EXPONENT >= 2
     common *= (float)a->mach_factor;
 #endif
+    const float raised = (float)(a->mach_factor - 1);
     response r;
     for (int b = 0; b < BIN_VECTORS; b++) {
-        bins loss = s->nepers[b] * (a->through - 1.0f);
+        bins loss = of_air(s->nepers, b, raised) * (a->through - 1.0f);
         loss = loss < 80.0f ? loss : (bins)(80.0f);
         const bins air = exponential(-loss) * common;
         for (int part = 0; part < PARTS; part++) {
             r.part[part][b] = s->reflection[((long)slot * PARTS + part) * BIN_VECTORS + b] * air;
         }
+#if AIR_TERMS && PARTS == 2
+        turn(&r, b, of_air(s->lead, b, raised) * (a->through - 1.0f));
+#endif
     }
-    for (int i = 0; i < ANGULAR; i++) {
+    for (int i = 0; i < s->angular; i++) {
         const int wall = s->wall_of[i * (long)slots + slot];
         if (wall < 0) break;
         __global const float* n = s->normal + 3 * i * (long)slots + slot;
@@ -71,15 +86,15 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
         apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
     }
 #if SOURCE_DIRECTIVITY == AXIAL
-    const double cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
-    apply_cubics(s->source_directivity, 0.5f * (float)(1.0 + cosine), &r);
+    const real cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
+    apply_cubics(s->source_directivity, 0.5f * (float)(1 + cosine), &r);
 #elif SOURCE_DIRECTIVITY == SPHERICAL
     const triple x = cubic(a->knot + CUBIC_COLUMNS, a->u), y = cubic(a->knot + 2 * CUBIC_COLUMNS, a->u), z = cross_product(x, y);
     apply_sphere(s->source_directivity, (float)inner(x, a->departure), (float)inner(y, a->departure),
                  (float)inner(z, a->departure), &r);
 #endif
 #if RECEIVER_DIRECTIVITY == AXIAL
-    apply_cubics(s->receiver_directivity, 0.5f * (float)(1.0 - inner(receiver_frame[0], a->arrival)), &r);
+    apply_cubics(s->receiver_directivity, 0.5f * (float)(1 - inner(receiver_frame[0], a->arrival)), &r);
 #elif RECEIVER_DIRECTIVITY == SPHERICAL
     apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->arrival),
                  -(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r);
@@ -89,7 +104,7 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
     bins heard[PARTS * BIN_VECTORS], rest[PARTS * BIN_VECTORS], whole = 0.0f, left = 0.0f;
 #pragma unroll
     for (int b = 0; b < PARTS * BIN_VECTORS; b++) rest[b] = heard[b] = s->weight[b % BIN_VECTORS] * r.part[b / BIN_VECTORS][b % BIN_VECTORS];
-    for (int k = 0; k < FUNCTIONS; k++) {
+    for (int k = 0; k < s->function_count; k++) {
         const float held = ((const float*)gain)[k];
 #pragma unroll
         for (int b = 0; b < PARTS * BIN_VECTORS; b++) rest[b] -= s->functions[k * PARTS * BIN_VECTORS + b] * held;

@@ -13,6 +13,7 @@ typedef struct {
     int slots, slot;
     __global const receiver_node* rows;  // of the walk's first node on
     double start, block_time;            // time of the walk's first block, s
+    double block_share;                  // two blocks over the walk
     const double* predicted;             // delays over the walk, a septic on [-1, 1]
     int ready;                           // the group that is solved
     receivers_in_image receiver[STATIC_RECEIVERS ? 1 : AT_ONCE];
@@ -31,7 +32,7 @@ static void solve_group(path_nodes* s, int group)
         *receiver = receivers_at(s->path, s->image_matrix, s->slots, s->slot, s->offset, s->rows + first);
 #endif
         const double at[4] = {first - 1, first, first + 1, first + 2};
-        const reals block = SIDE_BY_SIDE(at, ), u = block * (2.0 / WALK) - 1.0;
+        const reals block = SIDE_BY_SIDE(at, ), u = block * s->block_share - 1.0;
         reals expected = s->predicted[7];
 #pragma unroll
         for (int k = 6; k >= 0; k--) expected = expected * u + s->predicted[k];

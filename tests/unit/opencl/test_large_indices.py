@@ -140,9 +140,9 @@ def coarse_delays(told: dict, constants: dict, offset: list[int]) -> dict[str, i
 def tracks(told: dict, constants: dict, offset: list[int]) -> dict[str, int]:
     """Receivers are at rest here, so that they have one row."""
     slots = constants["slots"]
-    offset[1] = FAR // (slots * constants["WALK"]) + 1
-    blocks = offset[1] * constants["WALK"]
-    samples = blocks * constants["BLOCK"]
+    offset[1] = FAR // (slots * told["walk_blocks"]) + 1
+    blocks = offset[1] * told["walk_blocks"]
+    samples = blocks * told["block_samples"]
     assert samples < 2**30
     told["heard_from"], told["heard_until"] = (np.clip(x.astype(np.int64) + samples, -(2**30), 2**31 - 1).astype(np.int32)
                                                for x in (told["heard_from"], told["heard_until"]))  # fmt: skip
@@ -151,7 +151,7 @@ def tracks(told: dict, constants: dict, offset: list[int]) -> dict[str, int]:
     told["first_walk"] -= offset[1]
     told["blocks"] += blocks
     of_blocks, of_walks = blocks * slots, offset[1] * slots
-    terms = constants["DELAY_TERMS"] + 4 * constants["FUNCTIONS"]
+    terms = constants["DELAY_TERMS"] + 4 * told["function_count"]
     return {
         "delay": of_blocks, "activity": of_blocks, "polynomials": of_blocks * terms, "found": of_walks,
         "unheld": of_walks,
