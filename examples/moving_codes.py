@@ -75,7 +75,7 @@ def peaks(bits: int, speeds: np.ndarray, share: float = 0.5) -> np.ndarray:
 
 def null(bits: int, share: float = 0.5) -> float:
     """Return the speed at which a code's peak is gone, m/s: where a parabola through its least squares is least."""
-    speeds = C / (CYCLES * (2**bits - 1)) * np.linspace(0.9, 1.25, 15)
+    speeds = C / (CYCLES * (2**bits - 1)) * np.linspace(0.9, 1.26, 9)
     level = np.square(peaks(bits, speeds, share))
     least = int(np.clip(np.argmin(level), 2, len(speeds) - 3))
     near = slice(least - 2, least + 3)

@@ -2,9 +2,9 @@
 
 After R. Carotenuto, M. Merenda, D. Iero, F. G. Della Corte, "Simulating signal aberration and ranging error for
 ultrasonic indoor positioning", Sensors 20(12), 3548, 2020, figure 3: a chirp from 30 to 50 kHz, circular pistons of 25,
-20, 16, 13.1, 8.5 and 6 mm across, and receivers on a semicircle of 1 m. A piston that has a null within the band at some
-angle splits the chirp there: on one side of the null it is turned upside down. Of the four largest, the peak is off by
-more than a centimetre at some angles, as published.
+20, 16, 13.1, 8.5 and 6 mm across, and receivers on a semicircle of 1 m. A piston that has a null within the band at
+some angle splits the chirp there: on one side of the null it is turned upside down. Of the four largest, the peak is
+off by more than a centimetre at some angles, as published.
 """
 
 import argparse
