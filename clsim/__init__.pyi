@@ -1,5 +1,6 @@
 from clsim import score as score
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.exchange.mcap_files import write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
@@ -16,12 +17,14 @@ from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
+from clsim.room_measures import RoomMeasures, room_measures
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
+from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
@@ -50,6 +53,7 @@ __all__ = [
     "Directivity",
     "Electronics",
     "FirstOrder",
+    "Fluctuation",
     "ImpulseResponses",
     "InputError",
     "Lagrange",
@@ -64,6 +68,7 @@ __all__ = [
     "Recording",
     "RenderOptions",
     "Rendering",
+    "RoomMeasures",
     "Scatterer",
     "ScattererTruth",
     "Scene",
@@ -89,7 +94,9 @@ __all__ = [
     "render",
     "render_chunks",
     "render_tracks",
+    "room_measures",
     "run_study",
     "scatterer_truth",
     "track",
+    "write_mcap",
 ]

@@ -15,11 +15,12 @@ from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
+from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
-from clsim.scene_file.model import Model, Vector, within
+from clsim.scene_file.model import Model, Pair, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
 from clsim.scene_file.render_options import InterpolatorModel, RenderModel
 from clsim.scene_file.rooms import RoomModel
@@ -28,13 +29,29 @@ from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
 _PATHS = ("path", "phases_path")  # keys that name files
 
 
+class _Fluctuation(Model):
+    rms: float
+    correlation_time: float
+    correlation_length: float
+    seed: int = 0
+
+
 class _Air(Model):
-    temperature_celsius: float = 20.0
-    relative_humidity: float = 0.5
+    temperature_celsius: float | Pair = 20.0
+    relative_humidity: float | Pair = 0.5
     pressure: float = 101_325.0
     speed_of_sound: float | Literal["iso9613"] | None = None
     absorption: bool = True
+    dispersion: bool = False
     wind: Vector | None = None
+    heights: Pair | None = None
+    fluctuation: _Fluctuation | None = None
+
+    def build(self) -> Air:
+        arguments, noise = self.arguments(), self.fluctuation
+        if noise is not None:
+            arguments["fluctuation"] = within("fluctuation", lambda: Fluctuation(**noise.arguments()))
+        return Air(**arguments)
 
 
 class _Common(Model):
@@ -239,7 +256,7 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     things = model.scatterers or []
     scatterers = [within(f"scatterers[{i}]", partial(thing.build, base)) for i, thing in enumerate(things)]
     room = within("room", lambda: model.room.build(base))
-    air = within("air", lambda: Air(**model.air.arguments()))
+    air = within("air", model.air.build)
     scene = Scene(room, air, sources, receivers, model.min_distance, scatterers)
     arguments = within("render", model.render.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}

@@ -20,7 +20,9 @@ from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 
 import clsim
 from clsim.opencl import compiler as compiler_module
+from clsim.opencl import device as device_module
 from clsim.paths.path_set import PathSet
+from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import Plan
@@ -84,21 +86,10 @@ def plain(device: str) -> Plan:
 
 
 @scene
-def quasi_static(device: str) -> Plan:
-    """Images where they are at reception."""
-    return plan(world(), device, 0, responses="centre", motion="quasi-static")
-
-
-@scene
-def convective(device: str) -> Plan:
-    """The Mach factor squared."""
-    return plan(world(), device, 0, responses="centre", amplitude="convective")
-
-
-@scene
 def functions(device: str) -> Plan:
-    """Walls and directivities by frequency, real."""
-    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=(clsim.Piston(0.004), clsim.FirstOrder(0.4))), device)
+    """Walls and directivities by frequency, real, and images where they are at reception."""
+    beams = (clsim.Piston(0.004), clsim.FirstOrder(0.4))
+    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=beams), device, motion="quasi-static")
 
 
 @scene
@@ -109,14 +100,14 @@ def phased(device: str) -> Plan:
 
 @scene
 def lopsided(device: str) -> Plan:
-    """Directivities without symmetry."""
-    return plan(world(beams=(Lopsided(False), Lopsided(True))), device, 0)
+    """Directivities without symmetry, and the Mach factor squared."""
+    return plan(world(beams=(Lopsided(False), Lopsided(True))), device, 0, amplitude="convective")
 
 
 @scene
 def fine(device: str) -> Plan:
-    """Short blocks."""
-    return plan(world(), device, blocks=(24,))
+    """Short blocks, and paths that come and go at once."""
+    return plan(partly(world(), 0.001), device, blocks=(24,), transition=0.0)
 
 
 @scene
@@ -134,12 +125,6 @@ def pulses(device: str) -> Plan:
 
 
 @scene
-def gate(device: str) -> Plan:
-    """Paths that come and go at once."""
-    return plan(partly(world(), 0.001), device, responses="centre", transition=0.0)
-
-
-@scene
 def mesh(device: str) -> Plan:
     """Paths searched for on the device, round a screen, with their transitions."""
     corners = [(0.08, 0.02, 0.0), (0.08, 0.0601, 0.0), (0.08, 0.0601, 0.1), (0.08, 0.02, 0.1)]
@@ -151,10 +136,11 @@ def mesh(device: str) -> Plan:
 
 @scene
 def crowd(device: str) -> Plan:
-    """More walls than are looked up by NumPy: a floor, and tiles that hang over it."""
+    """More walls than are looked up by NumPy: a floor, and tiles over and under it."""
     corners, faces = [(-0.1, -0.1, 0.0), (0.3, -0.1, 0.0), (0.3, 0.3, 0.0), (-0.1, 0.3, 0.0)], [(0, 1, 2), (0, 2, 3)]
-    for k in range(72):
-        x, y, z, first = 0.02 * (k % 12), 0.02 * (k // 12), 0.1 + 1e-4 * k, len(corners)
+    for k in range(64):
+        height = 0.1 + 1e-4 * k if k < 12 else -0.1 - 1e-4 * k  # most are hidden by the floor: simulating takes long
+        x, y, z, first = 0.02 * (k % 12), 0.02 * (k // 12), height, len(corners)
         corners += [(x, y, z), (x + 0.01, y, z), (x, y + 0.01, z)]
         faces.append((first, first + 1, first + 2))
     way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.06, 0.05), 0.04), FIXED((0.10, 0.08, 0.06))
@@ -178,6 +164,25 @@ def baseband_pulses(device: str) -> Plan:
     """Complex envelopes with silence, and paths that come and go."""
     pulse = clsim.Signal.pulses(clsim.Signal.chirp(39.5e3, 40.5e3, 2e-3, RATE, window="hann"), 15e-3, 2)
     return envelopes(device, partly(world(pulse), 0.03), duration=0.035)
+
+
+@scene
+def pairs(device: str) -> Plan:
+    """Without float64: beams, and ends that move, with clocks."""
+    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=(clsim.Piston(0.004), Lopsided(True))), device, 0)
+
+
+@scene
+def pairs_pulses(device: str) -> Plan:
+    """Without float64: silence between pulses."""
+    pulse = clsim.Signal.pulses(clsim.Signal.chirp(38e3, 42e3, 0.2e-3, RATE, window="hann"), 1.5e-3, 2)
+    return plan(world(pulse, still=True), device, 0, responses="centre", duration=0.003)
+
+
+def without_float64(wanted: str | None) -> tuple[device_module.DeviceInfo, Any]:
+    """Find a device that says that it has no float64."""
+    info, handle = device_module.find_device(wanted)
+    return dataclasses.replace(info, fp64=False), handle
 
 
 # Where signals pause, eight gains of neighbouring functions are read at once, whether or not there are as many.
@@ -238,6 +243,7 @@ def main(device: str, folder: str, *names: str) -> None:
         scene_name, layout = name.split(".")
         notes.clear()
         made = SCENES[scene_name](device)
+        engine_module.find_device = without_float64 if scene_name.startswith("pairs") else device_module.find_device
         engine = OpenclEngine if made.baseband is None else BasebandEngine
         heard = engine(made, LAYOUTS[layout]).render(0, made.samples)
         np.savez(Path(folder, f"{name}.npz"), launched=sorted(set(notes)), heard=heard)

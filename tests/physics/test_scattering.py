@@ -223,7 +223,7 @@ def test_all_stays_within_the_bounds_that_rendering_relies_on(moving: clsim.Path
     assert 0.3 * most < np.abs(found.delay_rate).max() < most
     from clsim.paths.response import SceneResponse
 
-    at = SceneResponse(moving.scene, np.array([20e3, 40e3]))
+    at = SceneResponse(moving.scene, 0, np.array([20e3, 40e3]))
     gain = np.abs(family.response(slice(None), found, times, at)).max(axis=1)
     length = found.length.min(axis=1)[:, None]
     mach = (1.0 - float(tracks.speeds.source[0]) / C) ** -1

@@ -48,14 +48,14 @@ class ScatteredPaths(TwoSidedPaths):
     ----------
     scatterer : ndarray (paths,) int
         Index in the scene.
-    speeds : ndarray (scatterers, 2)
+    fastest : ndarray (scatterers, 2)
         Bounds of the speeds of centres and surfaces, m/s.
     nearest : ndarray (paths,)
         Bound from below of the harmonic mean of the distances of both ends from the scatterer, over 2, m.
     """
 
     scatterer: NDArray[np.int32]
-    speeds: Floats
+    fastest: Floats
     nearest: Floats
 
     columns: ClassVar[tuple[str, ...]] = (
@@ -91,8 +91,11 @@ class ScatteredPaths(TwoSidedPaths):
         """
         times, index = np.asarray(times, dtype=np.float64), np.arange(len(self))[rows]
         shape = len(index), len(times)
-        columns = {f.name: np.empty((*shape, 3) if f.name in ("departure", "arrival") else shape)
-                   for f in fields(ScatteredArrivals)}  # fmt: skip
+        columns = {
+            f.name: np.empty((*shape, 3) if f.name in ("departure", "arrival") else shape)
+            for f in fields(ScatteredArrivals)
+            if f.name != "means"
+        }
         for which in np.unique(self.scatterer[index]):
             mine = np.flatnonzero(self.scatterer[index] == which)
             step = max(1, _AT_A_TIME // len(mine))
@@ -101,21 +104,23 @@ class ScatteredPaths(TwoSidedPaths):
                 found = self._arrivals(int(which), index[mine], times[here], motion, amplitude)
                 for name, column in columns.items():
                     column[mine, here] = found[name]
-        return ScatteredArrivals(**columns)
+        return ScatteredArrivals(**columns, means=None)
 
     def _arrivals(
         self, which: int, index: NDArray[np.int64], times: Floats, motion: str, amplitude: str
     ) -> dict[str, Floats]:
         """Return the columns (P, T) of arrivals by one scatterer."""
         retarded, ends = motion == "retarded", _PairEnds(self, index, times)
-        way = scattered_way(self.medium, self.scene.scatterers[which], ends, times, retarded)
+        medium = self.medium(int(self.source[index[0]]))
+        way = scattered_way(medium, self.scene.scatterers[which], ends, times, retarded)
         mach, coming, leaving = way.mach, way.coming, way.leaving
         onwards, departing = self.turned_back("after", index, way.second.direction), ends.leaving(way.first.direction)
         receding = way.second.sound.growth(onwards, self.ends(index)[1].trajectory.velocity(times))
-        rate, factor = receding - leaving + coming - mach, np.ones_like(mach)
+        rate, factor, ratio = receding - leaving + coming - mach, np.ones_like(mach), np.ones_like(mach)
         if retarded:  # not 1 less a number near 1: that would leave fewer digits
             rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) / ((1 - leaving) * (1 - mach))
             factor = ((1.0 - mach) * (1.0 - leaving)) ** -MACH_EXPONENT[amplitude]
+            ratio = 1.0 / (1.0 - mach)
         departure, arrival = way.first.sound.normal(departing), -way.second.sound.normal(onwards)
         first, second = way.first.length, way.second.length
         if way.first.sound.carried is not None:  # as of paths by walls in wind
@@ -125,14 +130,15 @@ class ScatteredPaths(TwoSidedPaths):
             "delay": way.delay, "delay_rate": rate, "departure": departure, "arrival": arrival,
             "length": first + second, "through": way.first.sound.through + way.second.sound.through,
             "emission_time": times - way.delay if retarded else np.broadcast_to(times, way.delay.shape),
-            "mach_factor": factor, "second_length": second, "strength": way.strength, "cosine": way.cosine,
+            "mach_factor": factor, "frequency_ratio": ratio, "second_length": second,
+            "strength": way.strength, "cosine": way.cosine,
         }  # fmt: skip
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): scatterers, spreading, air, walls, directivities."""
         index, here = np.arange(len(self))[rows], cast("ScatteredArrivals", found)
         spreading = here.strength / ((here.length - here.second_length) * here.second_length)
-        response: Any = at.air(found.through).astype(np.complex128 if self.is_complex else np.float64)
+        response: Any = at.air(found).astype(np.complex128 if self.is_complex else np.float64)
         response *= (found.mach_factor * spreading)[..., None]
         wave = 2.0 * np.pi * at.frequencies / self.scene.air.speed_of_sound
         for which in np.unique(self.scatterer[index]):
@@ -149,10 +155,11 @@ class ScatteredPaths(TwoSidedPaths):
         index, now = np.arange(len(self))[rows], np.array([time])
         source, receiver = (end.trajectory for end in self.ends(rows))
         place, delay = np.empty((len(index), 3)), np.empty(len(index))
+        medium = self.medium(int(self.source[index[0]]))
         for which in np.unique(self.scatterer[index]):
             mine = np.flatnonzero(self.scatterer[index] == which)
             ends = _PairEnds(self, index[mine], now)
-            way = scattered_way(self.medium, self.scene.scatterers[which], ends, now, motion == "retarded")
+            way = scattered_way(medium, self.scene.scatterers[which], ends, now, motion == "retarded")
             place[mine], delay[mine] = way.place[:, 0], way.delay[:, 0]
         emitted_at = source.position(time - delay if motion == "retarded" else np.full(len(index), time))
         return self.vertices_by(index, emitted_at, place, np.broadcast_to(receiver.position(now), emitted_at.shape))
@@ -181,13 +188,13 @@ class ScatteredPaths(TwoSidedPaths):
         places = ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle)
         radius = np.array([scatterer.shape.radius for scatterer in scene.scatterers])[self.scatterer[index]]
         length = self._lengths(index, *places, middle) - radius
-        twice = 2.0 * self.speeds[self.scatterer[index], 0]
+        twice = 2.0 * self.fastest[self.scatterer[index], 0]
         emitting = speeds.source[source] + twice
-        return delay_bounds(self.medium, length, half * (emitting + speeds.receiver[receiver]) + radius, emitting)
+        return delay_bounds(self.speed_range, length, half * (emitting + speeds.receiver[receiver]) + radius, emitting)
 
     def max_rate(self, source_speed: float, receiver_speed: float) -> float:
         """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
-        c, most = self.medium.slowest, float(self.speeds[:, 1].max())
+        c, most = self.speed_range.slowest, float(self.fastest[:, 1].max())
         squeezed = (c + receiver_speed) * (c + most) / ((c - most) * (c - source_speed))
         return squeezed - 1.0
 
@@ -195,7 +202,7 @@ class ScatteredPaths(TwoSidedPaths):
         """Return the reflection factors' magnitudes (P, F) times a bound of what scatterers send back."""
         index, c = np.arange(len(self))[rows], self.scene.air.speed_of_sound
         wave, sizes = 2.0 * np.pi * at.frequencies / c, []
-        for scatterer, (_, surface) in zip(self.scene.scatterers, self.speeds, strict=True):
+        for scatterer, (_, surface) in zip(self.scene.scatterers, self.fastest, strict=True):
             field = scatterer.shape.field(wave, np.linspace(0.0, 1.0, 257))
             most = 1.0 if field is None else np.abs(field).max(axis=0)
             sizes.append(np.broadcast_to(scatterer.shape.strongest * most / (1.0 - surface / c) ** 2, len(wave)))

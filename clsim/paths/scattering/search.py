@@ -68,6 +68,8 @@ def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> Scattered
     of the centre. A side that comes or goes when sound meets the scatterer is heard to come or go when that sound is
     received.
     """
+    if scene.air.layers or scene.air.fluctuation is not None:
+        raise InputError("scatterers", "must be left out where the air depends on the height or fluctuates")
     legs = replace(search, max_order=search.scattering_order, progress=lambda share: None)
     before, after = _sides(scene)
     found_before, found_after = (cast("SpecularPaths", find(side, legs)) for side in (before, after))
@@ -145,7 +147,7 @@ def _flight(scene: Scene, places: tuple[Floats, Floats], receiver: Motion, times
 
     It is sent from places (n, 3) at times (n,), and comes from images (n, 3) of these, m.
     """
-    medium, flight = medium_of(scene.air), np.zeros(len(times))
+    medium, flight = medium_of(scene.air, scene.sources[0].emitted.centre_frequency), np.zeros(len(times))
     for _ in range(_STEPS):  # each by the Mach number of the receiver
         at = receiver.position(times + flight)
         step = medium.passage(straight(places[1], at)[0], at - places[0]).time - flight
@@ -183,7 +185,7 @@ def _family(scene: Scene, rows: list[dict[str, Any]]) -> ScatteredPaths:
     """Return paths as columns."""
     columns = {name: read_only(np.concatenate([row[name] for row in rows])) for name in rows[0]}
     speeds = read_only(np.array([scatterer.peak_speeds() for scatterer in scene.scatterers]))
-    family = ScatteredPaths(scene, **columns, speeds=speeds, nearest=np.empty(len(columns["start"])))
+    family = ScatteredPaths(scene, **columns, fastest=speeds, nearest=np.empty(len(columns["start"])))
     return replace(family, nearest=read_only(_nearest(family)))
 
 
@@ -204,7 +206,7 @@ def _nearest(family: ScatteredPaths) -> Floats:
 
 def _apart(family: ScatteredPaths, side: str, rows: NDArray[np.int64], end: Source | Receiver, which: int) -> Floats:
     """Return bounds (P,) from below of the distances of images of an end from a scatterer at any two near times, m."""
-    scatterer, c = family.scene.scatterers[which], family.medium.slowest
+    scatterer, c = family.scene.scatterers[which], family.speed_range.slowest
     moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
     last = max((t.end for t in moving), default=0.0)
     times = np.arange(0.0, last + 1.0 / _PROBES, 1.0 / _PROBES)
