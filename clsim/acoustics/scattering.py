@@ -145,8 +145,8 @@ def sphere_strength(radius: float, source: Floats, receiver: Floats, glint: Glin
     -----
     The strength is that of geometrical optics along the normal, ``a / 2 / (1 + a cos(theta) (1 / d1 + 1 / d2) / 2)``,
     in every direction: across the plane of incidence that has a zero at grazing incidence, which is the field's to
-    decide. Our own derivation, and choice. The cosine is that of half the angle between the directions to both ends from
-    the centre.
+    decide. Our own derivation, and choice. The cosine is that of half the angle between the directions to both ends
+    from the centre.
     """
     both = _unit(source) + _unit(receiver)
     cosine = 0.5 * np.sqrt(_dot(both, both))
