@@ -62,11 +62,21 @@ def _both(kind: str, shape: str) -> Argument:
     return Argument(kind, shape, "in out")
 
 
+def _arguments_with(arguments: dict[str, Argument], before: str, more: dict[str, Argument]) -> dict[str, Argument]:
+    """Return arguments with others before one of them."""
+    at = list(arguments).index(before)
+    items = list(arguments.items())
+    return dict([*items[:at], *more.items(), *items[at:]])
+
+
 _INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
 _TRIPLES = ("common/triple.h",)
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
+_INTERVAL_FILES = (
+    *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
+)  # fmt: skip
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
 _GAINS = ("common/gains.h",)
@@ -136,6 +146,14 @@ _INTERVALS = {
     "receiver_of": _in("int", "paths"), "active": _in("int", "active_count"), "active_count": _INT,
     "resolution": _DOUBLE, "smallest_move": _DOUBLE, "graze": _DOUBLE, "budget": _INT,
     "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
+}  # fmt: skip
+_EDGE_INTERVALS = {
+    "others": _in("int", "paths, other_count"), "other_count": _INT, "edges": _in("edge_of_room", "edges of the room"),
+    "edge_of": _in("int", "paths"), "end_of": _in("int", "paths"), "from_receiver": _INT, "far": _DOUBLE,
+}  # fmt: skip
+_INTERVAL_CONSTANTS = {
+    "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE", "TOUCHING",
+    "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
 }  # fmt: skip
 _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
@@ -242,15 +260,13 @@ PROGRAMS = {
     "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), _MEETINGS, frozenset({"PARALLEL"})),
     "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), _CROSSINGS, frozenset(_CROSSING_CONSTANTS)),
     "intervals": Program(
-        (
-            *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
-            "paths/intervals.cl",
-        ),
-        _INTERVALS,
-        frozenset(_DELAY_CONSTANTS | {
-                "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL",
-                "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
-            }),
+        (*_INTERVAL_FILES, "paths/evaluate.h", "paths/spans.h", "paths/intervals.cl"), _INTERVALS,
+        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS),
+    ),
+    "edge_intervals": Program(
+        (*_INTERVAL_FILES, "paths/edge.h", "paths/edge_evaluate.h", "paths/spans.h", "paths/edge_intervals.cl"),
+        _arguments_with(_INTERVALS, "receiver_of", _EDGE_INTERVALS),
+        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {"CONTRACTIONS", "CONTRACTED", "HALF_TURN"}),
     ),
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),

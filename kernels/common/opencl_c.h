@@ -11,6 +11,8 @@ float BUILTIN floor(float);
 float BUILTIN sin(float);
 float BUILTIN sqrt(float);
 double BUILTIN sqrt(double);
+double BUILTIN sin(double);
+double BUILTIN atan2(double, double);
 double BUILTIN fabs(double);
 double BUILTIN fmin(double, double);
 double BUILTIN fmax(double, double);

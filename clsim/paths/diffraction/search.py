@@ -11,11 +11,18 @@ from clsim.acoustics.diffraction import TERMS
 from clsim.arrays import as_count, read_only
 from clsim.errors import InputError
 from clsim.paths.diffraction.family import EdgePaths
+from clsim.paths.diffraction.intervals import EdgeSearch
 from clsim.paths.diffraction.visibility import EdgeCandidates, EdgeVisibility
 from clsim.paths.family import DIFFRACTION, NONE, SPECULAR
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
-from clsim.paths.specular.intervals import find_intervals
-from clsim.paths.specular.mesh import BEAM_LIMIT, LARGEST_MESH_ORDER, image_isometries, visibility_query
+from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.specular.mesh import (
+    BEAM_LIMIT,
+    LARGEST_MESH_ORDER,
+    float64_device,
+    image_isometries,
+    visibility_query,
+)
 from clsim.paths.specular.visibility import mirrored
 from clsim.paths.trajectory_tables import BoundingSpheres
 
@@ -85,20 +92,23 @@ def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...])
 def _source_rows(
     scene: Scene, edges: Edges, source: int, order: int, search: PathSearch, partners: _Partners
 ) -> list[dict[str, Any]]:
-    """Return the paths of a source, one by one, sorted by receiver."""
+    """Return the paths of a source, one by one."""
     room = scene.room.as_mesh()
     query, longest = visibility_query(scene, room, scene.sources[source], order + 1, search.resolution)
+    device = float64_device(search.engine, search.device)
+    finder = EdgeSearch(query, edges, None if device is None else DeviceSearch(query, device))
     tables, found = query.trajectory_tables, []
     spheres = BoundingSpheres(0.5 * (edges.start + edges.stop), 0.5 * edges.length)
     from_source = _sequences(room.walls, tables.sphere(0, -longest), edges, spheres, order)
-    for receiver in range(len(scene.receivers)):
-        from_receiver = _sequences(room.walls, tables.sphere(receiver + 1), edges, spheres, order)
-        for candidates in _candidates(room.walls, from_source, from_receiver, edges, order, receiver):
-            pieces = _pieces(query, edges, candidates, order)
-            found += [{**row, "source": source, "receiver": receiver} for row in _rows(query, edges, pieces, partners)]
-            if len(found) > search.path_limit:
-                raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
-        search.progress((source + (receiver + 1) / len(scene.receivers)) / len(scene.sources))
+    to_receivers = [
+        _sequences(room.walls, tables.sphere(1 + r), edges, spheres, order) for r in range(len(scene.receivers))
+    ]
+    for share, candidates in _candidates(room.walls, from_source, to_receivers, edges, order):
+        pieces = _pieces(finder, candidates, order)
+        found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
+        if len(found) > search.path_limit:
+            raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
+        search.progress((source + share) / len(scene.sources))
     return found
 
 
@@ -151,49 +161,49 @@ def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDAr
 
 
 def _candidates(
-    walls: Walls, from_source: Sides, from_receiver: Sides, edges: Edges, order: int, receiver: int
-) -> Iterator[EdgeCandidates]:
-    """Yield all pairs of sequences to the same edge, and to its free ends, by numbers of walls."""
-    for n in range(order + 1):
-        for m in range(order + 1 - n):
-            parts: list[tuple[Any, Any, Any, Any]] = []
-            waiting = 0
+    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
+) -> Iterator[tuple[float, EdgeCandidates]]:
+    """Yield all pairs of sequences to the same edge, and to its free ends, by numbers of walls; and the share so far."""
+    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
+    free = [(-1, *np.flatnonzero(ends).tolist()) for ends in edges.free]
+    for done, (n, m) in enumerate(numbers):
+        parts: list[tuple[Any, ...]] = []
+        waiting = 0
+        for receiver, to_receiver in enumerate(to_receivers):
             for edge in range(len(edges)):
-                ends = edges.start[edge], edges.stop[edge]
-                for end in (-1, *np.flatnonzero(edges.free[edge]).tolist()):
-                    before, after = from_source[edge][n], from_receiver[edge][m]
+                for end in free[edge]:
+                    before, after = from_source[edge][n], to_receiver[edge][m]
                     if end >= 0:  # nothing comes to an end by a wall that it lies in
-                        before, after = (x[~_in_planes(walls, ends[end], x).any(axis=1)] for x in (before, after))
+                        place = (edges.start, edges.stop)[end][edge]
+                        before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
                     i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
-                    parts.append((before[i], after[j], np.full(len(i), edge), np.full(len(i), end)))
+                    parts.append((before[i], after[j], *(np.full(len(i), x) for x in (edge, end, receiver))))
                     waiting += len(i)
                 if waiting >= _BATCH:
-                    yield _together(parts, receiver)
+                    yield done / len(numbers), _together(parts)
                     parts, waiting = [], 0
-            if waiting:
-                yield _together(parts, receiver)
+        if waiting:
+            yield (done + 1) / len(numbers), _together(parts)
 
 
-def _together(parts: list[tuple[Any, Any, Any, Any]], receiver: int) -> EdgeCandidates:
-    before, after, edge, end = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return EdgeCandidates(before, after, edge, end, np.full(len(edge), receiver))
+def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:
+    return EdgeCandidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _pieces(query: VisibilityQuery, edges: Edges, candidates: EdgeCandidates, order: int) -> _Pieces:
+def _pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> _Pieces:
     """Return the intervals in which candidates are there, cut at the boundaries of their terms."""
-    visibility = EdgeVisibility(edges, candidates)
-    everyone = np.arange(len(candidates.edge), dtype=np.int32)[:, None]
-    there = find_intervals(query, everyone, candidates.receiver, visibility.evaluate)
+    there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
     ignored = np.zeros((len(candidates.edge), TERMS + 1), dtype=bool)
     if candidates.before.shape[1] + candidates.after.shape[1] == order:
         ignored[:, 2:TERMS] = True
-    stack, found = [(there.path, there.begin, there.end)], []
+    no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, TERMS + 1), np.int8)
+    stack, found = [(there.path, there.begin, there.end)], [no]
     while stack:
         row, begin, end = stack.pop()
         half = 0.5 * (end - begin)
-        sides, sure = visibility.sides(query, row, begin + half, half)
+        sides, sure = visibility.sides(finder.query, row, begin + half, half)
         sides[ignored[row]] = 0
-        done = sure | (2.0 * half <= query.resolution)
+        done = sure | (2.0 * half <= finder.query.resolution)
         found.append((row[done], begin[done], end[done], sides[done]))
         row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
         if len(row):
@@ -249,7 +259,7 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Part
     for i, row in enumerate(pieces.row.tolist()):
         if begin[i] < end[i]:
             yield {
-                "before": asked.before[row], "after": asked.after[row], "edge": int(asked.edge[row]),
+                "receiver": int(asked.receiver[row]), "before": asked.before[row], "after": asked.after[row], "edge": int(asked.edge[row]),
                 "end_of": int(asked.end[row]), "start": begin[i], "end": end[i], "sides": pieces.sides[i],
             }  # fmt: skip
 
