@@ -52,6 +52,8 @@ class PathFamily(ABC):
         A kind's own fields with a row per path.
     moves : bool
         Whether paths change though both ends rest.
+    costly : bool
+        Whether responses cost so much that they are taken at few instants where they change slowly, see `HostTracks`.
     object_names : tuple of str
         Of things that are no walls.
     """
@@ -67,6 +69,7 @@ class PathFamily(ABC):
 
     columns: ClassVar[tuple[str, ...]] = ()
     moves: ClassVar[bool] = False
+    costly: ClassVar[bool] = False
 
     @abstractmethod
     def arrivals(

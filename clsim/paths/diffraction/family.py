@@ -9,8 +9,8 @@ import numpy as np
 
 from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angles, transition, wedge_terms
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
+from clsim.paths.diffraction.ways import EdgeView, edge_ways
 from clsim.paths.family import DIFFRACTION, SPECULAR, PathFamily
-from clsim.paths.propagation import refine_delay
 from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.paths.family import Rows
-    from clsim.paths.propagation import Leg
     from clsim.paths.response import SceneResponse
 
     Integers = NDArray[np.signedinteger[Any]]
@@ -71,6 +70,8 @@ class EdgePaths(PathFamily):
         "end_place", "end_side",
     )  # fmt: skip
 
+    costly: ClassVar[bool] = True
+
     @property
     def is_complex(self) -> bool:
         """True: the field at an edge has a phase of its own."""
@@ -92,34 +93,22 @@ class EdgePaths(PathFamily):
         this is the shortest, the change of the apex does not change it: rates are those of two legs to a place at rest.
         """
         source, receiver = (end.trajectory for end in self.ends(rows))
-        times = np.asarray(times, dtype=np.float64)
+        times, retarded = np.asarray(times, dtype=np.float64), motion == "retarded"
         index = np.arange(len(self))[rows]
-        heard_at = self._image("after", index, receiver.position(times)[None])
-        shape = heard_at.shape[:2]
-
-        def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
-            emitted_at = self._image("before", index[p], source.position(emission_time))
-            first, second = self._legs(index[p], emitted_at, heard_at[p, t])
-            velocity = self._turned("before", index[p], source.velocity(emission_time))
-            return first.time + second.time, first.mach_at_departure(velocity)
-
-        first, second = self._legs(index[:, None], self._image("before", index, source.position(times)[None]), heard_at)
-        delay, emission_time = first.time + second.time, np.broadcast_to(times, shape)
-        if motion == "retarded":
-            delay = refine_delay(travel, delay, times)
-            emission_time = times - delay
-        flat = emission_time.ravel()
-        emitted_at = self._image("before", index, source.position(flat).reshape(*shape, 3))
-        velocity = self._turned("before", index, source.velocity(flat).reshape(*shape, 3))
-        first, second = self._legs(index[:, None], emitted_at, heard_at)
-        mach = first.mach_at_departure(velocity)
-        receding = second.mach_at_arrival(self._turned("after", index, receiver.velocity(times)[None]))
-        rate, factor = receding - mach, np.ones(shape)
-        if motion == "retarded":
-            rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
-        departure = np.einsum("pji,ptj->pti", self.before_matrix[index], first.departure)
-        arrival = -np.einsum("pji,ptj->pti", self.after_matrix[index], second.arrival)
-        return Arrivals(delay, rate, departure, arrival, first.length + second.length, emission_time, factor)
+        views = self._view("before", index), self._view("after", index)
+        ways = edge_ways(
+            views, self.end_place[index], source, receiver.position(times), times, self.medium.slowest, retarded
+        )
+        departure, back = ways.parts
+        speed = views[1].directions(receiver.velocity(times))
+        rate = -np.einsum("ipt,ipt->pt", back, np.broadcast_to(speed, back.shape)) / self.medium.slowest - ways.mach
+        factor = np.ones(ways.delay.shape)
+        if retarded:
+            rate, factor = rate / (1.0 - ways.mach), (1.0 - ways.mach) ** -MACH_EXPONENT[amplitude]
+        return Arrivals(
+            ways.delay, rate, views[0].back(departure), views[1].back(back), ways.delay * self.medium.slowest,
+            ways.emission_time, factor,
+        )  # fmt: skip
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, spreading, air, walls, directivities.
@@ -139,8 +128,8 @@ class EdgePaths(PathFamily):
         late = found.emission_time != times  # as received; quasi-static sound is emitted at once
         wave = 2.0 * np.pi * at.frequencies / speed / (1.0 - np.where(late, mach, 0.0))[..., None]
         response: Complexes = self._edge_field(
-            index, self._image("before", index, emitted_at),
-            self._image("after", index, receiver.trajectory.position(times)[None]), wave, at,
+            index, self._view("before", index).places(emitted_at),
+            self._view("after", index).places(receiver.trajectory.position(times)), wave, at,
         )  # fmt: skip
         response *= at.air(found.length) * found.mach_factor[..., None]
         for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
@@ -161,7 +150,7 @@ class EdgePaths(PathFamily):
         now = np.array([time])
         emitted_at = source.position(self.arrivals(index, now, motion).emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        apex = self._apex(index, *(self._image(s, index, x) for s, x in (("before", emitted_at), ("after", heard_at))))
+        apex = self._frame_places(index, self._place(index, emitted_at, heard_at))
         planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
         before, after = self._walls_of_sides(index)
         there, back = (path_vertices(planes, w, x, apex) for w, x in ((before, emitted_at), (after, heard_at)))
@@ -175,42 +164,47 @@ class EdgePaths(PathFamily):
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return the lengths (P,) of the shortest ways between places (P, 3) and others, m."""
         index = np.arange(len(self))[rows]
-        first, second = self._legs(index, self._image("before", index, source), self._image("after", index, receiver))
-        return np.asarray(first.length + second.length)
+        apex = self._frame_places(index, self._place(index, source, receiver))
+        ends = (self._image(side, index, x) for side, x in (("before", source), ("after", receiver)))
+        return np.asarray(sum(np.linalg.norm(end - apex, axis=1) for end in ends))
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field at an edge."""
         return _LOUDEST * at.largest_reflection(self.walls[rows])
 
+    def _isometry(self, side: str, index: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        if side == "before":
+            return self.before_matrix[index], self.before_offset[index]
+        return self.after_matrix[index], self.after_offset[index]
+
+    def _view(self, side: str, index: NDArray[np.int64]) -> EdgeView:
+        """Return how the edges of paths see an end."""
+        return EdgeView.of(*self._isometry(side, index), self.frame[index])
+
     def _image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
-        """Return where places (P, [T,] 3) are seen by the edge of each path."""
-        offset = (self.before_offset if side == "before" else self.after_offset)[index]
-        return self._turned(side, index, places) + offset.reshape(len(index), *[1] * (places.ndim - 2), 3)
+        """Return where places (P, 3) are seen by the edge of each path."""
+        matrix, offset = self._isometry(side, index)
+        return np.asarray(np.einsum("pij,pj->pi", matrix, places) + offset)
 
-    def _turned(self, side: str, index: NDArray[np.int64], vectors: Floats) -> Floats:
-        """Return how vectors (P, [T,] 3) are seen by the edge of each path."""
-        matrix = (self.before_matrix if side == "before" else self.after_matrix)[index]
-        vectors = np.broadcast_to(vectors, (len(index), *vectors.shape[1:]))
-        return np.asarray(np.einsum("pij,p...j->p...i", matrix, vectors))
-
-    def _cylindrical(self, index: NDArray[np.int64], places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return r (...), θ (...) and z (...) of places (..., 3) about the edges of paths (...)."""
-        frame = self.frame[index]
-        away = places - frame[..., 0, :]
-        x, y, z = (np.sum(away * frame[..., axis, :], axis=-1) for axis in (1, 2, 3))
-        angle, low = np.arctan2(y, x), 0.5 * np.pi * (self.n[index] - 2.0)
-        return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
-
-    def _apex(self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats) -> Floats:
-        """Return where ways between places (..., 3) meet the edges of paths (...), or the ends that they run over."""
-        (r_s, _, z_s), (r_r, _, z_r) = (self._cylindrical(index, x) for x in (emitted_at, heard_at))
+    def _place(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> Floats:
+        """Return where ways between places (P, 3) meet their edges, (P,) m from its start."""
+        (r_s, _, z_s), (r_r, _, z_r) = (
+            self._cylindrical(index, self._view(side, index).places(x[:, None])[..., 0])
+            for side, x in (("before", source), ("after", receiver))
+        )
         end = self.end_place[index]
-        place = np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
-        return np.asarray(self.frame[index][..., 0, :] + place[..., None] * self.frame[index][..., 3, :])
+        return np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
 
-    def _legs(self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats) -> tuple[Leg, Leg]:
-        apex = self._apex(index, emitted_at, heard_at)
-        return self.medium.leg(emitted_at, apex), self.medium.leg(apex, heard_at)
+    def _frame_places(self, index: NDArray[np.int64], place: Floats) -> Floats:
+        """Return places (P, 3) on edges, m."""
+        return np.asarray(self.frame[index, 0] + place[:, None] * self.frame[index, 3])
+
+    def _cylindrical(self, index: NDArray[np.int64], seen: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return r, θ and z of coordinates (3, P, ...) about the edges of paths (P,)."""
+        x, y, z = seen
+        low = (0.5 * np.pi * (self.n[index] - 2.0)).reshape(-1, *[1] * (x.ndim - 1))
+        angle = np.arctan2(y, x)
+        return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
 
     def _walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
         """Return the walls (P, N) before the edge from the source's side, and after it from the receiver's."""
@@ -225,8 +219,8 @@ class EdgePaths(PathFamily):
     def _edge_field(
         self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse
     ) -> Any:
-        """Return the field (P, T, F) at the edge, of places (P, T, 3) and wave numbers (P, T, F), without its phase."""
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = (self._cylindrical(index[:, None], x) for x in (emitted_at, heard_at))
+        """Return the field (P, T, F) at the edge, of ends seen at (3, P, T) and wave numbers (P, T, F), without phase."""
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = (self._cylindrical(index, x) for x in (emitted_at, heard_at))
         way = edge_way(r_s, z_s, r_r, z_r)
         n, lit = self.n[index], self.lit[index]
         weight, root = wedge_terms(n[:, None], lit_angles(n[:, None], t_s, t_r), lit[:, None])
