@@ -212,3 +212,28 @@ def test_any_change_of_any_column_changes_the_digest() -> None:
             changed = np.array(value)
             changed.flat[0] = 3 if not np.issubdtype(value.dtype, np.floating) else 0.123
             assert replace(family, **{column.name: changed}).digest() != family.digest(), column.name
+
+
+def test_device_and_host_find_the_same(device: None) -> None:
+    """Past a screen before a wall: the same pieces, whose ends agree to the resolution."""
+    wall = clsim.MeshRoom([(0, 0, 0), (8, 0, 0), (8, 0, 3), (0, 0, 3)], [(0, 1, 2), (0, 2, 3)], HARD)
+    screen = clsim.MeshRoom([(4.5, 1, 0.4), (4.6, 2.2, 0.4), (4.5, 2.2, 2.0), (4.4, 1, 2)], [(0, 1, 2), (0, 2, 3)], HARD)
+    tone = clsim.Signal.tone(TONE, 0.2, RATE)
+    source = clsim.Source("s", tone, clsim.Trajectory.line((6.0, 2.4, 1.2), (6.2, 1.0, 1.3), 0.3))
+    receiver = clsim.Receiver("r", clsim.Trajectory.line((3.3, 0.6, 1.5), (3.2, 3.2, 1.4), 0.3))
+    scene = clsim.Scene(clsim.MeshRoom.joined([wall, screen]), clsim.Air(), [source], [receiver])
+    step, found = 1e-4, []
+    for engine in ("opencl", "reference"):
+        edge = clsim.find_paths(scene, 1, diffraction=1, engine=engine, resolution=step).families[1]
+        keep = np.flatnonzero(edge.end - edge.start > 3.0 * step)
+        found.append(edge.part(keep))
+    one, other = found
+    assert len(one) > 20
+    assert np.isfinite(one.start).sum() > 10
+    for name in ("objects", "lit", "end_side"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for name in ("start", "end"):
+        a, b = getattr(one, name), getattr(other, name)
+        np.testing.assert_array_equal(np.isfinite(a), np.isfinite(b))
+        here = np.isfinite(a)
+        assert np.abs(a[here] - b[here]).max() < 2.0 * step
