@@ -147,6 +147,26 @@ def test_no_jump_where_reflections_begin_and_end() -> None:
     assert decibels(jumps(alone, times[~swaps], TONE).max()) > -6.0
 
 
+def test_edge_paths_begin_and_end_quietly() -> None:
+    """At most -40 dB of the strongest path where one begins; nothing where one goes over into another."""
+    paths = l_room(2)
+    edge, first = paths.families[1], len(paths.families[0])
+    events = np.unique(np.concatenate([edge.start, edge.end]))
+    events = events[np.isfinite(events)]
+    found = jumps(paths, events, TONE)
+    names = paths.table(np.zeros(1)).name_way
+    loud, swaps = [], 0
+    for t, jump in zip(events, found, strict=True):
+        begins, ends = np.flatnonzero(edge.start == t), np.flatnonzero(edge.end == t)
+        swap = bool(ends.size) and np.array_equal(*(np.sort(edge.objects[rows]) for rows in (begins, ends)))
+        swaps += swap and not np.array_equal(edge.objects[begins], edge.objects[ends])
+        if decibels(jump) > (-75.0 if swap else -40.0):
+            ways = [names(first + row) for row in (*ends, *begins)]
+            loud.append(f"{ways} at {t:.6f} s: {decibels(jump):.1f} dB")
+    assert not loud, "\n".join(loud)
+    assert swaps == 4, "walls met in another order"
+
+
 def test_edge_paths_of_the_highest_order_keep_two_terms() -> None:
     edge = l_room(1).families[1]
     reflections = edge.order - 1

@@ -12,6 +12,7 @@ from clsim.arrays import as_count, read_only
 from clsim.errors import InputError
 from clsim.paths.diffraction.family import EdgePaths
 from clsim.paths.diffraction.intervals import EdgeSearch
+from clsim.paths.diffraction.swaps import with_swaps
 from clsim.paths.diffraction.visibility import EdgeCandidates, EdgeVisibility
 from clsim.paths.family import DIFFRACTION, NONE, SPECULAR
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
@@ -83,16 +84,18 @@ def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...])
     order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
     edges = scene.room.edges()
     rows: list[dict[str, Any]] = []
+    within = 0.0
     if len(edges):
         for source in range(len(scene.sources)):
-            rows += _source_rows(scene, edges, source, order, search, _Partners(others, source))
-    return _family(scene, edges, order, rows)
+            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source))
+            rows, within = rows + found, _FARTHEST * resolution
+    return with_swaps(_family(scene, edges, order, rows), within)
 
 
 def _source_rows(
     scene: Scene, edges: Edges, source: int, order: int, search: PathSearch, partners: _Partners
-) -> list[dict[str, Any]]:
-    """Return the paths of a source, one by one."""
+) -> tuple[list[dict[str, Any]], float]:
+    """Return the paths of a source, one by one, and to which time their ends are found, s."""
     room = scene.room.as_mesh()
     query, longest = visibility_query(scene, room, scene.sources[source], order + 1, search.resolution)
     device = float64_device(search.engine, search.device)
@@ -109,7 +112,7 @@ def _source_rows(
         if len(found) > search.path_limit:
             raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
         search.progress((source + share) / len(scene.sources))
-    return found
+    return found, query.resolution
 
 
 def _sequences(walls: Walls, sphere: tuple[Floats, float], edges: Edges, spheres: BoundingSpheres, order: int) -> Sides:
