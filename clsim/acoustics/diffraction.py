@@ -215,6 +215,38 @@ def _transition(root: Floats) -> Complexes:
     return found
 
 
+def double_breadths(
+    ways: tuple[EdgeWay, EdgeWay], near: tuple[Floats, Floats], far: tuple[Floats, Floats],
+    roots: tuple[Floats, Floats],
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Return the breadths of ways over two edges of one face, as the terms at each edge take them, (...) m.
+
+    Parameters
+    ----------
+    ways : tuple of EdgeWay
+        As each edge sees them.
+    near, far : tuple of ndarray (...)
+        Distances from each edge of its own end, and of the other end with all rolled out, m.
+    roots : tuple of ndarray (..., 4)
+        Of the terms at each edge, see `wedge_terms`.
+
+    Notes
+    -----
+    The distances of H.-S. Kim et al., "Sound diffraction by multiple wedges and thin screens", Appl. Acoust. 66, 2005:
+    the edge that is nearer to its transition has its breadth times ``w T / ((w + s1) (w +
+    s2))``, with the parts s1, w and s2 of the whole way T.
+    """
+    first, last = (
+        way.length * r / (r + other) for way, r, other in zip(ways, near, far, strict=True)
+    )
+    length = ways[0].length
+    between = np.maximum(length - first - last, 0.0)
+    share = between * length / ((between + first) * (between + last))
+    nearest = [np.min(np.abs(root), axis=-1) ** 2 * way.breadth for root, way in zip(roots, ways, strict=True)]
+    one = nearest[0] <= nearest[1]
+    return ways[0].breadth * np.where(one, share, 1.0), ways[1].breadth * np.where(one, 1.0, share)
+
+
 def end_detour(way: EdgeWay, source: tuple[Floats, Floats], receiver: tuple[Floats, Floats], end: ArrayLike) -> Floats:
     """Return by how much the way over a point of the edge is longer than the shortest one, (...) m.
 

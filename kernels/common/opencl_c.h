@@ -12,6 +12,7 @@ float BUILTIN sin(float);
 float BUILTIN sqrt(float);
 double BUILTIN sqrt(double);
 double BUILTIN sin(double);
+double BUILTIN cos(double);
 double BUILTIN atan2(double, double);
 double BUILTIN fabs(double);
 double BUILTIN fmin(double, double);

@@ -19,6 +19,25 @@ static cylindrical about(__global const edge_of_room* edge, triple place)
     return out;
 }
 
+// Direction from an edge into one of its faces: 0 or n.
+static triple inward(__global const edge_of_room* edge, int face)
+{
+    const double angle = face ? HALF_TURN * edge->n : 0.0;
+    return sum(times(cos(angle), at_row(edge->across)), times(sin(angle), at_row(edge->out)));
+}
+
+// What stands beyond another edge, about which it is at `at`, as an edge sees it that shares a face: both are rolled out
+// into the plane of that face.
+static cylindrical beyond(__global const edge_of_room* edge, int face, __global const edge_of_room* other, int other_face,
+                          cylindrical at)
+{
+    const triple place = sum(sum(at_row(other->start), times(at.z, at_row(other->along))),
+                             times(-at.r, inward(other, other_face)));
+    const triple away = difference(place, at_row(edge->start));
+    const cylindrical out = {inner(away, inward(edge, face)), 0.0, inner(away, at_row(edge->along))};
+    return out;
+}
+
 static double way_length(cylindrical a, cylindrical b)
 {
     const double across = a.r + b.r, along = a.z - b.z;

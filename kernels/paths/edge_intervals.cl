@@ -1,4 +1,4 @@
-// Intervals of time in which one side of paths over an edge is there. Work-item: one path.
+// Intervals of time in which one side of paths over edges is there. Work-item: one path.
 
 __kernel void edge_intervals(double tolerance, double thickness, __global const double4* plane,
                              __global const double4* sphere, __global const int* same, __global const int* first_edge,
@@ -13,7 +13,8 @@ __kernel void edge_intervals(double tolerance, double thickness, __global const 
                              __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
                              double speed_of_sound,
                              __global const int* sequences, __global const int* others,  // [paths][ORDER], [paths][other_count]
-                             int other_count, __global const edge_of_room* edges, __global const int* edge_of,  // [paths]
+                             int other_count, __global const edge_of_room* edges, __global const int* edge_of,  // [paths][2]
+                             __global const int* face_of,      // [paths][2], see `search`
                              __global const int* end_of,       // [paths]: which end of it, -1 for none
                              int from_receiver, double far,    // see `search`
                              __global const int* receiver_of,  // [paths]
@@ -31,6 +32,7 @@ __kernel void edge_intervals(double tolerance, double thickness, __global const 
                        line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
                       trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
                       sequences + ORDER * path, others + other_count * path, other_count, from_receiver,
-                      edges + edge_of[path], end_of[path], far};
+                      {edges + edge_of[2 * path], edges + edge_of[2 * path + 1]}, {face_of[2 * path], face_of[2 * path + 1]},
+                      end_of[path], far};
     subdivide(&s, states + path, path, resolution, smallest_move, graze, budget, found, found_count);
 }

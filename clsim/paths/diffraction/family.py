@@ -9,7 +9,7 @@ import numpy as np
 
 from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angles, transition, wedge_terms
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
-from clsim.paths.diffraction.ways import EdgeView, edge_ways
+from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
 from clsim.paths.family import DIFFRACTION, SPECULAR, PathFamily
 from clsim.paths.vertices import path_vertices
 
@@ -97,7 +97,7 @@ class EdgePaths(PathFamily):
         index = np.arange(len(self))[rows]
         views = self._view("before", index), self._view("after", index)
         ways = edge_ways(
-            views, self.end_place[index], source, receiver.position(times), times, self.medium.slowest, retarded
+            views, self._beyond(index), self.end_place[index], source, receiver.position(times), times, self.medium.slowest, retarded
         )
         departure, back = ways.parts
         speed = views[1].directions(receiver.velocity(times))
@@ -150,23 +150,25 @@ class EdgePaths(PathFamily):
         now = np.array([time])
         emitted_at = source.position(self.arrivals(index, now, motion).emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        apex = self._frame_places(index, self._place(index, emitted_at, heard_at))
+        first, last = self._apexes(index, emitted_at, heard_at)
         planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
         before, after = self._walls_of_sides(index)
-        there, back = (path_vertices(planes, w, x, apex) for w, x in ((before, emitted_at), (after, heard_at)))
+        there = path_vertices(planes, before, emitted_at, first)
+        back, more = path_vertices(planes, after, heard_at, last), int(first is not last)
         found = np.full((len(index), self.objects.shape[1] + 2, 3), np.nan)
         for p, (walls, others) in enumerate(zip(before, after, strict=True)):
             n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
             found[p, : n + 2] = there[p, : n + 2]
-            found[p, n + 2 : n + m + 3] = back[p, m::-1]
+            found[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
         return found
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return the lengths (P,) of the shortest ways between places (P, 3) and others, m."""
         index = np.arange(len(self))[rows]
-        apex = self._frame_places(index, self._place(index, source, receiver))
+        apexes = self._apexes(index, source, receiver)
         ends = (self._image(side, index, x) for side, x in (("before", source), ("after", receiver)))
-        return np.asarray(sum(np.linalg.norm(end - apex, axis=1) for end in ends))
+        legs = sum(np.linalg.norm(end - apex, axis=1) for end, apex in zip(ends, apexes, strict=True))
+        return np.asarray(legs + np.linalg.norm(apexes[1] - apexes[0], axis=1))
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field at an edge."""
@@ -186,18 +188,20 @@ class EdgePaths(PathFamily):
         matrix, offset = self._isometry(side, index)
         return np.asarray(np.einsum("pij,pj->pi", matrix, places) + offset)
 
-    def _place(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> Floats:
-        """Return where ways between places (P, 3) meet their edges, (P,) m from its start."""
+    def _beyond(self, index: NDArray[np.int64]) -> tuple[RolledOut, RolledOut] | None:
+        """Return how two edges of paths see what is beyond each other, or None for paths over one."""
+        return None
+
+    def _apexes(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
+        """Return where ways between places (P, 3) meet their first edge, and their last, (P, 3) m."""
         (r_s, _, z_s), (r_r, _, z_r) = (
             self._cylindrical(index, self._view(side, index).places(x[:, None])[..., 0])
             for side, x in (("before", source), ("after", receiver))
         )
         end = self.end_place[index]
-        return np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
-
-    def _frame_places(self, index: NDArray[np.int64], place: Floats) -> Floats:
-        """Return places (P, 3) on edges, m."""
-        return np.asarray(self.frame[index, 0] + place[:, None] * self.frame[index, 3])
+        place = np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
+        apex = np.asarray(self.frame[index, 0] + place[:, None] * self.frame[index, 3])
+        return apex, apex
 
     def _cylindrical(self, index: NDArray[np.int64], seen: Floats) -> tuple[Floats, Floats, Floats]:
         """Return r, θ and z of coordinates (3, P, ...) about the edges of paths (P,)."""
@@ -224,34 +228,13 @@ class EdgePaths(PathFamily):
         way = edge_way(r_s, z_s, r_r, z_r)
         n, lit = self.n[index], self.lit[index]
         weight, root = wedge_terms(n[:, None], lit_angles(n[:, None], t_s, t_r), lit[:, None])
-        factors = self._face_factors(index, np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
-        scale, field = np.sqrt(wave * way.breadth[..., None]), np.zeros(wave.shape, dtype=np.complex128)
-        for term in range(lit.shape[1]):
-            kept = np.flatnonzero(lit[:, term])
-            each = 0.5 * weight[kept, :, term, None] * transition(root[kept, :, term, None] * scale[kept])
-            field[kept] += each * factors[term - 2][kept] if term >= 2 else each
+        factors = face_factors(self.faces[index], np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
+        field = sum_of_terms(lit, weight, root, wave * way.breadth[..., None], factors)
         field /= way.length[..., None]
         over_end = np.flatnonzero(self.end_side[index])
         if len(over_end):
             field[over_end] *= self._end_factor(index, over_end, way, (r_s, z_s), (r_r, z_r), wave)
         return field
-
-    def _face_factors(self, index: NDArray[np.int64], cosine: Floats, at: SceneResponse) -> list[Any]:
-        """Return the reflection factors (P, T, F) of the 0-face and of the n-face.
-
-        The cosine (P, T) is that of the angle of incidence of a reflection where it comes or goes, the same for both
-        ends elsewhere.
-        """
-        found = []
-        for walls in self.faces[index].T:
-            factor: Any = np.broadcast_to(
-                at.reflection(walls[:, None])[:, None], (*cosine.shape, len(at.frequencies))
-            ).astype(np.complex128)
-            for wall in np.unique(walls[at.angular[walls]]):
-                here = np.flatnonzero(walls == wall)
-                factor[here] = at.reflection_at(wall, np.abs(cosine[here]))
-            found.append(factor)
-        return found
 
     def _end_factor(
         self, index: NDArray[np.int64], rows: NDArray[np.int64], way: EdgeWay,
@@ -265,3 +248,31 @@ class EdgePaths(PathFamily):
         inside = np.where(end > 0.0, end - some.apex, some.apex)
         root = side * (np.sign(inside) * np.sqrt(detour))
         return -0.5 * side[..., None] * transition(root[..., None] * np.sqrt(wave[rows]))
+
+
+def sum_of_terms(lit: NDArray[np.int8], weight: Floats, root: Floats, phase: Floats, factors: list[Any]) -> Any:
+    """Return the sum (P, T, F) of the terms (P, T, 4) at an edge, with phases over squared roots (P, T, F)."""
+    scale, field = np.sqrt(phase), np.zeros(phase.shape, dtype=np.complex128)
+    for term in range(lit.shape[1]):
+        kept = np.flatnonzero(lit[:, term])
+        each = 0.5 * weight[kept, :, term, None] * transition(root[kept, :, term, None] * scale[kept])
+        field[kept] += each * factors[term - 2][kept] if term >= 2 else each
+    return field
+
+
+def face_factors(faces: NDArray[np.int64], cosine: Floats, at: SceneResponse) -> list[Any]:
+    """Return the reflection factors (P, T, F) of the 0-face and of the n-face (P, 2).
+
+    The cosine (P, T) is that of the angle of incidence of a reflection where it comes or goes, the same for both ends
+    elsewhere.
+    """
+    found = []
+    for walls in faces.T:
+        factor: Any = np.broadcast_to(
+            at.reflection(walls[:, None])[:, None], (*cosine.shape, len(at.frequencies))
+        ).astype(np.complex128)
+        for wall in np.unique(walls[at.angular[walls]]):
+            here = np.flatnonzero(walls == wall)
+            factor[here] = at.reflection_at(wall, np.abs(cosine[here]))
+        found.append(factor)
+    return found

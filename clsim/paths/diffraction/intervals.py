@@ -64,14 +64,13 @@ class EdgeSearch:
             return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans)
         mine, other = (candidates.before, candidates.after)[:: 1 - 2 * side]
         edges = self.edges
-        frames = np.concatenate([edges.start, edges.across, edges.out, edges.along], axis=1)
         columns = {
-            "sequences": mine[row], "others": other[row], "edge_of": candidates.edge[row],
+            "sequences": mine[row], "others": other[row], "edge_of": candidates.edge[row], "face_of": candidates.face[row],
             "end_of": candidates.end[row], "receiver_of": candidates.receiver[row],
         }  # fmt: skip
         constants = {"AT_EDGE": 1, "CONTRACTIONS": CONTRACTIONS, "CONTRACTED": CONTRACTED, "HALF_TURN": np.pi}
         others = {
             "other_count": other.shape[1], "from_receiver": side, "far": FAR * self.query.walls.size,
-            "edges": np.column_stack([frames, edges.length, edges.n]),
+            "edges": np.column_stack([edges.frames.reshape(-1, 12), edges.length, edges.n]),
         }  # fmt: skip
         return self.device.settle("edge_intervals", constants, columns, spans, others)

@@ -10,6 +10,7 @@ import numpy as np
 from clsim.acoustics.diffraction import TERMS
 from clsim.arrays import as_count, read_only
 from clsim.errors import InputError
+from clsim.paths.diffraction.double import DoubleEdgePaths
 from clsim.paths.diffraction.family import EdgePaths
 from clsim.paths.diffraction.intervals import EdgeSearch
 from clsim.paths.diffraction.swaps import with_swaps
@@ -28,7 +29,7 @@ from clsim.paths.specular.visibility import mirrored
 from clsim.paths.trajectory_tables import BoundingSpheres
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
+    Generator = Callable[[Walls, Sides, list[Sides], Edges, int], Iterator[tuple[float, EdgeCandidates]]]
 
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
@@ -56,7 +58,7 @@ class _Pieces:
     row: NDArray[np.int64]
     begin: Floats
     end: Floats
-    sides: NDArray[np.int8]  # (n, 5), see `EdgeVisibility.sides`
+    sides: NDArray[np.int8]  # (n, 9), see `EdgeVisibility.sides`
 
 
 def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> EdgePaths:
@@ -81,19 +83,66 @@ def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...])
     A path with as many reflections as are asked for keeps only the terms of the two boundaries past its edge: the
     partners of the two others have one reflection more, and are not there.
     """
+    rows, order, within = _rows_of(scene, search, others, _candidates)
+    edges = scene.room.edges()
+    columns = _columns(scene, edges, order, rows)
+    return with_swaps(EdgePaths(scene=scene, **columns, edge_names=edges.names), within)
+
+
+def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> DoubleEdgePaths:
+    """Return every path over two edges that share a face with up to `max_order` reflections before and after them.
+
+    Parameters
+    ----------
+    scene : Scene
+        What sounds where.
+    search : PathSearch
+        What is asked.
+    others : tuple of PathFamily
+        Paths without edges and over one: where a path over two edges takes over from one of them, that one's time is
+        taken.
+
+    Raises
+    ------
+    InputError
+        If the order is out of range, or there are more paths or beams than the limits.
+    """
+    rows, order, within = _rows_of(scene, search, others, _double_candidates)
+    edges = scene.room.edges()
+    columns = _columns(scene, edges, order, rows)
+    last = np.array([r["edges"][1] for r in rows], dtype=np.int64)
+    more: dict[str, Any] = {
+        "last_frame": edges.frames[last], "last_n": edges.n[last], "last_faces": edges.faces[last],
+        "last_lit": np.array([r["sides"][TERMS + 1 :] for r in rows], dtype=np.int8).reshape(-1, TERMS),
+        "shared": np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2),
+    }  # fmt: skip
+    held = {name: read_only(column) for name, column in more.items()}
+    return with_swaps(DoubleEdgePaths(scene=scene, **columns, **held, edge_names=edges.names), within)
+
+
+def _rows_of(
+    scene: Scene, search: PathSearch, others: tuple[PathFamily, ...], candidates: Generator
+) -> tuple[list[dict[str, Any]], int, float]:
+    """Return paths of all sources, sorted by source, receiver, order, objects and time; the order; and how sure times are.
+
+    The last is how far apart the times of the same event may have been found, s.
+    """
     order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
     edges = scene.room.edges()
     rows: list[dict[str, Any]] = []
     within = 0.0
     if len(edges):
         for source in range(len(scene.sources)):
-            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source))
+            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), candidates)
             rows, within = rows + found, _FARTHEST * resolution
-    return with_swaps(_family(scene, edges, order, rows), within)
+    rows.sort(key=lambda r: (r["source"], r["receiver"], len(r["before"]) + len(r["after"]),
+                             *r["edges"], r["end_of"], *r["before"], *r["after"], r["start"]))  # fmt: skip
+    return rows, order, within
 
 
 def _source_rows(
-    scene: Scene, edges: Edges, source: int, order: int, search: PathSearch, partners: _Partners
+    scene: Scene, edges: Edges, source: int, order: int, search: PathSearch, partners: _Partners,
+    generator: Generator,
 ) -> tuple[list[dict[str, Any]], float]:
     """Return the paths of a source, one by one, and to which time their ends are found, s."""
     room = scene.room.as_mesh()
@@ -106,7 +155,7 @@ def _source_rows(
     to_receivers = [
         _sequences(room.walls, tables.sphere(1 + r), edges, spheres, order) for r in range(len(scene.receivers))
     ]
-    for share, candidates in _candidates(room.walls, from_source, to_receivers, edges, order):
+    for share, candidates in generator(room.walls, from_source, to_receivers, edges, order):
         pieces = _pieces(finder, candidates, order)
         found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
         if len(found) > search.path_limit:
@@ -180,8 +229,32 @@ def _candidates(
                         place = (edges.start, edges.stop)[end][edge]
                         before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
                     i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
-                    parts.append((before[i], after[j], *(np.full(len(i), x) for x in (edge, end, receiver))))
+                    edge_and_face = np.full((len(i), 2), edge), np.full((len(i), 2), -1)
+                    parts.append((before[i], after[j], *edge_and_face, *(np.full(len(i), x) for x in (end, receiver))))
                     waiting += len(i)
+                if waiting >= _BATCH:
+                    yield done / len(numbers), _together(parts)
+                    parts, waiting = [], 0
+        if waiting:
+            yield (done + 1) / len(numbers), _together(parts)
+
+
+def _double_candidates(
+    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
+) -> Iterator[tuple[float, EdgeCandidates]]:
+    """Yield all pairs of sequences to edges that share a face, by numbers of walls; and the share so far."""
+    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
+    pairs, faces = edges.pairs()
+    for done, (n, m) in enumerate(numbers):
+        parts: list[tuple[Any, ...]] = []
+        waiting = 0
+        for receiver, to_receiver in enumerate(to_receivers):
+            for pair, face in zip(pairs, faces, strict=True):
+                before, after = from_source[pair[0]][n], to_receiver[pair[1]][m]
+                i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
+                both = (np.tile(x, (len(i), 1)) for x in (pair, face))
+                parts.append((before[i], after[j], *both, np.full(len(i), -1), np.full(len(i), receiver)))
+                waiting += len(i)
                 if waiting >= _BATCH:
                     yield done / len(numbers), _together(parts)
                     parts, waiting = [], 0
@@ -196,10 +269,10 @@ def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:
 def _pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> _Pieces:
     """Return the intervals in which candidates are there, cut at the boundaries of their terms."""
     there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
-    ignored = np.zeros((len(candidates.edge), TERMS + 1), dtype=bool)
+    ignored = np.zeros((len(candidates.edge), 2 * TERMS + 1), dtype=bool)
     if candidates.before.shape[1] + candidates.after.shape[1] == order:
-        ignored[:, 2:TERMS] = True
-    no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, TERMS + 1), np.int8)
+        ignored[:, 2:TERMS] = ignored[:, TERMS + 3 :] = True
+    no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, 2 * TERMS + 1), np.int8)
     stack, found = [(there.path, there.begin, there.end)], [no]
     while stack:
         row, begin, end = stack.pop()
@@ -222,21 +295,24 @@ def _pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> _Piec
 
 
 class _Partners:
-    """When paths without edges begin and end, by receiver and walls."""
+    """When other paths begin and end, by receiver, walls and edges."""
 
     def __init__(self, others: tuple[PathFamily, ...], source: int) -> None:
         self._events: dict[tuple[int, ...], list[float]] = {}
         for family in others:
-            walls = family.walls
+            met = np.where(family.interactions == DIFFRACTION, -1 - family.objects, family.objects)
             for row in np.flatnonzero(family.source == source).tolist():
                 events = [float(t) for t in (family.start[row], family.end[row]) if np.isfinite(t)]
-                if events and np.all(family.interactions[row] <= SPECULAR):
-                    key = (int(family.receiver[row]), *(w for w in walls[row].tolist() if w >= 0))
+                if events and np.all(family.interactions[row] <= DIFFRACTION):
+                    key = (int(family.receiver[row]), *met[row, : family.order[row]].tolist())
                     self._events.setdefault(key, []).extend(events)
 
-    def nearest(self, receiver: int, walls: tuple[int, ...], time: float, within: float) -> float:
-        """Return when a path begins or ends near a time, s; the time itself where none does."""
-        events = self._events.get((receiver, *walls), [])
+    def nearest(self, receiver: int, way: tuple[int, ...], time: float, within: float) -> float:
+        """Return when a path begins or ends near a time, s; the time itself where none does.
+
+        The way is by walls, and by edges, which are told as -1 less their number.
+        """
+        events = self._events.get((receiver, *way), [])
         event = min(events, key=lambda t: abs(t - time), default=np.inf)
         return event if abs(event - time) <= within else time
 
@@ -251,9 +327,10 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Part
             continue
         before, after = asked.before[row].tolist(), asked.after[row][::-1].tolist()
         time = float(begin[i])
-        for term in np.flatnonzero(pieces.sides[i, :TERMS] != pieces.sides[i - 1, :TERMS]).tolist():
-            face = [] if term < 2 else [int(edges.faces[asked.edge[row], term - 2])]
-            time = partners.nearest(int(asked.receiver[row]), (*before, *face, *after), float(begin[i]), within)
+        for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():
+            if term != TERMS:
+                way = (*before, *_instead(edges, asked, row, term), *after)
+                time = partners.nearest(int(asked.receiver[row]), way, float(begin[i]), within)
             if time != begin[i]:
                 break
         begin[i] = end[i - 1] = time
@@ -262,31 +339,41 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Part
     for i, row in enumerate(pieces.row.tolist()):
         if begin[i] < end[i]:
             yield {
-                "receiver": int(asked.receiver[row]), "before": asked.before[row], "after": asked.after[row], "edge": int(asked.edge[row]),
-                "end_of": int(asked.end[row]), "start": begin[i], "end": end[i], "sides": pieces.sides[i],
+                "receiver": int(asked.receiver[row]), "before": asked.before[row], "after": asked.after[row],
+                "edges": asked.edge[row].tolist(), "faces": asked.face[row].tolist(), "end_of": int(asked.end[row]),
+                "start": begin[i], "end": end[i], "sides": pieces.sides[i],
             }  # fmt: skip
 
 
-def _family(scene: Scene, edges: Edges, order: int, rows: list[dict[str, Any]]) -> EdgePaths:
-    """Return paths as columns, sorted by source, receiver, order, objects and time."""
-    rows = sorted(rows, key=lambda r: (r["source"], r["receiver"], len(r["before"]) + len(r["after"]),
-                                       r["edge"], r["end_of"], *r["before"], *r["after"], r["start"]))  # fmt: skip
+def _instead(edges: Edges, asked: EdgeCandidates, row: int, term: int) -> list[int]:
+    """Return what the partner of a term has in place of the edges: nothing, a face, or the other one of two edges."""
+    one, other = asked.edge[row].tolist()
+    if asked.face[row, 0] >= 0:
+        return [-1 - (other if term < TERMS else one)]
+    return [] if term < 2 else [int(edges.faces[one, term - 2])]
+
+
+def _columns(scene: Scene, edges: Edges, order: int, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the columns of paths over one edge, and those of the first edge of paths over two."""
     count = len(rows)
     before, after = (_padded([r[side] for r in rows], order) for side in ("before", "after"))
-    edge, end = (np.array([r[name] for r in rows], dtype=np.int64) for name in ("edge", "end_of"))
-    objects = np.full((count, order + 1), -1, dtype=np.int32)
-    kinds = np.full((count, order + 1), NONE, dtype=np.int8)
+    edge, end = (np.array([name(r) for r in rows], dtype=np.int64) for name in (_first_edge, _end))
+    objects = np.full((count, order + 2), -1, dtype=np.int32)
+    kinds = np.full((count, order + 2), NONE, dtype=np.int8)
     for i, r in enumerate(rows):
         n, m = len(r["before"]), len(r["after"])
-        thing = r["edge"] if r["end_of"] < 0 else len(edges) + 2 * r["edge"] + r["end_of"]
-        objects[i, : n + m + 1] = [*r["before"], thing, *r["after"][::-1]]
-        kinds[i, : n + m + 1] = [SPECULAR] * n + [DIFFRACTION] + [SPECULAR] * m
-    sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, TERMS + 1)
+        things = r["edges"] if r["faces"][0] >= 0 else r["edges"][:1]
+        if r["end_of"] >= 0:
+            things = [len(edges) + 2 * things[0] + r["end_of"]]
+        objects[i, : n + m + len(things)] = [*r["before"], *things, *r["after"][::-1]]
+        kinds[i, : n + m + len(things)] = [SPECULAR] * n + [DIFFRACTION] * len(things) + [SPECULAR] * m
+    longest = order + max((1 + (r["faces"][0] >= 0) for r in rows), default=1)
+    objects, kinds = objects[:, :longest], kinds[:, :longest]
+    sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, 2 * TERMS + 1)
     isometries = [(np.empty((0, 3, 3)), np.empty((0, 3)))] * 2
     if count:
         walls = scene.room.as_mesh().walls
         isometries = [image_isometries(walls, w) for w in (before, after)]
-    frame = np.stack([edges.start, edges.across, edges.out, edges.along], axis=1)
     columns: dict[str, Any] = {
         "source": np.array([r["source"] for r in rows], dtype=np.int32),
         "receiver": np.array([r["receiver"] for r in rows], dtype=np.int32),
@@ -299,15 +386,22 @@ def _family(scene: Scene, edges: Edges, order: int, rows: list[dict[str, Any]]) 
         "before_offset": isometries[0][1],
         "after_matrix": isometries[1][0],
         "after_offset": isometries[1][1],
-        "frame": frame[edge],
+        "frame": edges.frames[edge],
         "n": edges.n[edge],
         "faces": edges.faces[edge],
         "lit": sides[:, :TERMS],
         "end_place": np.where(end < 0, np.nan, np.where(end == 0, 0.0, edges.length[edge])),
         "end_side": sides[:, TERMS],
     }
-    held = {name: read_only(column) for name, column in columns.items()}
-    return EdgePaths(scene=scene, **held, edge_names=edges.names)
+    return {name: read_only(column) for name, column in columns.items()}
+
+
+def _first_edge(row: dict[str, Any]) -> int:
+    return int(row["edges"][0])
+
+
+def _end(row: dict[str, Any]) -> int:
+    return int(row["end_of"])
 
 
 def _padded(sequences: list[NDArray[np.int32]], width: int) -> NDArray[np.int32]:

@@ -49,8 +49,10 @@ class EdgeCandidates:
         Walls before the edge from the source's side.
     after : ndarray (n, M) int32
         Walls after the edge from the receiver's side.
-    edge : ndarray (n,) int
-        Of the room.
+    edge : ndarray (n, 2) int
+        Of the room, from the source's side; the same twice for paths over one edge.
+    face : ndarray (n, 2) int
+        Which face of each both share, 0 for its 0-face, 1 for its n-face; -1 for paths over one edge.
     end : ndarray (n,) int
         0 for its start, 1 for its stop, -1 for the edge itself.
     receiver : ndarray (n,) int
@@ -60,6 +62,7 @@ class EdgeCandidates:
     before: NDArray[np.int32]
     after: NDArray[np.int32]
     edge: Rows
+    face: Rows
     end: Rows
     receiver: Rows
 
@@ -73,14 +76,16 @@ class EdgeStance:
     ends : tuple of ndarray (n, 3)
         The source at emission, and the receiver, m.
     angles : tuple of ndarray (n,)
-        Of their images about the edge.
+        Of their images, each about its edge.
     distances : tuple of ndarray (n,)
         From its line, m.
-    way : EdgeWay
-        The shortest over the line of the edge.
-    place : ndarray (n,)
-        Where each path meets the edge, m from its start.
-    apex : ndarray (n, 3)
+    across : tuple of ndarray (n,)
+        How far the other end is beyond each edge, rolled out, m.
+    ways : tuple of EdgeWay
+        The shortest over the lines of the edges, as each edge sees it.
+    places : tuple of ndarray (n,)
+        Where each path meets each edge, m from its start.
+    apexes : tuple of ndarray (n, 3)
         The same in the room.
     reach : ndarray (n,)
         How far both ends may move within what was asked, m.
@@ -89,9 +94,10 @@ class EdgeStance:
     ends: tuple[Floats, Floats]
     angles: tuple[Floats, Floats]
     distances: tuple[Floats, Floats]
-    way: EdgeWay
-    place: Floats
-    apex: Floats
+    across: tuple[Floats, Floats]
+    ways: tuple[EdgeWay, EdgeWay]
+    places: tuple[Floats, Floats]
+    apexes: tuple[Floats, Floats]
     reach: Floats
 
 
@@ -113,26 +119,37 @@ class EdgeVisibility:
     def stance(self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats) -> EdgeStance:
         """Return where candidates `which` (n,) run at times (n,), with what their ends move within `half`, s."""
         asked, tables, edges = self.candidates, query.trajectory_tables, self.edges
-        edge, row, source = asked.edge[which], asked.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
+        row, source = asked.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
+        (one, other), (face, other_face) = asked.edge[which].T, asked.face[which].T
         at = tables.lifted(row, tables.position(row, time) + PERTURBATIONS[1])
-        r_r, t_r, z_r = edges.cylindrical(edge, _imaged(query.walls, asked.after[which], at))
+        r_r, t_r, z_r = edges.cylindrical(other, _imaged(query.walls, asked.after[which], at))
+        heard = edges.beyond(one, face, other, other_face, r_r, z_r)
         delay = np.zeros(len(which))
         for _ in range(CONTRACTIONS):  # each step by the Mach number of the source
             emitted_at = tables.lifted(source, tables.position(source, time - delay) + PERTURBATIONS[0])
-            r_s, t_s, z_s = edges.cylindrical(edge, _imaged(query.walls, asked.before[which], emitted_at))
-            way = edge_way(r_s, z_s, r_r, z_r)
+            r_s, t_s, z_s = edges.cylindrical(one, _imaged(query.walls, asked.before[which], emitted_at))
+            way = edge_way(r_s, z_s, *heard)
             later = way.length / query.speed_of_sound - delay
             delay += later
             if not np.any(np.abs(later) > CONTRACTED):
                 break
-        place = np.where(asked.end[which] < 0, way.apex, asked.end[which] * edges.length[edge])
+        sent = edges.beyond(other, other_face, one, face, r_s, z_s)
+        ways, end = (way, edge_way(r_r, z_r, *sent)), asked.end[which]
+        places = tuple(
+            np.where(end < 0, w.apex, end * edges.length[e]) for w, e in zip(ways, (one, other), strict=True)
+        )
         late, emission_time = query.time_dilation[asked.receiver[which]], time - delay
         reach = np.maximum(
             half * late * tables.speed_over(source, emission_time - late * half, emission_time + late * half),
             half * tables.speed_over(row, time - half, time + half),
         )
-        apex = edges.start[edge] + place[:, None] * edges.along[edge]
-        return EdgeStance((emitted_at, at), (t_s, t_r), (r_s, r_r), way, place, apex, reach)
+        apexes = tuple(
+            edges.start[e] + p[:, None] * edges.along[e] for e, p in zip((one, other), places, strict=True)
+        )
+        return EdgeStance(
+            (emitted_at, at), (t_s, t_r), (r_s, r_r), (heard[0], sent[0]), ways,
+            (places[0], places[1]), (apexes[0], apexes[1]), reach,
+        )  # fmt: skip
 
     def evaluate(
         self, side: int, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
@@ -143,55 +160,65 @@ class EdgeVisibility:
         """
         which = sequence[:, 0].astype(np.int64)
         asked, stance = self.candidates, self.stance(query, which, time, half)
-        moves = self._reach_of_apex(stance, asked.end[which], query.walls.size)
-        most = np.maximum(stance.reach, moves)
+        both = [self._slides(stance, edge, asked.end[which], query.walls.size) for edge in (0, 1)]
+        moves, most = both[side], np.maximum(stance.reach, np.maximum(*both))
         least = self._margins(stance, which).min(axis=0)
         ratio, valid = moves_within(np.abs(least), most), least >= 0.0
         rows, still = np.flatnonzero(valid), np.zeros((np.sum(valid), 3))
         walls = (asked.before, asked.after)[side][which[rows]]
         reach = Reach(stance.reach[rows], moves[rows], still, still)
-        free, clear = path_status(query.walls, walls, stance.ends[side][rows], stance.apex[rows], reach, at_edge=True)
-        sure = moves_within(clear, most[rows])
+        free, clear = path_status(query.walls, walls, stance.ends[side][rows], stance.apexes[side][rows], reach, True)
+        sure = moves_within(clear, reach.most)
         valid[rows] = free
         ratio[rows] = np.where(free, np.minimum(ratio[rows], sure), sure)
         return valid, ratio * stance.reach, stance.reach
 
     def sides(self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats) -> tuple[NDArray[np.int8], Bools]:
-        """Return on which sides of their boundaries candidates are, (n, 5), and whether that is sure within `half`.
+        """Return on which sides of their boundaries candidates are, (n, 9), and whether that is sure within `half`.
 
-        The sides are those of the four partners, 1 where one is seen and -1 where not, and of the end of the edge, 1
-        while the shortest way meets the edge, 0 for candidates that run over no end.
+        The sides are those of the four partners, 1 where one is seen and -1 where not; of the end of the edge, 1 while
+        the shortest way meets the edge, 0 for candidates that run over no end; and of the partners at the second edge,
+        0 for paths over one.
         """
         asked, stance = self.candidates, self.stance(query, which, time, half)
-        edge, end = asked.edge[which], asked.end[which]
-        angles = lit_angles(self.edges.n[edge], *stance.angles)
+        (one, other), (face, other_face), end = asked.edge[which].T, asked.face[which].T, asked.end[which]
+        (t_s, t_r), double = stance.angles, face >= 0
+        heard = np.where(double, face * np.pi * self.edges.n[one], t_r)
+        angles = lit_angles(self.edges.n[one], t_s, heard)
+        others = lit_angles(self.edges.n[other], other_face * np.pi * self.edges.n[other], t_r)
         near = stance.reach < np.minimum(*stance.distances)
-        one, other = (np.arcsin(np.where(near, stance.reach / np.where(near, r, 1.0), 1.0)) for r in stance.distances)
-        sure = near & np.all(np.abs(angles) > (one + other)[:, None], axis=1)
-        inside = np.where(end == 0, stance.way.apex, self.edges.length[edge] - stance.way.apex)
-        over_end = self._reach_of_apex(stance, np.full(len(end), -1), query.walls.size)
+        turn, other_turn = (
+            np.arcsin(np.where(near, stance.reach / np.where(near, r, 1.0), 1.0)) for r in stance.distances
+        )
+        sure = near & np.all(np.abs(angles) > np.where(double, turn, turn + other_turn)[:, None], axis=1)
+        sure &= ~double | np.all(np.abs(others) > other_turn[:, None], axis=1)
+        apex = stance.ways[0].apex
+        inside = np.where(end == 0, apex, self.edges.length[one] - apex)
+        over_end = self._slides(stance, 0, np.full(len(end), -1), query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
         last = np.where(end < 0, 0, np.where(inside >= 0.0, 1, -1))
-        return np.column_stack([np.where(angles >= 0.0, 1, -1), last]).astype(np.int8), sure
+        second = np.where(double[:, None], np.where(others >= 0.0, 1, -1), 0)
+        return np.column_stack([np.where(angles >= 0.0, 1, -1), last, second]).astype(np.int8), sure
 
-    def _reach_of_apex(self, stance: EdgeStance, end: Rows, size: float) -> Floats:
-        """Return how far the place on the edge may move along it, (n,) m."""
-        across, reach = stance.distances[0] + stance.distances[1], stance.reach
+    def _slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
+        """Return how far the place on the first or second edge may move along it, (n,) m."""
+        across, reach = stance.distances[edge] + stance.across[edge], stance.reach
         room = across - 2.0 * reach
-        sliding = reach * (stance.way.length + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
+        sliding = reach * (stance.ways[edge].length + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
         return np.where(end >= 0, 0.0, np.where(room > 0.0, sliding, FAR * size))
 
     def _margins(self, stance: EdgeStance, which: Rows) -> Floats:
-        """Return how far inside of the wedge's air each image is, and the apex of its edge, (3, n) m."""
-        edge = self.candidates.edge[which]
-        whole = np.pi * self.edges.n[edge]
-        inside = []
-        for angle, r in zip(stance.angles, stance.distances, strict=True):
+        """Return how far inside of the wedges' air each image is, beyond each edge, and the apexes of theirs, (6, n) m."""
+        end, found = self.candidates.end[which], [*stance.across]
+        for edge, angle, r, place in zip(
+            self.candidates.edge[which].T, stance.angles, stance.distances, stance.places, strict=True
+        ):
+            whole = np.pi * self.edges.n[edge]
             near = np.minimum(np.abs(angle), np.abs(whole - angle))
             away = np.where(near < 0.5 * np.pi, r * np.sin(near), r)
-            inside.append(np.where((angle >= 0.0) & (angle <= whole), away, -away))
-        on = np.minimum(stance.place, self.edges.length[edge] - stance.place)
-        return np.stack([*inside, np.where(self.candidates.end[which] < 0, on, EVER)])
+            found.append(np.where((angle >= 0.0) & (angle <= whole), away, -away))
+            found.append(np.where(end < 0, np.minimum(place, self.edges.length[edge] - place), EVER))
+        return np.stack(found)
 
 
 def _imaged(walls: Walls, sequence: NDArray[np.int32], places: Floats) -> Floats:

@@ -54,6 +54,34 @@ class EdgeView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RolledOut:
+    """How edges see what is beyond others with which they share a face, all rolled out into the plane of that face.
+
+    Attributes
+    ----------
+    offset : ndarray (P, 2)
+        r and z of what is at r = z = 0 about the other edge, m.
+    matrix : ndarray (P, 2, 2)
+        From r and z about the other edge.
+    """
+
+    offset: Floats
+    matrix: Floats
+
+    @staticmethod
+    def of(frame: Floats, inward: Floats, other: Floats, other_inward: Floats) -> RolledOut:
+        """Return it for edges with frames (P, 4, 3) and directions (P, 3) into the face, and for the others."""
+        axes = np.stack([inward, frame[:, 3]], axis=1)
+        columns = np.stack([-other_inward, other[:, 3]], axis=2)
+        return RolledOut(np.einsum("pai,pi->pa", axes, other[:, 0] - frame[:, 0]), axes @ columns)
+
+    def __call__(self, r: Floats, z: Floats) -> tuple[Floats, Floats]:
+        """Return r and z (P, T) as the edges see what is at r and z about the others, m."""
+        (a, b), (c, d) = np.moveaxis(self.matrix, 0, 2)[..., None]
+        return self.offset[:, :1] + a * r + b * z, self.offset[:, 1:] + c * r + d * z
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class EdgeWays:
     """Ways of P paths at T times, as each edge sees them.
 
@@ -61,8 +89,8 @@ class EdgeWays:
     ----------
     source, receiver : ndarray (3, P, T)
         Coordinates of both images, that of the source at emission, m.
-    place : ndarray (P, T)
-        Where each way meets the edge, m from its start.
+    places : tuple of ndarray (P, T)
+        Where each way meets the first edge and the last, which may be the same, m from its start.
     emission_time : ndarray (P, T)
         s.
     delay : ndarray (P, T)
@@ -73,7 +101,7 @@ class EdgeWays:
 
     source: Floats
     receiver: Floats
-    place: Floats
+    places: tuple[Floats, Floats]
     emission_time: Floats
     delay: Floats
     mach: Floats
@@ -81,12 +109,14 @@ class EdgeWays:
     @property
     def parts(self) -> tuple[Floats, Floats]:
         """Unit vectors (3, P, T) from the source to the edge, and from the receiver to it."""
-        return tuple(_towards(end, self.place)[0] for end in (self.source, self.receiver))  # type: ignore[return-value]
+        ends = zip((self.source, self.receiver), self.places, strict=True)
+        first, last = (_towards(end, place)[0] for end, place in ends)
+        return first, last
 
 
 def edge_ways(
-    views: tuple[EdgeView, EdgeView], end_place: Floats, source: Motion, receiver: Floats, times: Floats,
-    speed_of_sound: float, retarded: bool,
+    views: tuple[EdgeView, EdgeView], beyond: tuple[RolledOut, RolledOut] | None, end_place: Floats, source: Motion,
+    receiver: Floats, times: Floats, speed_of_sound: float, retarded: bool,
 ) -> EdgeWays:  # fmt: skip
     """Return the ways of P paths between a source and a receiver in still air.
 
@@ -94,6 +124,8 @@ def edge_ways(
     ----------
     views : tuple of EdgeView
         Of the source, and of the receiver.
+    beyond : tuple of RolledOut, optional
+        How the first edge sees what is beyond the last one, and this what is beyond the first, of paths over two.
     end_place : ndarray (P,)
         Of the ends that paths run over, m; NaN for paths over the edge itself, by the shortest way.
     source : Motion
@@ -120,15 +152,19 @@ def edge_ways(
     delay = np.zeros(shape)
     for step_count in range(_NEWTON_LIMIT):
         emitted_at = views[0].places(positions)
-        place = np.broadcast_to(_apex(emitted_at, heard_at), shape)
+        places, length = _met(emitted_at, heard_at, beyond)
+        towards, first = _towards(emitted_at, places[0])
         if len(over_end):
-            place = place.copy()
+            place = np.array(np.broadcast_to(places[0], shape))
             place[over_end] = end_place[over_end, None]
-        towards, first = _towards(emitted_at, place)
-        travel = (first + _towards(heard_at, place)[1]) / speed_of_sound
-        mach = np.einsum("ipt,ipt->pt", towards, views[0].directions(velocities)) / speed_of_sound
+            places, (towards, first) = (place, place), _towards(emitted_at, place)
+            length = first + _towards(heard_at, place)[1]
+        travel = np.broadcast_to(length, shape) / speed_of_sound
+        speed = views[0].directions(velocities)
+        mach = np.broadcast_to(np.einsum("ipt,ipt->pt", towards, np.broadcast_to(speed, towards.shape)), shape)
+        mach = mach / speed_of_sound
         if not retarded:
-            return EdgeWays(emitted_at, heard_at, place, emission_time, travel, mach)
+            return EdgeWays(emitted_at, heard_at, places, emission_time, travel, mach)
         step = (travel - delay) / (1.0 - mach)
         delay = delay + step
         if step_count and not np.any(np.abs(step) > _CONVERGED + 4e-16 * np.abs(times)):
@@ -138,12 +174,19 @@ def edge_ways(
         emission_time = times - delay
         flat = emission_time.ravel()
         positions, velocities = (f(flat).reshape(*shape, 3) for f in (source.position, source.velocity))
-    return EdgeWays(emitted_at, heard_at, place, times - delay, delay, mach)
+    return EdgeWays(emitted_at, heard_at, places, times - delay, delay, mach)
 
 
-def _apex(emitted_at: Floats, heard_at: Floats) -> Floats:
-    (x, y, z), (a, b, h) = emitted_at, heard_at
-    return edge_way(np.hypot(x, y), z, np.hypot(a, b), h).apex
+def _met(
+    emitted_at: Floats, heard_at: Floats, beyond: tuple[RolledOut, RolledOut] | None
+) -> tuple[tuple[Floats, Floats], Floats]:
+    """Return where the shortest ways meet the first and the last edge, and their lengths, each (P, T) m."""
+    source, receiver = ((np.hypot(x, y), z) for x, y, z in (emitted_at, heard_at))
+    if beyond is None:
+        way = edge_way(*source, *receiver)
+        return (way.apex, way.apex), way.length
+    way = edge_way(*source, *beyond[0](*receiver))
+    return (way.apex, edge_way(*receiver, *beyond[1](*source)).apex), way.length
 
 
 def _towards(end: Floats, place: Floats) -> tuple[Floats, Floats]:
