@@ -236,9 +236,7 @@ def double_breadths(
     the edge that is nearer to its transition has its breadth times ``w T / ((w + s1) (w +
     s2))``, with the parts s1, w and s2 of the whole way T.
     """
-    first, last = (
-        way.length * r / (r + other) for way, r, other in zip(ways, near, far, strict=True)
-    )
+    first, last = (way.length * r / (r + other) for way, r, other in zip(ways, near, far, strict=True))
     length = ways[0].length
     between = np.maximum(length - first - last, 0.0)
     share = between * length / ((between + first) * (between + last))

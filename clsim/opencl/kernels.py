@@ -149,7 +149,8 @@ _INTERVALS = {
 }  # fmt: skip
 _EDGE_INTERVALS = {
     "others": _in("int", "paths, other_count"), "other_count": _INT, "edges": _in("edge_of_room", "edges of the room"),
-    "edge_of": _in("int", "paths, 2"), "face_of": _in("int", "paths, 2"), "end_of": _in("int", "paths"), "from_receiver": _INT, "far": _DOUBLE,
+    "edge_of": _in("int", "paths, 2"), "face_of": _in("int", "paths, 2"), "end_of": _in("int", "paths"),
+    "from_receiver": _INT, "far": _DOUBLE,
 }  # fmt: skip
 _INTERVAL_CONSTANTS = {
     "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE", "TOUCHING",

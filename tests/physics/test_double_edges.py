@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from edge_fields import jumps
-from pillar_bem import C, PILLAR, RECEIVERS, SIDE, SOURCE
+from pillar_bem import PILLAR, RECEIVERS, SIDE, SOURCE, C
 from scipy.special import hankel2
 
 import clsim

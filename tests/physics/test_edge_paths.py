@@ -237,7 +237,9 @@ def test_any_change_of_any_column_changes_the_digest() -> None:
 def test_device_and_host_find_the_same(device: None) -> None:
     """Past a screen before a wall: the same pieces, whose ends agree to the resolution."""
     wall = clsim.MeshRoom([(0, 0, 0), (8, 0, 0), (8, 0, 3), (0, 0, 3)], [(0, 1, 2), (0, 2, 3)], HARD)
-    screen = clsim.MeshRoom([(4.5, 1, 0.4), (4.6, 2.2, 0.4), (4.5, 2.2, 2.0), (4.4, 1, 2)], [(0, 1, 2), (0, 2, 3)], HARD)
+    screen = clsim.MeshRoom(
+        [(4.5, 1, 0.4), (4.6, 2.2, 0.4), (4.5, 2.2, 2.0), (4.4, 1, 2)], [(0, 1, 2), (0, 2, 3)], HARD
+    )
     tone = clsim.Signal.tone(TONE, 0.2, RATE)
     source = clsim.Source("s", tone, clsim.Trajectory.line((6.0, 2.4, 1.2), (6.2, 1.0, 1.3), 0.3))
     receiver = clsim.Receiver("r", clsim.Trajectory.line((3.3, 0.6, 1.5), (3.2, 3.2, 1.4), 0.3))

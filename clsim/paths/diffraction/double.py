@@ -69,16 +69,13 @@ class DoubleEdgePaths(EdgePaths):
         return RolledOut.of(*one, *other), RolledOut.of(*other, *one)
 
     def _apexes(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
-        ends = [
-            self._view(side, index).places(x[:, None]) for side, x in (("before", source), ("after", receiver))
-        ]
+        ends = [self._view(side, index).places(x[:, None]) for side, x in (("before", source), ("after", receiver))]
         (r_s, z_s), (r_r, z_r) = ((np.hypot(x, y), z) for x, y, z in ends)
         beyond = self._beyond(index)
         first = edge_way(r_s, z_s, *beyond[0](r_r, z_r)).apex
         last = edge_way(r_r, z_r, *beyond[1](r_s, z_s)).apex
         one, other = (
-            frame[index, 0] + place * frame[index, 3]
-            for frame, place in ((self.frame, first), (self.last_frame, last))
+            frame[index, 0] + place * frame[index, 3] for frame, place in ((self.frame, first), (self.last_frame, last))
         )
         return np.asarray(one), np.asarray(other)
 
@@ -103,12 +100,11 @@ class DoubleEdgePaths(EdgePaths):
             (self.last_n[index], face[:, 1], t_r, self.last_lit[index], self.last_faces[index]),
         )
         terms = [
-            wedge_terms(n[:, None], lit_angles(n[:, None], came, went), lit[:, None])
-            for n, came, went, lit, _ in edges
+            wedge_terms(n[:, None], lit_angles(n[:, None], came, went), lit[:, None]) for n, came, went, lit, _ in edges
         ]
         breadths = double_breadths(ways, (r_s, r_r), (heard[0], sent[0]), (terms[0][1], terms[1][1]))
         field: Any = 1.0 / ways[0].length[..., None]
-        for (n, came, went, lit, faces), (weight, root), breadth in zip(edges, terms, breadths, strict=True):
+        for (_, came, went, lit, faces), (weight, root), breadth in zip(edges, terms, breadths, strict=True):
             cosine = np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape)
             factors = face_factors(faces, cosine, at)
             field = field * sum_of_terms(lit, weight, root, wave * breadth[..., None], factors)

@@ -97,7 +97,14 @@ class EdgePaths(PathFamily):
         index = np.arange(len(self))[rows]
         views = self._view("before", index), self._view("after", index)
         ways = edge_ways(
-            views, self._beyond(index), self.end_place[index], source, receiver.position(times), times, self.medium.slowest, retarded
+            views,
+            self._beyond(index),
+            self.end_place[index],
+            source,
+            receiver.position(times),
+            times,
+            self.medium.slowest,
+            retarded,
         )
         departure, back = ways.parts
         speed = views[1].directions(receiver.velocity(times))
@@ -223,7 +230,7 @@ class EdgePaths(PathFamily):
     def _edge_field(
         self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse
     ) -> Any:
-        """Return the field (P, T, F) at the edge, of ends seen at (3, P, T) and wave numbers (P, T, F), without phase."""
+        """Return the field (P, T, F) of ends seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
         (r_s, t_s, z_s), (r_r, t_r, z_r) = (self._cylindrical(index, x) for x in (emitted_at, heard_at))
         way = edge_way(r_s, z_s, r_r, z_r)
         n, lit = self.n[index], self.lit[index]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -64,8 +64,9 @@ class EdgeSearch:
             return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans)
         mine, other = (candidates.before, candidates.after)[:: 1 - 2 * side]
         edges = self.edges
-        columns = {
-            "sequences": mine[row], "others": other[row], "edge_of": candidates.edge[row], "face_of": candidates.face[row],
+        columns: dict[str, NDArray[Any]] = {
+            "sequences": mine[row], "others": other[row], "edge_of": candidates.edge[row],
+            "face_of": candidates.face[row],
             "end_of": candidates.end[row], "receiver_of": candidates.receiver[row],
         }  # fmt: skip
         constants = {"AT_EDGE": 1, "CONTRACTIONS": CONTRACTIONS, "CONTRACTED": CONTRACTED, "HALF_TURN": np.pi}

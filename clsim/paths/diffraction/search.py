@@ -123,7 +123,7 @@ def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily
 def _rows_of(
     scene: Scene, search: PathSearch, others: tuple[PathFamily, ...], candidates: Generator
 ) -> tuple[list[dict[str, Any]], int, float]:
-    """Return paths of all sources, sorted by source, receiver, order, objects and time; the order; and how sure times are.
+    """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
 
     The last is how far apart the times of the same event may have been found, s.
     """
@@ -141,7 +141,12 @@ def _rows_of(
 
 
 def _source_rows(
-    scene: Scene, edges: Edges, source: int, order: int, search: PathSearch, partners: _Partners,
+    scene: Scene,
+    edges: Edges,
+    source: int,
+    order: int,
+    search: PathSearch,
+    partners: _Partners,
     generator: Generator,
 ) -> tuple[list[dict[str, Any]], float]:
     """Return the paths of a source, one by one, and to which time their ends are found, s."""
@@ -215,7 +220,7 @@ def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDAr
 def _candidates(
     walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
 ) -> Iterator[tuple[float, EdgeCandidates]]:
-    """Yield all pairs of sequences to the same edge, and to its free ends, by numbers of walls; and the share so far."""
+    """Yield all pairs of sequences to an edge, and to its free ends, by numbers of walls, and the share so far."""
     numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
     free = [(-1, *np.flatnonzero(ends).tolist()) for ends in edges.free]
     for done, (n, m) in enumerate(numbers):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 
     Rows = NDArray[np.int64]
 
+Family = TypeVar("Family", bound="EdgePaths")
 _SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 _ROUNDS = 4  # of finding the time of emission
 
 
-def with_swaps(family: EdgePaths, within: float) -> EdgePaths:
+def with_swaps(family: Family, within: float) -> Family:
     """Return the paths with one time for the end of one and the beginning of another where they are the same event.
 
     Parameters

@@ -143,9 +143,7 @@ class EdgeVisibility:
             half * late * tables.speed_over(source, emission_time - late * half, emission_time + late * half),
             half * tables.speed_over(row, time - half, time + half),
         )
-        apexes = tuple(
-            edges.start[e] + p[:, None] * edges.along[e] for e, p in zip((one, other), places, strict=True)
-        )
+        apexes = tuple(edges.start[e] + p[:, None] * edges.along[e] for e, p in zip((one, other), places, strict=True))
         return EdgeStance(
             (emitted_at, at), (t_s, t_r), (r_s, r_r), (heard[0], sent[0]), ways,
             (places[0], places[1]), (apexes[0], apexes[1]), reach,
@@ -208,7 +206,7 @@ class EdgeVisibility:
         return np.where(end >= 0, 0.0, np.where(room > 0.0, sliding, FAR * size))
 
     def _margins(self, stance: EdgeStance, which: Rows) -> Floats:
-        """Return how far inside of the wedges' air each image is, beyond each edge, and the apexes of theirs, (6, n) m."""
+        """Return how far images are in the air of their wedges and beyond edges, and apexes on these, (6, n) m."""
         end, found = self.candidates.end[which], [*stance.across]
         for edge, angle, r, place in zip(
             self.candidates.edge[which].T, stance.angles, stance.distances, stance.places, strict=True

@@ -175,7 +175,7 @@ def path_status(
     walls, sequence, source, receiver, reach
         As in `unfold`.
     at_edge : bool
-        Whether the last legs end on edges of the room: walls that hold these places end there, and hide nothing of them.
+        Whether the last legs end on edges of the room: walls that hold these places hide nothing of them.
 
     Returns
     -------

@@ -91,7 +91,7 @@ class Edges:
         return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
 
     def inward(self, edge: NDArray[np.int64], face: NDArray[np.integer[Any]]) -> Floats:
-        """Return unit vectors (..., 3) from edges (...) into their 0-faces, where `face` (...) is 0, or n-faces, where 1."""
+        """Return unit vectors (..., 3) from edges (...) into their 0-faces, where `face` (...) is 0, or n-faces."""
         angle = np.pi * self.n[edge] * (np.asarray(face) == 1)
         return np.asarray(np.cos(angle)[..., None] * self.across[edge] + np.sin(angle)[..., None] * self.out[edge])
 
