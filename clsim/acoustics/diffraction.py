@@ -232,7 +232,8 @@ def double_breadths(
 
     Notes
     -----
-    The distances of H.-S. Kim et al., "Sound diffraction by multiple wedges and thin screens", Appl. Acoust. 66, 2005:
+    Our own derivation, of the distances of H.-S. Kim et al., "Sound diffraction by multiple wedges and thin screens",
+    Appl. Acoust. 66, 2005, for the terms of `wedge_terms`:
     the edge that is nearer to its transition has its breadth times ``w T / ((w + s1) (w +
     s2))``, with the parts s1, w and s2 of the whole way T.
     """

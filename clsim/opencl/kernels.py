@@ -62,13 +62,6 @@ def _both(kind: str, shape: str) -> Argument:
     return Argument(kind, shape, "in out")
 
 
-def _arguments_with(arguments: dict[str, Argument], before: str, more: dict[str, Argument]) -> dict[str, Argument]:
-    """Return arguments with others before one of them."""
-    at = list(arguments).index(before)
-    items = list(arguments.items())
-    return dict([*items[:at], *more.items(), *items[at:]])
-
-
 _INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
 _TRIPLES = ("common/triple.h",)
@@ -266,7 +259,7 @@ PROGRAMS = {
     ),
     "edge_intervals": Program(
         (*_INTERVAL_FILES, "paths/edge.h", "paths/edge_evaluate.h", "paths/spans.h", "paths/edge_intervals.cl"),
-        _arguments_with(_INTERVALS, "receiver_of", _EDGE_INTERVALS),
+        _EDGE_INTERVALS | _INTERVALS,
         frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {"CONTRACTIONS", "CONTRACTED", "HALF_TURN"}),
     ),
     "fades": Program(

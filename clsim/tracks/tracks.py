@@ -100,7 +100,18 @@ class Tracks(ABC):
         """
 
     def costly(self, pair: int) -> bool:
-        """Return whether the gains of a pair's paths cost much, see `PathFamily`."""
+        """Return whether the gains of a pair's paths cost much, see `PathFamily`.
+
+        Parameters
+        ----------
+        pair : int
+            Index of the source and receiver, in `pairs`.
+
+        Returns
+        -------
+        bool
+            Whether they do.
+        """
         return False
 
     @abstractmethod

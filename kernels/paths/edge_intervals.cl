@@ -1,6 +1,11 @@
 // Intervals of time in which one side of paths over edges is there. Work-item: one path.
 
-__kernel void edge_intervals(double tolerance, double thickness, __global const double4* plane,
+__kernel void edge_intervals(__global const int* others,  // [paths][other_count]
+                             int other_count, __global const edge_of_room* edges, __global const int* edge_of,  // [paths][2]
+                             __global const int* face_of,      // [paths][2], see `search`
+                             __global const int* end_of,       // [paths]: which end of it, -1 for none
+                             int from_receiver, double far,    // see `search`
+                             double tolerance, double thickness, __global const double4* plane,
                              __global const double4* sphere, __global const int* same, __global const int* first_edge,
                              __global const int* first_piece,
                              __global const int* first_line, __global const int* first_twin, __global const edge_ends* edge,
@@ -12,11 +17,7 @@ __kernel void edge_intervals(double tolerance, double thickness, __global const 
                              __global const double* knots, __global const double* speeds,
                              __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
                              double speed_of_sound,
-                             __global const int* sequences, __global const int* others,  // [paths][ORDER], [paths][other_count]
-                             int other_count, __global const edge_of_room* edges, __global const int* edge_of,  // [paths][2]
-                             __global const int* face_of,      // [paths][2], see `search`
-                             __global const int* end_of,       // [paths]: which end of it, -1 for none
-                             int from_receiver, double far,    // see `search`
+                             __global const int* sequences,  // [paths][ORDER]
                              __global const int* receiver_of,  // [paths]
                              __global const int* active, int active_count,  // paths that are not done
                              double resolution,              // s, to which ends are found
