@@ -84,6 +84,7 @@ _TRAJECTORY = {
     "knots": _in("double", "knot_count, KNOT_COLUMNS"),
     "knot_count": _INT, "first_knot": _DOUBLE, "knot_rate": _DOUBLE,
 }  # fmt: skip
+_MEDIUM = {"speed_of_sound": _DOUBLE, "wind": _in("double", "3")}
 _BRANCHES = {"branches": _in("float", "rows, stride"), "stride": _INT, "lead": _INT}
 _BLOCKS = {
     "delay": _in("int", "blocks, slots"),
@@ -135,7 +136,7 @@ _CROSSINGS = {
 _INTERVALS = {
     **_ROOM, "places": _in("table_place", "1 + receivers"), "scales": _in("table_scale", "1 + receivers"),
     "knots": _in("double", "knots, KNOT_COLUMNS"), "speeds": _in("double", "speeds"),
-    "mounts": _in("double4", "1 + receivers"), "speed_of_sound": _DOUBLE, "sequences": _in("int", "paths, ORDER"),
+    "mounts": _in("double4", "1 + receivers"), **_MEDIUM, "slowest": _DOUBLE, "sequences": _in("int", "paths, ORDER"),
     "receiver_of": _in("int", "paths"), "active": _in("int", "active_count"), "active_count": _INT,
     "resolution": _DOUBLE, "smallest_move": _DOUBLE, "graze": _DOUBLE, "budget": _INT,
     "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
@@ -150,7 +151,7 @@ _INTERVAL_CONSTANTS = {
     "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
 }  # fmt: skip
 _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
-_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
+_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
 
@@ -171,7 +172,7 @@ PROGRAMS = {
         (*_ROUNDING, "common/vector.h", "render/branches.cl"),
         {
             "emitted": _in("float", "rows of emitted samples"),
-            "first_emitted": _INT,
+            "first_emitted": Argument("long"),
             "taps": _in("float", "rows, tap_count"),
             "tap_count": _INT, "width": _INT, "stride": _INT, "first_row": _INT,
             "rows": _out("float", "rows, stride"),
@@ -189,7 +190,7 @@ PROGRAMS = {
             **_TRAJECTORY,
             "start": _DOUBLE,
             "walk_time": _DOUBLE,
-            "speed_of_sound": _DOUBLE,
+            **_MEDIUM,
             "delays": _out("double", "ends, 2, slots"),
         },
         frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL"}),
@@ -203,8 +204,8 @@ PROGRAMS = {
         {
             **_IMAGES,
             "reflection": _in("bins", "slots, PARTS, BIN_VECTORS"),
-            "wall_of": _in("int", "ANGULAR, slots"),
-            "normal": _in("float", "ANGULAR, 3, slots"),
+            "wall_of": _in("int", "angular, slots"),
+            "normal": _in("float", "angular, 3, slots"),
             "heard_from": _in("int", "slots"),
             "heard_until": _in("int", "slots"),
             "receivers": _in("receiver_node", "receivers, nodes"),
@@ -214,12 +215,13 @@ PROGRAMS = {
             **_TRAJECTORY,
             "start": _DOUBLE,
             "sampling_rate": _DOUBLE,
-            "speed_of_sound": _DOUBLE,
+            **_MEDIUM,
             "nepers": _in("bins", "BIN_VECTORS"),
             "projection": _in("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
-            "functions": _in("bins", "FUNCTIONS, PARTS, BIN_VECTORS"),
+            "functions": _in("bins", "function_count, PARTS, BIN_VECTORS"),
             "weight": _in("bins", "BIN_VECTORS"),
             "strengths": _in("gains", "GAIN_VECTORS"),
+            "function_count": _INT, "angular": _INT,
             "delay_samples": _DOUBLE,
             "emitted_first": _DOUBLE,
             "emitted_last": _DOUBLE,
@@ -229,7 +231,8 @@ PROGRAMS = {
             "source_directivity": _in("bins", "a table"),
             "receiver_directivities": _in("bins", "tables"),
             "directivity_of": _in("int", "receivers"),
-            "blocks": _INT,
+            "blocks": _INT, "block_samples": _INT, "walk_blocks": _INT,
+            "subblock_samples": _INT, "subblock_share": _FLOAT, "oversampling": _INT,
             "delay": _out("int", "blocks, slots"),
             "polynomials": _out("float", "blocks, slots, terms"),
             "found": _out("float4", "walks, slots"),
@@ -244,10 +247,9 @@ PROGRAMS = {
         frozenset(
             _DELAY_CONSTANTS
             | {
-                "BLOCK", "WALK", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
-                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
-                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
-                "SMOOTH_ERROR",
+                "CELL", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS",
+                "CUBIC_COLUMNS", "MACH_EXPONENT", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL",
+                "SPHERICAL", "GAIN_ERROR", "SMOOTH_ERROR",
             }
         ),
     ),

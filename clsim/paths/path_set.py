@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
 from clsim.paths.family import SPECULAR, PathFamily
 from clsim.paths.path_table import PathTable
+from clsim.paths.view import paths_page
+from clsim.pictures.notebook import html_table, inline_page
+from clsim.scene.view import known_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -198,6 +201,83 @@ class PathSet:
             delay, doppler_factor, shift, gain, departure, arrival,
             tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers), self.object_names,
         )  # fmt: skip
+
+    def to_dataframe(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
+        """Return what every path does at the given times as a pandas DataFrame, a row per path and time.
+
+        Parameters
+        ----------
+        times, motion, amplitude
+            As for `table`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            See `PathTable.to_dataframe`.
+        """
+        return self.table(times, motion, amplitude).to_dataframe()
+
+    def to_xarray(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
+        """Return what every path does at the given times as an xarray Dataset.
+
+        Parameters
+        ----------
+        times, motion, amplitude
+            As for `table`.
+
+        Returns
+        -------
+        xarray.Dataset
+            See `PathTable.to_xarray`.
+        """
+        return self.table(times, motion, amplitude).to_xarray()
+
+    def show(self, duration: float | None = None, frames: int = 120, limit: int = 300, height: int = 600) -> Any:
+        """Return the viewer page of the room, the motion and the paths over time, for a notebook.
+
+        Parameters
+        ----------
+        duration : float, optional
+            Until when, s; until the first trajectory ends when left out.
+        frames : int
+            Instants to choose from, 1 to 10 000.
+        limit : int
+            Strongest paths that are drawn, 1 to 100 000.
+        height : int
+            Pixels, 100 to 10 000.
+
+        Returns
+        -------
+        IPython.display.HTML
+            The page, as ``clsim view`` writes it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or IPython is missing.
+        """
+        frames = as_count("frames", frames, at_least=1, at_most=10_000)
+        limit = as_count("limit", limit, at_least=1, at_most=100_000)
+        height = as_count("height", height, at_least=100, at_most=10_000)
+        longest = known_until(self.scene.named_ends())
+        until = longest if duration is None else as_number("duration", duration, at_least=0.0, unit="s")
+        return inline_page("show", paths_page(self, title="paths", duration=until, frames=frames, limit=limit), height)
+
+    def _repr_html_(self) -> str:
+        kinds, scene = np.unique(self.order), self.scene
+        rows = [(n, int(np.sum(self.order == n)), self._seconds(self.order == n)) for n in kinds.tolist()]
+        pairs = len(np.unique(self.source.astype(np.int64) * len(scene.receivers) + self.receiver))
+        title = (
+            f"PathSet: {len(self)} intervals of paths, {len(scene.sources)} sources, {len(scene.receivers)} receivers"
+        )
+        silent = len(scene.sources) * len(scene.receivers) - pairs
+        notes = [f"{silent} pairs of source and receiver have none"] if silent else []
+        return html_table(title, ("order", "intervals", "heard"), rows, notes)
+
+    def _seconds(self, rows: NDArray[np.bool_]) -> str:
+        """Return how long intervals are together, as a text."""
+        total = float(np.sum(self.end[rows] - self.start[rows]))
+        return f"{total:.4g} s" if np.isfinite(total) else "always"
 
     def vertices(self, time: float, motion: str = "retarded") -> Floats:
         """Return where every path leaves, meets something and arrives, as it is heard at a time.

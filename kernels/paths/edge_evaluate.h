@@ -11,6 +11,7 @@ typedef struct {
     int face[2];                      // of each that both share, 0 or 1; -1 for a path over one edge
     int end;                          // 0 for its start, 1 for its stop, -1 for the edge itself
     double far;                       // m, more than anything in the room
+    double most_slowness;             // 1 / least speed at which sound makes way, s/m
 } search;
 
 static triple image_of(const search* s, int of_receiver, triple place)
@@ -35,6 +36,17 @@ static cylindrical seen_by(const search* s, int edge, cylindrical at)
     return s->face[0] < 0 ? at : beyond(s->edge[edge], s->face[edge], s->edge[1 - edge], s->face[1 - edge], at);
 }
 
+// Time that sound takes for a way of a length between two places, s.
+static double passage(const trajectory* path, double length, triple from, triple to)
+{
+#if WIND
+    const double along = inner(path->wind, difference(to, from));
+    return (sqrt(along * along + path->room * length * length) - along) * path->inverse_room;
+#else
+    return length * path->slowness;
+#endif
+}
+
 // How far the place on an edge may slide while ends move by `reach`, from how far both are off the edge together.
 static double sliding(const search* s, double reach, double across, double length)
 {
@@ -48,14 +60,14 @@ static int evaluate(const search* s, double time, double within, double* clear, 
     const triple source_perturbation = SOURCE_PERTURBATION, receiver_perturbation = RECEIVER_PERTURBATION;
     const triple heard_at = end_at(&s->receiver, time, receiver_perturbation);
     const cylindrical receiver = about(s->edge[1], image_of(s, 1, heard_at)), heard = seen_by(s, 0, receiver);
-    const double slowness = s->source.path.slowness;
+    const double slowness = s->most_slowness;
     cylindrical source = {0.0, 0.0, 0.0};
     triple emitted_at = heard_at;
     double delay = 0.0;
     for (int k = 0; k < CONTRACTIONS; k++) {  // each step by the Mach number of the source
         emitted_at = end_at(&s->source, time - delay, source_perturbation);
         source = about(s->edge[0], image_of(s, 0, emitted_at));
-        const double later = way_length(source, heard) * slowness - delay;
+        const double later = passage(&s->source.path, way_length(source, heard), emitted_at, heard_at) - delay;
         delay += later;
         if (fabs(later) <= CONTRACTED) break;
     }

@@ -17,6 +17,8 @@ __kernel void edge_intervals(__global const int* others,  // [paths][other_count
                              __global const double* knots, __global const double* speeds,
                              __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
                              double speed_of_sound,
+                             __global const double* wind,    // [3], m/s
+                             double slowest,                 // speed at which sound makes way at least, m/s
                              __global const int* sequences,  // [paths][ORDER]
                              __global const int* receiver_of,  // [paths]
                              __global const int* active, int active_count,  // paths that are not done
@@ -30,10 +32,10 @@ __kernel void edge_intervals(__global const int* others,  // [paths][other_count
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
     const search s = {{tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
-                       line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
-                      trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
-                      sequences + ORDER * path, others + other_count * path, other_count, from_receiver,
-                      {edges + edge_of[2 * path], edges + edge_of[2 * path + 1]}, {face_of[2 * path], face_of[2 * path + 1]},
-                      end_of[path], far};
+                       line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 0),
+                      trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 1 + receiver_of[path]),
+                      sequences + ORDER * (long)path, others + other_count * (long)path, other_count, from_receiver,
+                      {edges + edge_of[2 * (long)path], edges + edge_of[2 * (long)path + 1]}, {face_of[2 * (long)path], face_of[2 * (long)path + 1]},
+                      end_of[path], far, 1.0 / slowest};
     subdivide(&s, states + path, path, resolution, smallest_move, graze, budget, found, found_count);
 }

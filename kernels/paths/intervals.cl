@@ -12,6 +12,8 @@ __kernel void intervals(double tolerance, double thickness, __global const doubl
                         __global const double* knots, __global const double* speeds,
                         __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
                         double speed_of_sound,
+                        __global const double* wind,    // [3], m/s
+                        double slowest,                 // speed at which sound makes way at least, m/s
                         __global const int* sequences, __global const int* receiver_of,  // [paths][ORDER], [paths]
                         __global const int* active, int active_count,  // paths that are not done
                         double resolution,              // s, to which ends are found
@@ -24,8 +26,8 @@ __kernel void intervals(double tolerance, double thickness, __global const doubl
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
     const search s = {{tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
-                       line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
-                      trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
-                      sequences + ORDER * path};
+                       line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 0),
+                      trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 1 + receiver_of[path]),
+                      sequences + ORDER * (long)path, 1.0 / slowest};
     subdivide(&s, states + path, path, resolution, smallest_move, graze, budget, found, found_count);
 }

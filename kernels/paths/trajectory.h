@@ -6,7 +6,23 @@ typedef struct {
     double first;                  // time of the first knot, s
     double rate;                   // knots per second
     double slowness;               // 1 / speed of sound
+#if WIND
+    triple wind;                   // m/s
+    double room, inverse_room;     // square of the speed of sound less that of the wind, m^2/s^2
+#endif
 } trajectory;
+
+static trajectory trajectory_of(__global const double* knots, int count, double first, double rate, double speed_of_sound,
+                                __global const double* wind)
+{
+    trajectory out = {knots, count, first, rate, 1.0 / speed_of_sound};
+#if WIND
+    out.wind = at_row(wind);
+    out.room = speed_of_sound * speed_of_sound - inner(out.wind, out.wind);
+    out.inverse_room = 1.0 / out.room;
+#endif
+    return out;
+}
 
 // Value of the cubics whose coefficients stand at `c` as [power][3].
 static triple cubic(__global const double* c, double u)

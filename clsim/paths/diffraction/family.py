@@ -89,33 +89,28 @@ class EdgePaths(PathFamily):
 
         Notes
         -----
-        The delay solves ``delay = L(x_s(t - delay), x_r(t)) / c`` with the length of the shortest way over the edge. As
-        this is the shortest, the change of the apex does not change it: rates are those of two legs to a place at rest.
+        The way over the edge is the shortest one, so the change of the apex does not change its length: rates are those
+        of two legs to a place at rest.
         """
         source, receiver = (end.trajectory for end in self.ends(rows))
         times, retarded = np.asarray(times, dtype=np.float64), motion == "retarded"
         index = np.arange(len(self))[rows]
-        views = self._view("before", index), self._view("after", index)
+        views, medium = (self._view("before", index), self._view("after", index)), self.medium
         ways = edge_ways(
-            views,
-            self._beyond(index),
-            self.end_place[index],
-            source,
-            receiver.position(times),
-            times,
-            self.medium.slowest,
-            retarded,
+            views, self._beyond(index), self.end_place[index], source, receiver.position(times), times, medium, retarded
         )
-        departure, back = ways.parts
-        speed = views[1].directions(receiver.velocity(times))
-        rate = -np.einsum("ipt,ipt->pt", back, np.broadcast_to(speed, back.shape)) / self.medium.slowest - ways.mach
-        factor = np.ones(ways.delay.shape)
+        leaving, back = ways.parts
+        direction, onwards = views[0].back(leaving), -views[1].back(back)
+        sound, receding = ways.sound, ways.sound.growth(onwards, receiver.velocity(times))
+        departure, length = sound.normal(direction), ways.length
+        if sound.carried is not None:
+            length = length * np.sum(departure * direction, axis=-1)
+        rate, factor = receding - ways.mach, np.ones(ways.delay.shape)
         if retarded:
             rate, factor = rate / (1.0 - ways.mach), (1.0 - ways.mach) ** -MACH_EXPONENT[amplitude]
         return Arrivals(
-            ways.delay, rate, views[0].back(departure), views[1].back(back), ways.delay * self.medium.slowest,
-            ways.emission_time, factor,
-        )  # fmt: skip
+            ways.delay, rate, departure, -sound.normal(onwards), length, sound.through, ways.emission_time, factor
+        )
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, spreading, air, walls, directivities.
@@ -130,7 +125,7 @@ class EdgePaths(PathFamily):
         shape = found.delay.shape
         emitted_at = source.trajectory.position(found.emission_time.ravel()).reshape(*shape, 3)
         velocity = source.trajectory.velocity(found.emission_time.ravel()).reshape(*shape, 3)
-        speed = self.medium.slowest
+        speed = self.scene.air.speed_of_sound
         mach = np.sum(found.departure * velocity, axis=-1) / speed
         late = found.emission_time != times  # as received; quasi-static sound is emitted at once
         wave = 2.0 * np.pi * at.frequencies / speed / (1.0 - np.where(late, mach, 0.0))[..., None]
@@ -138,7 +133,7 @@ class EdgePaths(PathFamily):
             index, self._view("before", index).places(emitted_at),
             self._view("after", index).places(receiver.trajectory.position(times)), wave, at,
         )  # fmt: skip
-        response *= at.air(found.length) * found.mach_factor[..., None]
+        response *= at.air(found.through) * found.mach_factor[..., None]
         for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
             for bounce, normals in at.angular_bounces(walls):

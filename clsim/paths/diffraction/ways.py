@@ -11,6 +11,7 @@ from clsim.acoustics.diffraction import edge_way
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
+    from clsim.paths.propagation import Medium, Passage
     from clsim.scene.motion.motion import Motion
 
 _NEWTON_LIMIT = 60
@@ -93,8 +94,10 @@ class EdgeWays:
         Where each way meets the first edge and the last, which may be the same, m from its start.
     emission_time : ndarray (P, T)
         s.
-    delay : ndarray (P, T)
-        s.
+    delay, length : ndarray (P, T)
+        s, and m.
+    sound : Passage
+        What the air makes of it.
     mach : ndarray (P, T)
         Of the source towards the way.
     """
@@ -104,6 +107,8 @@ class EdgeWays:
     places: tuple[Floats, Floats]
     emission_time: Floats
     delay: Floats
+    length: Floats
+    sound: Passage
     mach: Floats
 
     @property
@@ -116,9 +121,9 @@ class EdgeWays:
 
 def edge_ways(
     views: tuple[EdgeView, EdgeView], beyond: tuple[RolledOut, RolledOut] | None, end_place: Floats, source: Motion,
-    receiver: Floats, times: Floats, speed_of_sound: float, retarded: bool,
+    receiver: Floats, times: Floats, medium: Medium, retarded: bool,
 ) -> EdgeWays:  # fmt: skip
-    """Return the ways of P paths between a source and a receiver in still air.
+    """Return the ways of P paths between a source and a receiver.
 
     Parameters
     ----------
@@ -134,8 +139,8 @@ def edge_ways(
         Where the receiver is, m.
     times : ndarray (T,)
         Of reception, s.
-    speed_of_sound : float
-        m/s.
+    medium : Medium
+        What sound travels in.
     retarded : bool
         Whether the source is where it was when the sound was emitted, or where it is at reception.
 
@@ -159,13 +164,15 @@ def edge_ways(
             place[over_end] = end_place[over_end, None]
             places, (towards, first) = (place, place), _towards(emitted_at, place)
             length = first + _towards(heard_at, place)[1]
-        travel = np.broadcast_to(length, shape) / speed_of_sound
-        speed = views[0].directions(velocities)
-        mach = np.broadcast_to(np.einsum("ipt,ipt->pt", towards, np.broadcast_to(speed, towards.shape)), shape)
-        mach = mach / speed_of_sound
+        length = np.broadcast_to(length, shape)
+        sound = medium.passage(length, receiver - positions)
+        speed = np.einsum("ipt,ipt->pt", towards, np.broadcast_to(views[0].directions(velocities), towards.shape))
+        mach = np.broadcast_to(speed, shape) / sound.speed
+        if sound.carried is not None:
+            mach = mach + np.sum(sound.carried * velocities, axis=-1)
         if not retarded:
-            return EdgeWays(emitted_at, heard_at, places, emission_time, travel, mach)
-        step = (travel - delay) / (1.0 - mach)
+            return EdgeWays(emitted_at, heard_at, places, emission_time, sound.time, length, sound, mach)
+        step = (sound.time - delay) / (1.0 - mach)
         delay = delay + step
         if step_count and not np.any(np.abs(step) > _CONVERGED + 4e-16 * np.abs(times)):
             break
@@ -174,7 +181,7 @@ def edge_ways(
         emission_time = times - delay
         flat = emission_time.ravel()
         positions, velocities = (f(flat).reshape(*shape, 3) for f in (source.position, source.velocity))
-    return EdgeWays(emitted_at, heard_at, places, times - delay, delay, mach)
+    return EdgeWays(emitted_at, heard_at, places, times - delay, delay, length, sound, mach)
 
 
 def _met(

@@ -80,6 +80,11 @@ class DeviceTracks:
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
+        wind = scene.air.wind
+        self._medium = {
+            "speed_of_sound": scene.air.speed_of_sound,
+            "wind": None if wind is None else self._upload(np.array(wind)),
+        }
         self._knot_rates = []
         for source, filters in zip(scene.sources, plan.source_filters, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
@@ -162,8 +167,7 @@ class DeviceTracks:
         kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source) | constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, speed_of_sound=self._tracks.scene.air.speed_of_sound,
-            delays=out,
+            start=start / rate, walk_time=segment / rate, **self._medium, delays=out,
         )  # fmt: skip
         return out
 
@@ -174,7 +178,7 @@ class DeviceTracks:
         import pyopencl as cl
 
         plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
-        filters, c = plan.source_filters[chunk.source], self._tracks.scene.air.speed_of_sound
+        filters = plan.source_filters[chunk.source]
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
@@ -191,15 +195,16 @@ class DeviceTracks:
         if chunk.cells is not None:
             activity, cells = self._scratch.take(("activity", block), 4 * blocks * batch.count), chunk.cells
             cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * batch.count)
-        constants = self._constants(chunk.source, block) | {"SPARSE": int(activity is not None)}
+        constants = self._constants(chunk.source) | {"SPARSE": int(activity is not None)}
         kernel = self._compiler.kernel("tracks", constants)
         kernel(
             self._queue, work(batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **cells,
-            **around.basis, **around.tables, directivity_of=around.directivity_of[batch.receiver],
+            **around.basis, **around.tables, **self._shape(chunk.source, block),
+            directivity_of=around.directivity_of[batch.receiver],
             receivers=receivers, nodes=receivers.shape[1],
             heard_from=heard_from, heard_until=heard_until,
             coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
-            start=start / rate, sampling_rate=rate, speed_of_sound=c, delay_samples=filters.delay_samples,
+            start=start / rate, sampling_rate=rate, **self._medium, delay_samples=filters.delay_samples,
             emitted_first=filters.start - spread, emitted_last=filters.start + filters.signal.duration + spread,
             angular_frequency=2.0 * math.pi * filters.swiftness,
             smooth=self._smooth(chunk, receivers, block), origin=start - chunk.first,
@@ -231,19 +236,29 @@ class DeviceTracks:
             "RETARDED": int(self._tracks.motion == "retarded"),
             "STATIC_RECEIVERS": int(self._all_static),
             "NODES_AT_ONCE": self._together,
+            "WIND": int(self._medium["wind"] is not None),
         }
 
-    def _constants(self, source: int, block: int) -> dict[str, Any]:
+    def _shape(self, source: int, block: int) -> dict[str, float]:
+        """Return what differs from block to block and from scene to scene at no cost: arguments, not constants."""
+        subblock = self._plan.subblock(source, block)
+        return {
+            "block_samples": block,
+            "walk_blocks": self._plan.segment // block,
+            "subblock_samples": subblock,
+            "subblock_share": 0.0 if self._plan.is_fine(block) else subblock / block,
+            "oversampling": self._plan.source_filters[source].oversampling,
+            "function_count": len(self._plan.source_filters[source].basis),
+            "angular": self._surroundings[source].angular,
+        }
+
+    def _constants(self, source: int) -> dict[str, Any]:
         retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
+        functions = len(self._plan.source_filters[source].basis)
         return self._motion_constants(source) | {
-            "BLOCK": block,
-            "SUBBLOCK": self._plan.subblock(source, block),
-            "FINE": int(self._plan.is_fine(block)),
-            "OVERSAMPLING": self._plan.source_filters[source].oversampling,
             "CELL": CELL,
-            "WALK": self._plan.segment // block,
             "DELAY_TERMS": self._plan.delay_terms,
-            "FUNCTIONS": len(self._plan.source_filters[source].basis),
+            "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
             "FREQUENCIES": around.count,
             "PARTS": around.parts,
             "CELLS": CELLS,
@@ -258,7 +273,6 @@ class DeviceTracks:
             "SPHERICAL": SPHERICAL,
             "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
             "SMOOTH_ERROR": np.float32(SMOOTH_ERROR),
-            "ANGULAR": around.angular,
         }
 
     def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:
