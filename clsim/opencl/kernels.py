@@ -267,22 +267,15 @@ PROGRAMS = {
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
         {
-            **_BRANCHES,
-            "functions": _INT,
-            "first_row": _in("int", "functions + 1"),
-            **_BLOCKS,
-            **_FADES,
-            **_PRESSURE,
+            **_BRANCHES, "functions": _INT, "first_row": _in("int", "functions + 1"),
+            **_BLOCKS, **_FADES, **_PRESSURE,
         },
         frozenset({"DELAY_TERMS", "OVERSAMPLING", "SPARSE"}),
     ),
     "clear_gains": Program(
         (*_POLYNOMIALS, "render/clear_gains.cl"),
         {
-            "count": _INT,
-            "slot": _in("int", "count"),
-            "block": _in("int", "count"),
-            "functions": _INT,
+            "count": _INT, "slot": _in("int", "count"), "block": _in("int", "count"), "functions": _INT,
             "polynomials": _both("float", "blocks, slots, terms"),
             "slots": _INT,
         },
@@ -328,11 +321,7 @@ PROGRAMS = {
             "render/baseband_fades.cl",
         ),
         {
-            **_BRANCHES,
-            "first_row": _in("int", "FUNCTIONS + 1"),
-            **_BLOCKS,
-            **_FADES,
-            **_ENVELOPE,
+            **_BRANCHES, "first_row": _in("int", "FUNCTIONS + 1"), **_BLOCKS, **_FADES, **_ENVELOPE,
         },
         frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS"}),
     ),
