@@ -1,5 +1,6 @@
 from clsim import score as score
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.exchange.mcap_files import write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
@@ -15,6 +16,7 @@ from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
+from clsim.room_measures import RoomMeasures, room_measures
 from clsim.scene.air import Air
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
@@ -62,6 +64,7 @@ __all__ = [
     "Recording",
     "RenderOptions",
     "Rendering",
+    "RoomMeasures",
     "Scene",
     "Shoebox",
     "Signal",
@@ -85,6 +88,8 @@ __all__ = [
     "render",
     "render_chunks",
     "render_tracks",
+    "room_measures",
     "run_study",
     "track",
+    "write_mcap",
 ]

@@ -41,6 +41,8 @@ class Arrivals:
         When it was emitted, s.
     mach_factor : ndarray (P, T)
         Factor of the amplitude by the source's motion.
+    frequency_ratio : ndarray (P, T)
+        Frequency on the way over that emitted: ``1 / (1 - M)``.
     """
 
     delay: Floats
@@ -51,6 +53,7 @@ class Arrivals:
     through: Floats
     emission_time: Floats
     mach_factor: Floats
+    frequency_ratio: Floats
 
     def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Arrivals:
         """Return what some of the paths bring at some of the times."""

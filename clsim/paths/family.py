@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import InputError
-from clsim.paths.propagation import delay_bounds, max_delay_rate, medium_of
+from clsim.paths.propagation import SpeedRange, delay_bounds, max_delay_rate, medium_of
 from clsim.paths.response import SceneResponse, is_complex
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ class PathFamily(ABC):
         middle, half = 0.5 * (start + end), 0.5 * (end - start)
         length = self.lengths(rows, ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle))
         source_speed, receiver_speed = speeds.source[source], speeds.receiver[receiver]
-        return delay_bounds(self.medium, length, half * (source_speed + receiver_speed), source_speed)
+        return delay_bounds(self.speed_range, length, half * (source_speed + receiver_speed), source_speed)
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return bounds (P, F) of responses without directivities and motion, relative to free air of the same length.
@@ -134,12 +134,17 @@ class PathFamily(ABC):
 
     def max_rate(self, source_speed: float, receiver_speed: float) -> float:
         """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
-        return max_delay_rate(self.medium, source_speed, receiver_speed)
+        return max_delay_rate(self.speed_range, source_speed, receiver_speed)
+
+    def medium(self, source: int) -> Medium:
+        """Return what sound of a source travels in: its delays are those of the centre frequency's phase."""
+        return medium_of(self.scene.air, self.scene.sources[source].emitted.centre_frequency)
 
     @property
-    def medium(self) -> Medium:
-        """What sound travels in."""
-        return medium_of(self.scene.air)
+    def speed_range(self) -> SpeedRange:
+        """Bounds of the speed of sound of all sources."""
+        media = [self.medium(source) for source in range(len(self.scene.sources))]
+        return SpeedRange(min(m.slowest for m in media), max(m.fastest for m in media))
 
     @property
     def device(self) -> str | None:
@@ -259,7 +264,17 @@ class PairPaths:
         """Return responses (P, T) at the centre frequency of what the source emits."""
         scene = self.family.scene
         centre = np.array([scene.sources[self.source].emitted.centre_frequency])
-        return self.response(found, times, SceneResponse(scene, centre))[..., 0]
+        return self.response(found, times, SceneResponse(scene, self.source, centre))[..., 0]
+
+    def group_lag(self, found: Arrivals) -> Floats:
+        """Return by how much later than the delays (P, T) what sounds about the centre frequency arrives, s.
+
+        What air does is counted from 1 m on, where the emitted pressure is told.
+        """
+        air = self.family.scene.air
+        centre = self.family.scene.sources[self.source].emitted.centre_frequency
+        apart = 1.0 / air.group_speed_at(centre) - 1.0 / air.speed_at(centre)
+        return apart * (found.through - 1.0) * found.frequency_ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,15 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
+from clsim.paths.channel import (
+    ChannelBand,
+    ChannelPaths,
+    ChannelTaps,
+    DelayDoppler,
+    as_times,
+    channel_paths,
+    channel_taps,
+)
 from clsim.paths.family import SPECULAR, PathFamily
 from clsim.paths.path_table import PathTable
 from clsim.paths.view import paths_page
@@ -23,6 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.arrays import Complexes
     from clsim.paths.family import PairPaths
     from clsim.scene.scene import Scene
 
@@ -183,23 +193,28 @@ class PathSet:
         as_choice("amplitude", amplitude, AMPLITUDES)
         shape = (len(self), len(times))
         delay, doppler_factor = (np.full(shape, np.nan) for _ in range(2))
-        gain: Any = np.full(shape, np.nan, dtype=np.complex128 if self.is_complex else np.float64)
+        has_phases = self.is_complex or self.scene.air.dispersion
+        gain: Any = np.full(shape, np.nan, dtype=np.complex128 if has_phases else np.float64)
+        centres = np.array([source.emitted.centre_frequency for source in self.scene.sources])
         departure, arrival = (np.full((*shape, 3), np.nan) for _ in range(2))
         for rows, pair in self.pairs():
             for part in slices_of(len(times), len(rows)):
                 found = pair.arrivals(times[part], motion, amplitude)
                 delay[rows, part], gain[rows, part] = found.delay, pair.gain(found, times[part])
+                if self.scene.air.dispersion:  # delays told are those of groups
+                    lag = pair.group_lag(found)
+                    delay[rows, part] += lag
+                    gain[rows, part] *= np.exp(2j * np.pi * centres[pair.source] * lag)
                 doppler_factor[rows, part] = 1.0 - found.delay_rate
                 departure[rows, part], arrival[rows, part] = found.departure, found.arrival
         silent = (times[None, :] < self.start[:, None]) | (times[None, :] >= self.end[:, None])
         for column in (delay, doppler_factor, gain, departure, arrival):
             column[silent] = np.nan
-        centres = np.array([source.emitted.centre_frequency for source in self.scene.sources])
         shift = (doppler_factor - 1.0) * centres[self.source][:, None]
         return PathTable(
             times, self.source, self.receiver, self.order, self.interactions, self.objects, self.order == 0,
             delay, doppler_factor, shift, gain, departure, arrival,
-            tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers), self.object_names,
+            *self._names(), self.object_names,
         )  # fmt: skip
 
     def to_dataframe(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
@@ -231,6 +246,140 @@ class PathSet:
             See `PathTable.to_xarray`.
         """
         return self.table(times, motion, amplitude).to_xarray()
+
+    def cir(
+        self, times: Floats, *, carrier: float, motion: str = "retarded", amplitude: str = "wave-equation"
+    ) -> ChannelPaths:
+        """Return the complex gain about a carrier, and the delay, of every path.
+
+        Parameters
+        ----------
+        times : array_like (T,)
+            Times of reception, s.
+        carrier : float
+            At which air, walls and directivities are taken, Hz.
+        motion : {"retarded", "quasi-static"}
+            As in `render`.
+        amplitude : {"wave-equation", "static", "convective"}
+            As in `render`.
+
+        Returns
+        -------
+        ChannelPaths
+            Delays are absolute.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or a wall or directivity is not known at the carrier.
+        """
+        times = as_times(times)
+        delay, _, gain = self._channel(times, carrier, motion, amplitude)
+        return ChannelPaths(
+            times, self.source, self.receiver, read_only(delay), read_only(gain), float(carrier), *self._names()
+        )
+
+    def taps(
+        self,
+        times: Floats,
+        *,
+        carrier: float,
+        bandwidth: float,
+        sampling_rate: float,
+        motion: str = "retarded",
+        amplitude: str = "wave-equation",
+    ) -> ChannelTaps:
+        """Return the channel as a filter of complex envelopes that changes with time, exact over a band.
+
+        Parameters
+        ----------
+        times : array_like (T,)
+            Times of reception, s; any, for they need not follow the sampling rate.
+        carrier : float
+            Hz.
+        bandwidth : float
+            Width of the band about the carrier, both sides together, within which the filter is exact, Hz.
+        sampling_rate : float
+            Of the taps and of the envelope that they filter, at least 1.25 times the bandwidth, Hz.
+        motion : {"retarded", "quasi-static"}
+            As in `render`.
+        amplitude : {"wave-equation", "static", "convective"}
+            As in `render`.
+
+        Returns
+        -------
+        ChannelTaps
+            Tap l is that of the delay ``l / sampling_rate``, absolute.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, a wall or directivity is not known over the band, or the taps would be more
+            than 8 GiB.
+
+        Notes
+        -----
+        Air, walls and directivities act over the whole band. A path is there or not: the transition of `render`, in
+        which it fades in and out, is left out.
+        """
+        times, band = as_times(times), ChannelBand(carrier, bandwidth, sampling_rate)
+        span = self.start, self.end
+        gain, first = channel_taps(self.scene, self.pairs(), span, times, band, motion, amplitude)
+        delays = (first + np.arange(gain.shape[2])) / band.sampling_rate
+        return ChannelTaps(
+            times, read_only(delays), read_only(gain), band.carrier, band.bandwidth, band.sampling_rate, *self._names()
+        )
+
+    def delay_doppler(
+        self,
+        time: float,
+        duration: float,
+        *,
+        carrier: float,
+        motion: str = "retarded",
+        amplitude: str = "wave-equation",
+    ) -> DelayDoppler:
+        """Return every path as a point of delay and Doppler shift over a time.
+
+        Parameters
+        ----------
+        time : float
+            Of reception, when it begins, s.
+        duration : float
+            How long it lasts, s.
+        carrier : float
+            Hz.
+        motion : {"retarded", "quasi-static"}
+            As in `render`.
+        amplitude : {"wave-equation", "static", "convective"}
+            As in `render`.
+
+        Returns
+        -------
+        DelayDoppler
+            Points, and how far they move.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or a wall or directivity is not known at the carrier.
+        """
+        begin = as_number("time", time, at_least=0.0, unit="s")
+        length = as_number("duration", duration, above=0.0, unit="s")
+        times = begin + length * np.array([0.0, 0.5, 1.0])
+        delay, rate, gain = self._channel(times, carrier, motion, amplitude)
+        shift = -float(carrier) * rate
+        return DelayDoppler(
+            begin, length, self.source, self.receiver, read_only(delay[:, 1]), read_only(shift[:, 1]),
+            read_only(gain[:, 1]), read_only(delay[:, 2] - delay[:, 0]), read_only(shift[:, 2] - shift[:, 0]),
+            float(carrier),
+        )  # fmt: skip
+
+    def _channel(self, times: Floats, carrier: float, motion: str, amplitude: str) -> tuple[Floats, Floats, Complexes]:
+        return channel_paths(self.scene, self.pairs(), (self.start, self.end), times, carrier, motion, amplitude)
+
+    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers)
 
     def show(self, duration: float | None = None, frames: int = 120, limit: int = 300, height: int = 600) -> Any:
         """Return the viewer page of the room, the motion and the paths over time, for a notebook.

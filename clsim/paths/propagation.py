@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -91,8 +92,8 @@ class Ways(Protocol):
         ...
 
 
-class Medium(Protocol):
-    """What sound travels in."""
+class SpeedBounds(Protocol):
+    """How fast sound can be."""
 
     @property
     def slowest(self) -> float:
@@ -103,6 +104,10 @@ class Medium(Protocol):
     def fastest(self) -> float:
         """Bound on the speed of sound from above, in any direction, m/s."""
         ...
+
+
+class Medium(SpeedBounds, Protocol):
+    """What sound travels in."""
 
     def passage(self, length: Floats, apart: Floats) -> Passage:
         """Return how sound passes ways.
@@ -156,9 +161,18 @@ class UniformAir:
         return Passage(time, root / length, ((along / root - 1.0) / room)[..., None] * wind, c * time)
 
 
-def medium_of(air: Air) -> UniformAir:
-    """Return what sound travels in, of the air of a scene."""
-    return UniformAir(air.speed_of_sound, air.wind)
+@dataclass(frozen=True, slots=True)
+class SpeedRange:
+    """Bounds of the speed of sound in some media, m/s."""
+
+    slowest: float
+    fastest: float
+
+
+@lru_cache(maxsize=256)
+def medium_of(air: Air, frequency: float) -> UniformAir:
+    """Return what sound of a frequency, Hz, travels in, of the air of a scene."""
+    return UniformAir(air.speed_at(frequency), air.wind)
 
 
 def straight(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
@@ -246,10 +260,10 @@ def arrivals_by(
     departure, arrival = sound.normal(direction), -sound.normal(onwards)
     if sound.carried is not None:
         length = length * np.sum(departure * direction, axis=-1)
-    rate, factor = receding - mach, np.ones_like(mach)
+    rate, factor, ratio = receding - mach, np.ones_like(mach), np.ones_like(mach)
     if motion == "retarded":
-        rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
-    return Arrivals(delay, rate, departure, arrival, length, sound.through, emission_time, factor)
+        rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude], 1.0 / (1.0 - mach)
+    return Arrivals(delay, rate, departure, arrival, length, sound.through, emission_time, factor, ratio)
 
 
 def contract_delay(
@@ -283,14 +297,14 @@ def contract_delay(
 
 
 def delay_bounds(
-    medium: Medium, length: Floats, slack: Floats | float, source_speed: Floats | float
+    speeds: SpeedBounds, length: Floats, slack: Floats | float, source_speed: Floats | float
 ) -> tuple[Floats, Floats]:
     """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
 
     Parameters
     ----------
-    medium : Medium
-        What sound travels in.
+    speeds : SpeedBounds
+        Of sound.
     length : ndarray (n,)
         Of the ways at some instant of reception, with source and receiver where they are then, m.
     slack : float or ndarray (n,)
@@ -298,10 +312,10 @@ def delay_bounds(
     source_speed : float or ndarray (n,)
         Largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
     """
-    low = np.maximum(length - slack, 0.0) / (medium.fastest + source_speed)
-    return low, (length + slack) / (medium.slowest - source_speed)
+    low = np.maximum(length - slack, 0.0) / (speeds.fastest + source_speed)
+    return low, (length + slack) / (speeds.slowest - source_speed)
 
 
-def max_delay_rate(medium: Medium, source_speed: float, receiver_speed: float) -> float:
+def max_delay_rate(speeds: SpeedBounds, source_speed: float, receiver_speed: float) -> float:
     """Return a bound on how fast a delay changes with the time of reception, s/s, from the largest speeds, m/s."""
-    return (source_speed + receiver_speed) / (medium.slowest - source_speed)
+    return (source_speed + receiver_speed) / (speeds.slowest - source_speed)

@@ -40,6 +40,8 @@ class SceneResponse:
     ----------
     scene : Scene
         Holds air, walls and directivities.
+    source : int
+        Whose sound it is: phases are those that its delays leave.
     frequencies : ndarray (F,)
         As emitted, Hz.
 
@@ -52,11 +54,14 @@ class SceneResponse:
     angular : ndarray (walls + 1,) bool
         Walls whose factor depends on the angle of incidence; False at the end, for -1, which is no wall.
     dtype : numpy type
-        float64; complex128 where a wall or a transducer of the scene is complex.
+        Of walls and transducers: float64, or complex128 where one of the scene is complex.
+    disperses : bool
+        Whether the air gives phases.
     """
 
-    def __init__(self, scene: Scene, frequencies: Floats) -> None:
-        self._scene, self.frequencies = scene, frequencies
+    def __init__(self, scene: Scene, source: int, frequencies: Floats) -> None:
+        self._scene, self.frequencies, self.disperses = scene, frequencies, scene.air.dispersion
+        self._slowness = 1.0 / scene.air.speed_at(scene.sources[source].emitted.centre_frequency)
         materials = scene.room.faces.materials
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
@@ -69,9 +74,19 @@ class SceneResponse:
                     covered(frequencies, material), 1.0, scene.air.speed_of_sound
                 )
 
-    def air(self, length: Floats) -> Floats:
-        """Return what the air leaves (..., F) of 1 over lengths (...), relative to 1 m."""
-        return np.asarray(np.exp(-(length - 1.0)[..., None] * self.nepers))
+    def air(self, found: Arrivals) -> Floats | Complexes:
+        """Return what the air leaves (P, T, F) of 1, relative to 1 m; if it disperses, of the frequencies in it."""
+        beyond, ratio = (found.through - 1.0)[..., None], found.frequency_ratio[..., None]
+        if not self.disperses:
+            return np.asarray(np.exp(-beyond * self.nepers))
+        lossy, lead = self.air_at(1.0 if np.all(ratio == 1.0) else ratio)
+        return np.asarray(np.exp(beyond * (1j * lead - lossy)))
+
+    def air_at(self, frequency_ratio: Floats | float) -> tuple[Floats, Floats]:
+        """Return absorption, 1/m, and lead before the delays' phase, rad/m, (..., F) at ratios of the frequencies."""
+        f = self.frequencies * frequency_ratio
+        k = self._scene.air.wavenumber_at(f)
+        return -k.imag, 2.0 * np.pi * self._slowness * f - k.real
 
     def reflection(self, walls: Walls) -> Floats | Complexes:
         """Return the product of the factors (P, F) of walls (P, N), of those that are the same at every angle."""

@@ -47,9 +47,9 @@ class Air:
         A speed, 100 to 2000 m/s; ISO 9613-1's formula by name; or None for Cramer's formula (1993, 314 ppm CO2).
     absorption : bool
         Whether the air absorbs sound, by ISO 9613-1; without it closed forms of walls and spreading hold exactly.
-    dispersion : bool or None
-        Whether the speed of sound depends on frequency, as it must where relaxations absorb; None for whether it comes
-        by a formula. Without it a speed holds at all frequencies, with it at zero frequency.
+    dispersion : bool
+        Whether the speed of sound depends on frequency, as it does where relaxations absorb; the speed is then that at
+        zero frequency.
     wind : array_like (3,), optional
         Velocity of the air, below half the speed of sound, m/s; at rest when left out.
 
@@ -84,7 +84,7 @@ class Air:
     pressure: float
     speed_of_sound: float = field(init=False)
     absorption: bool
-    dispersion: bool | None
+    dispersion: bool
     wind: tuple[float, float, float] | None
     _asked_speed: float | str | None = field(repr=False)  # so that `dataclasses.replace` keeps what was asked for
 
@@ -95,7 +95,7 @@ class Air:
         pressure: float = 101_325.0,
         speed_of_sound: float | str | None = None,
         absorption: bool = True,
-        dispersion: bool | None = None,
+        dispersion: bool = False,
         wind: ArrayLike | None = None,
         *,
         _asked_speed: float | str | None = None,
@@ -105,9 +105,9 @@ class Air:
         pascal = as_number("pressure", pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa")
         asked = _checked_speed(_asked_speed if speed_of_sound is None else speed_of_sound)
         absorbs = as_flag("absorption", absorption)
-        disperses = None if dispersion is None else as_flag("dispersion", dispersion)
+        disperses = as_flag("dispersion", dispersion)
         if disperses and not absorbs:
-            raise InputError("dispersion", "must be False or None in air without absorption, but is True")
+            raise InputError("dispersion", "must be False in air without absorption, but is True")
         vapour = vapour_fraction_giacomo(celsius, humidity, pascal)
         if vapour >= 1.0:
             raise InputError(
@@ -127,12 +127,6 @@ class Air:
     def slowest(self) -> float:
         """Speed at which sound makes way at least, against the wind, m/s."""
         return self.speed_of_sound - (0.0 if self.wind is None else math.hypot(*self.wind))
-
-    @property
-    def disperses(self) -> bool:
-        """Whether the speed of sound depends on frequency."""
-        by_formula = not isinstance(self._asked_speed, float)
-        return self.absorption and (by_formula if self.dispersion is None else self.dispersion)
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
         """Return the absorption of pure tones by ISO 9613-1, dB/m; zero in air without.
@@ -184,7 +178,7 @@ class Air:
         """
         f = np.asarray(frequency, dtype=np.float64)
         k = 2.0 * np.pi / self.speed_of_sound * f - 1j * np.log(10.0) / 20.0 * self.absorption_at(f)
-        return np.asarray(k - lead_iso9613(f, *self._state) if self.disperses else k)
+        return np.asarray(k - lead_iso9613(f, *self._state) if self.dispersion else k)
 
     def speed_at(self, frequency: float) -> float:
         """Return the speed of sound of a pure tone, that of its phase, m/s.
@@ -200,7 +194,7 @@ class Air:
             Speed, m/s.
         """
         c = self.speed_of_sound
-        if not self.disperses:
+        if not self.dispersion:
             return c
         return c / (1.0 - c * float(lead_iso9613(frequency, *self._state)) / (2.0 * np.pi * frequency))
 
@@ -218,7 +212,7 @@ class Air:
             Speed, m/s.
         """
         c = self.speed_of_sound
-        if not self.disperses:
+        if not self.dispersion:
             return c
         return c / (1.0 - c * float(lead_slope_iso9613(frequency, *self._state)))
 

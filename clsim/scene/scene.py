@@ -127,7 +127,7 @@ class Scene:
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return what the room is like, a line each, and of ends in one that walls close which are inside at 0 s.
+        """Return what room and air are like, a line each, and of ends in a closed room which are inside at 0 s.
 
         Returns
         -------
@@ -135,7 +135,16 @@ class Scene:
             The lines.
         """
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
-        return [*self.room.describe(), *(_side(self.room, field_name, item) for field_name, item in sides)]
+        air = [_travelling(self.air, source) for source in self.sources] if self.air.dispersion else []
+        return [*self.room.describe(), *air, *(_side(self.room, field_name, item) for field_name, item in sides)]
+
+
+def _travelling(air: Air, source: Source) -> str:
+    centre = source.emitted.centre_frequency
+    return (
+        f"air disperses: what {source.name!r} sends about {centre:.6g} Hz goes {air.group_speed_at(centre):.3f} m/s, "
+        f"its phase at {air.speed_at(centre):.3f} m/s; {air.speed_of_sound:.3f} m/s at 0 Hz"
+    )
 
 
 def _place(item: End) -> str:

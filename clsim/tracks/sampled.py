@@ -142,7 +142,7 @@ def sampled_responses(
 ) -> Sample:
     """Return about `count` responses of a source's paths, at instants of the run."""
     pairs = [i for i, g in enumerate(tracks.pairs) if g.source == source]
-    at = SceneResponse(tracks.scene, band.frequencies)
+    at = SceneResponse(tracks.scene, source, band.frequencies)
     if len(pairs) > _MOST_PAIRS:
         pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
     instants = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))

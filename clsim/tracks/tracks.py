@@ -291,7 +291,9 @@ class SceneTracks(Tracks):
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
         found = paths.arrivals(times + clock_error, self.motion, self.amplitude)
         some = found if every == 1 else found.part(np.arange(len(paths)), slice(None, None, every))
-        response = paths.response(some, (times + clock_error)[::every], SceneResponse(self.scene, basis.nodes))
+        response = paths.response(
+            some, (times + clock_error)[::every], SceneResponse(self.scene, paths.source, basis.nodes)
+        )
         gain = np.moveaxis(basis.gains(response), -1, 0)
         return found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0), gain
 

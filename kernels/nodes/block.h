@@ -5,7 +5,7 @@
 
 
 typedef struct {
-    double delay[4], rate[4];  // s, and by the time of reception
+    real delay[4], rate[4];  // s, and by the time of reception
     gains gain[4][GAIN_VECTORS];
     float strength[4];         // mean square of the response
 } window;
@@ -51,23 +51,6 @@ static void terms_between(const window* node, gains terms[4][GAIN_VECTORS])
     }
 }
 
-// Write the delay in samples of the branches, of which a block has twice `half_block`; returns its whole part.
-static int write_delay(const window* node, int apart, double rate, double half_block, double delay_samples, __global float* c)
-{
-#if DELAY_TERMS == 8
-    return write_septic(node->delay, node->rate, rate, half_block, delay_samples, c);
-#else
-    const double p0 = node->delay[1] * rate + delay_samples, p1 = node->delay[2] * rate + delay_samples;
-    const double e0 = node->rate[1] * half_block, e1 = node->rate[2] * half_block;
-    const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
-    c[0] = (float)(centre - whole);
-    c[apart] = (float)(0.75 * (p1 - p0) - 0.25 * (e0 + e1));
-    c[2 * apart] = (float)(0.25 * (e1 - e0));
-    c[3 * apart] = (float)(0.25 * (e0 + e1) - 0.25 * (p1 - p0));
-    return (int)whole;
-#endif
-}
-
 #if DELAY_TERMS == 8
 // Square of the share that gains' fourth differences have of their third, as if differences went on falling; at most 1.
 static gains falling(gains g0, gains g1, gains g2, gains g3, gains third_squared)
@@ -83,14 +66,14 @@ static gains falling(gains g0, gains g1, gains g2, gains g3, gains third_squared
 // turned into phase, and 0.02 of the gains' third differences (0.016 is that of Catmull-Rom), both from differences of
 // nodes; and what groups leave out of the cubics, where subblocks are a `part` of the block: the delay's third power, the
 // gains' second one (fine ones leave out nothing: `part` is 0). Of envelopes the septic's, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
-static float delay_error_squared(const window* node, float angular_frequency, double block_time, float part)
+static float delay_error_squared(const window* node, float angular_frequency, real block_time, float part)
 {
-    const double* r = node->rate;
+    const real* r = node->rate;
 #if DELAY_TERMS == 8
     const float delay_error = septic_error(node->delay, r, block_time);
 #else
-    const float remainder = (float)((r[3] - r[0] + 3.0 * (r[1] - r[2])) * block_time) / 384.0f;
-    const float cubed = (float)(0.125 * block_time * (r[1] + r[2]) - 0.25 * (node->delay[2] - node->delay[1]));
+    const float remainder = (float)((r[3] - r[0] + 3 * (r[1] - r[2])) * block_time) / 384.0f;
+    const float cubed = (float)(0.125f * block_time * (r[1] + r[2]) - 0.25f * (node->delay[2] - node->delay[1]));
     const float twist = cubed * part * part * part;
     const float delay_error = (remainder < 0.0f ? -remainder : remainder) + (twist < 0.0f ? -twist : twist);
 #endif

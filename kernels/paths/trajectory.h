@@ -24,14 +24,7 @@ static trajectory trajectory_of(__global const double* knots, int count, double 
     return out;
 }
 
-// Value of the cubics whose coefficients stand at `c` as [power][3].
-static triple cubic(__global const double* c, double u)
-{
-    const triple out = {c[0] + u * (c[3] + u * (c[6] + u * c[9])), c[1] + u * (c[4] + u * (c[7] + u * c[10])),
-                        c[2] + u * (c[5] + u * (c[8] + u * c[11]))};
-    return out;
-}
-// The same at nodes side by side, and the derivative.
+// Value of cubics at nodes side by side (see `cubic`), and the derivative.
 #define COLUMN(i) SIDE_BY_SIDE(c, [i])
 static triples cubics(__global const double* const* c, reals u)
 {

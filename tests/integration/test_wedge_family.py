@@ -57,10 +57,10 @@ class WedgePaths(PathFamily):
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
         ways = WaysOver(self, len(self.source[rows]), receiver.position(times))
-        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
+        return arrivals_by(ways, self.medium(0), (source, receiver), times, motion, amplitude)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Any:
-        response = self.gain * at.air(found.through) * (found.mach_factor / found.length)[..., None]
+        response = self.gain * at.air(found) * (found.mach_factor / found.length)[..., None]
         at.apply_directivities(response, self.ends(rows), found, times)
         return response
 

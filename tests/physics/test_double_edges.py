@@ -47,7 +47,7 @@ def at_rest(diffraction: int) -> PathSet:
 
 def over_free_field(paths: PathSet) -> np.ndarray:
     """Return totals at the receivers in two dimensions: ways spread as a line's sound does."""
-    k, at, time = 2.0 * np.pi * TONE / C, SceneResponse(paths.scene, np.array([TONE])), np.zeros(1)
+    k, at, time = 2.0 * np.pi * TONE / C, SceneResponse(paths.scene, 0, np.array([TONE])), np.zeros(1)
     total = np.zeros(len(RECEIVERS), dtype=complex)
     for family in paths.families:
         for pair in family.pairs():

@@ -95,7 +95,10 @@ class EdgePaths(PathFamily):
         source, receiver = (end.trajectory for end in self.ends(rows))
         times, retarded = np.asarray(times, dtype=np.float64), motion == "retarded"
         index = np.arange(len(self))[rows]
-        views, medium = (self._view("before", index), self._view("after", index)), self.medium
+        views, medium = (
+            (self._view("before", index), self._view("after", index)),
+            self.medium(int(self.source[rows][0])),
+        )
         ways = edge_ways(
             views, self._beyond(index), self.end_place[index], source, receiver.position(times), times, medium, retarded
         )
@@ -105,11 +108,18 @@ class EdgePaths(PathFamily):
         departure, length = sound.normal(direction), ways.length
         if sound.carried is not None:
             length = length * np.sum(departure * direction, axis=-1)
-        rate, factor = receding - ways.mach, np.ones(ways.delay.shape)
-        if retarded:
-            rate, factor = rate / (1.0 - ways.mach), (1.0 - ways.mach) ** -MACH_EXPONENT[amplitude]
+        ratio = 1.0 / (1.0 - ways.mach) if retarded else np.ones(ways.delay.shape)
+        rate, factor = (receding - ways.mach) * ratio, ratio ** MACH_EXPONENT[amplitude]
         return Arrivals(
-            ways.delay, rate, departure, -sound.normal(onwards), length, sound.through, ways.emission_time, factor
+            ways.delay,
+            rate,
+            departure,
+            -sound.normal(onwards),
+            length,
+            sound.through,
+            ways.emission_time,
+            factor,
+            ratio,
         )
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
@@ -124,16 +134,12 @@ class EdgePaths(PathFamily):
         source, receiver = self.ends(rows)
         shape = found.delay.shape
         emitted_at = source.trajectory.position(found.emission_time.ravel()).reshape(*shape, 3)
-        velocity = source.trajectory.velocity(found.emission_time.ravel()).reshape(*shape, 3)
-        speed = self.scene.air.speed_of_sound
-        mach = np.sum(found.departure * velocity, axis=-1) / speed
-        late = found.emission_time != times  # as received; quasi-static sound is emitted at once
-        wave = 2.0 * np.pi * at.frequencies / speed / (1.0 - np.where(late, mach, 0.0))[..., None]
+        wave = 2.0 * np.pi * at.frequencies / self.scene.air.speed_of_sound * found.frequency_ratio[..., None]
         response: Complexes = self._edge_field(
             index, self._view("before", index).places(emitted_at),
             self._view("after", index).places(receiver.trajectory.position(times)), wave, at,
         )  # fmt: skip
-        response *= at.air(found.through) * found.mach_factor[..., None]
+        response *= at.air(found) * found.mach_factor[..., None]
         for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
             for bounce, normals in at.angular_bounces(walls):

@@ -71,5 +71,5 @@ def _delays(family: EdgePaths, rows: Rows, times: Floats) -> Floats:
     receiver = ends_at(scene.receivers, family.receiver[rows], times)
     delay = np.zeros(len(rows))
     for _ in range(_ROUNDS):
-        delay = family.lengths(rows, ends_at(scene.sources, source, times - delay), receiver) / family.medium.slowest
+        delay = family.lengths(rows, ends_at(scene.sources, source, times - delay), receiver) / scene.air.speed_of_sound
     return delay

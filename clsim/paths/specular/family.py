@@ -57,7 +57,8 @@ class SpecularPaths(PathFamily):
     @property
     def device(self) -> str | None:
         """The program for images; none that knows a medium other than air of one speed."""
-        return "images" if isinstance(self.medium, UniformAir) else None
+        uniform = (isinstance(self.medium(source), UniformAir) for source in range(len(self.scene.sources)))
+        return "images" if all(uniform) else None
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:
@@ -71,12 +72,12 @@ class SpecularPaths(PathFamily):
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
         ways = _Images(self.image_matrix[rows], self.image_offset[rows], receiver.position(times))
-        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
+        return arrivals_by(ways, self.medium(int(self.source[rows][0])), (source, receiver), times, motion, amplitude)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): spreading, air, walls and directivities."""
         walls = self.objects[rows]
-        response = at.air(found.through) * at.reflection(walls)[:, None, :]
+        response = at.air(found) * at.reflection(walls)[:, None, :]
         response *= (found.mach_factor / found.length)[..., None]
         for bounce, normals in at.angular_bounces(walls):
             met = walls[:, bounce]

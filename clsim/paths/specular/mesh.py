@@ -187,7 +187,7 @@ def visibility_query(
     InputError
         If the source may be as fast as sound.
     """
-    medium = medium_of(scene.air)
+    medium = medium_of(scene.air, source.emitted.centre_frequency)
     trajectories = [r.trajectory for r in scene.receivers]
     mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
     ends = trajectory_tables(source.trajectory, trajectories, mounts)

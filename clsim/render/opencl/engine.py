@@ -19,6 +19,7 @@ from clsim.render.opencl.device_nodes import NODE_PROGRAMS, DeviceTracks
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
 from clsim.render.opencl.limits import Limits
+from clsim.render.opencl.pair_nodes import PAIR_PROGRAMS
 from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
@@ -154,10 +155,15 @@ class OpenclEngine:
         self._coarse[source] = max(self._coarse[source], (wrong, time))
 
     def maker(self, pair: int) -> NodeMaker:
-        """Return what makes the nodes of a pair: the device, where it has float64 and a program for such paths."""
+        """Return what makes the nodes of a pair: the device, where it has a program for such paths.
+
+        Without float64 there is none for envelopes, whose delays are septics, and for wind.
+        """
         plan, of_scene = self._plan, self._plan.tracks.of_scene
-        family = None if of_scene is None or not self._info.fp64 else of_scene.pair_paths[pair].family
-        program = None if family is None else NODE_PROGRAMS.get(family.device or "")
+        family = None if of_scene is None else of_scene.pair_paths[pair].family
+        in_pairs = of_scene is not None and plan.baseband is None and of_scene.scene.air.wind is None
+        programs = NODE_PROGRAMS if self._info.fp64 else PAIR_PROGRAMS if in_pairs else {}
+        program = None if family is None else programs.get(family.device or "")
         kind = None if program is None else family
         if kind not in self._makers:
             self._makers[kind] = (

@@ -13,7 +13,7 @@ from clsim.opencl.limits import LONGEST_LAUNCH, check_group
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.limits import Limits
-from clsim.render.plan import BATCH, SEGMENT, Plan
+from clsim.render.plan import BATCH, NODE_BUDGET, SEGMENT, Plan
 from clsim.render.planning import plan_render
 
 RATE = 192e3
@@ -132,7 +132,7 @@ def test_memory_of_a_plan_is_what_is_taken(device: None) -> None:
             taken += sum(buffer.size for buffer in scratch._kept.values())
         # Nodes are counted in blocks of 768 and of 384 samples, three times those that this motion needs.
         assert 0.9 * taken < made.memory_bytes < 3.1 * taken, (name, taken, made.memory_bytes, made._memory())
-    assert plans["small"].memory_bytes < 48 * 2**20 < plans["paths"].memory_bytes
+    assert plans["small"].memory_bytes < NODE_BUDGET
 
 
 def test_delays_that_cannot_be_counted_say_what_to_do() -> None:
