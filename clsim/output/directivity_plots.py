@@ -117,7 +117,7 @@ def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
     """Draw by how much sound in air is faster than at 0 Hz."""
     dispersing = replace(air, dispersion=True)
     raised = [1e3 * (dispersing.speed_at(f) - air.speed_of_sound) for f in frequencies]
-    told = f"{100 * air.relative_humidity:g} %: {air.speed_of_sound:.3f} m/s"
+    told = f"{100 * air.state[1]:g} %: {air.speed_of_sound:.3f} m/s"
     axes.semilogx(frequencies / 1e3, raised, color=colour, label=told)
     axes.set(xlabel="frequency (kHz)", ylabel="above the speed at 0 Hz (mm/s)", title="speed of sound by frequency")
     axes.set(xlim=(1.0, 200.0), ylim=(0.0, None))
@@ -147,16 +147,14 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
             raise InputError(f"airs[{i}].absorption", "must be True to be drawn, but is False")
     figure = Figure(figsize=(15.0, 4.6), layout="constrained")
     left, right, speeds = figure.subplots(1, 3)
-    temperature, pressure = airs[0].temperature_celsius, airs[0].pressure
+    temperature, _, pressure = airs[0].state
     figure.suptitle(
         f"Absorption and dispersion of air by ISO 9613-1, {temperature:g} °C, {pressure / 1e3:g} kPa", fontsize=12
     )
     frequencies = np.geomspace(1e3, 200e3, 400)
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(airs)))
     for air, colour in zip(airs, colours, strict=True):
-        left.loglog(
-            frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.relative_humidity:g} %"
-        )
+        left.loglog(frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.state[1]:g} %")
         _draw_speed(speeds, air, frequencies, colour)
     left.set(xlabel="frequency (kHz)", ylabel="absorption (dB/m)", title="absorption by frequency", xlim=(1.0, 200.0))
     left.legend(title="relative humidity", fontsize=9)

@@ -50,8 +50,6 @@ class PathFamily(ABC):
         To which wall that happens (specular) or to which of `object_names`; filled up with -1.
     columns : tuple of str
         A kind's own fields with a row per path.
-    moves : bool
-        Whether paths change though both ends rest.
     costly : bool
         Whether responses cost so much that they are taken at few instants where they change slowly, see `HostTracks`.
     object_names : tuple of str
@@ -68,7 +66,6 @@ class PathFamily(ABC):
     objects: NDArray[np.signedinteger[Any]]
 
     columns: ClassVar[tuple[str, ...]] = ()
-    moves: ClassVar[bool] = False
     costly: ClassVar[bool] = False
 
     @abstractmethod
@@ -144,7 +141,8 @@ class PathFamily(ABC):
     def speed_range(self) -> SpeedRange:
         """Bounds of the speed of sound of all sources."""
         media = [self.medium(source) for source in range(len(self.scene.sources))]
-        return SpeedRange(min(m.slowest for m in media), max(m.fastest for m in media))
+        bounds = min(m.slowest for m in media), max(m.fastest for m in media)
+        return SpeedRange(*bounds, self.scene.air.fluctuation)
 
     @property
     def device(self) -> str | None:
@@ -158,6 +156,11 @@ class PathFamily(ABC):
     def is_complex(self) -> bool:
         """Whether responses have phases."""
         return is_complex(self.scene)
+
+    @property
+    def moves(self) -> bool:
+        """Whether paths change though both ends rest."""
+        return self.scene.air.fluctuation is not None
 
     @property
     def object_names(self) -> tuple[str, ...]:

@@ -63,6 +63,8 @@ class Scene:
         checked_room(self.room)
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
+        low, high = self.room.extent
+        object.__setattr__(self, "air", self.air.between(float(low[2]), float(high[2])))
         ends = self.named_ends()
         check_motions(self.room, ends, self.air.slowest)
         check_sides(self.room, ends)
@@ -119,11 +121,7 @@ class Scene:
             for field, item in self.named_ends()[:_MOST_LISTED]
         ]
         more = len(self.named_ends()) - len(ends)
-        air = (
-            f"air: {self.air.temperature_celsius:g} °C, {100.0 * self.air.relative_humidity:g} % relative humidity, "
-            f"sound at {self.air.speed_of_sound:.2f} m/s"
-        )
-        notes = [*([f"and {more} more"] if more else []), *self.room.describe(), air]
+        notes = [*([f"and {more} more"] if more else []), *self.room.describe(), *self.air.describe()]
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
@@ -136,7 +134,8 @@ class Scene:
         """
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
         air = [_travelling(self.air, source) for source in self.sources] if self.air.dispersion else []
-        return [*self.room.describe(), *air, *(_side(self.room, field_name, item) for field_name, item in sides)]
+        of_sides = [_side(self.room, field_name, item) for field_name, item in sides]
+        return [*self.room.describe(), *self.air.describe()[1:], *air, *of_sides]
 
 
 def _travelling(air: Air, source: Source) -> str:

@@ -84,7 +84,8 @@ def _bounds(tracks: SceneTracks, pair: int, until: float) -> tuple[Floats, float
     slowest = paths.family.medium(paths.source).slowest
     mach_factor = (1.0 - source_speed / slowest) ** -MACH_EXPONENT[tracks.amplitude]
     bound, strongest = np.zeros(len(reflected)), 0.0
-    nepers = at.nepers * (1.0 - 2.0 * source_speed / slowest if at.disperses else 1.0)  # of the frequencies on the way
+    spread = 2.0 * source_speed / slowest if at.disperses else 0.0  # of the frequencies on the way
+    least, most = at.least_nepers * (1.0 - spread), at.most_nepers * (1.0 + spread)
     speed = source_speed + float(tracks.speeds.receiver[paths.receiver])
     member, step = tracks.pairs[pair], _STEP
     if member.always_heard:
@@ -93,6 +94,7 @@ def _bounds(tracks: SceneTracks, pair: int, until: float) -> tuple[Floats, float
     for begin, end in pairwise(edges):
         heard = (member.start < end) & (member.end > begin)
         nearest = np.maximum(tracks.delay_range(pair, begin, end)[0] * slowest, scene.min_distance)[:, None]
+        nepers = np.where(nearest > 1.0, least, most)
         gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
         bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
         middle = np.array([0.5 * (begin + end)])

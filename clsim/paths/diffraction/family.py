@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -10,7 +11,9 @@ import numpy as np
 from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angles, transition, wedge_terms
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
+from clsim.paths.diffraction.ways_over import WaysOver
 from clsim.paths.family import DIFFRACTION, SPECULAR, PathFamily
+from clsim.paths.propagation import arrivals_by
 from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
@@ -94,11 +97,10 @@ class EdgePaths(PathFamily):
         """
         source, receiver = (end.trajectory for end in self.ends(rows))
         times, retarded = np.asarray(times, dtype=np.float64), motion == "retarded"
-        index = np.arange(len(self))[rows]
-        views, medium = (
-            (self._view("before", index), self._view("after", index)),
-            self.medium(int(self.source[rows][0])),
-        )
+        index, medium = np.arange(len(self))[rows], self.medium(int(self.source[rows][0]))
+        if self.scene.air.layers or medium.fluctuation is not None:
+            return arrivals_by(partial(WaysOver, self, index), medium, (source, receiver), times, motion, amplitude)
+        views = self._view("before", index), self._view("after", index)
         ways = edge_ways(
             views, self._beyond(index), self.end_place[index], source, receiver.position(times), times, medium, retarded
         )
@@ -111,16 +113,9 @@ class EdgePaths(PathFamily):
         ratio = 1.0 / (1.0 - ways.mach) if retarded else np.ones(ways.delay.shape)
         rate, factor = (receding - ways.mach) * ratio, ratio ** MACH_EXPONENT[amplitude]
         return Arrivals(
-            ways.delay,
-            rate,
-            departure,
-            -sound.normal(onwards),
-            length,
-            sound.through,
-            ways.emission_time,
-            factor,
-            ratio,
-        )
+            ways.delay, rate, departure, -sound.normal(onwards), length, sound.through, None, ways.emission_time,
+            factor, ratio,
+        )  # fmt: skip
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, spreading, air, walls, directivities.
@@ -140,7 +135,7 @@ class EdgePaths(PathFamily):
             self._view("after", index).places(receiver.trajectory.position(times)), wave, at,
         )  # fmt: skip
         response *= at.air(found) * found.mach_factor[..., None]
-        for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
+        for walls, direction in zip(self.walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
             for bounce, normals in at.angular_bounces(walls):
                 met = walls[:, bounce]
@@ -160,7 +155,7 @@ class EdgePaths(PathFamily):
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
         first, last = self._apexes(index, emitted_at, heard_at)
         planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
-        before, after = self._walls_of_sides(index)
+        before, after = self.walls_of_sides(index)
         there = path_vertices(planes, before, emitted_at, first)
         back, more = path_vertices(planes, after, heard_at, last), int(first is not last)
         found = np.full((len(index), self.objects.shape[1] + 2, 3), np.nan)
@@ -218,7 +213,7 @@ class EdgePaths(PathFamily):
         angle = np.arctan2(y, x)
         return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
 
-    def _walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
+    def walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
         """Return the walls (P, N) before the edge from the source's side, and after it from the receiver's."""
         kinds, walls = self.interactions[index], self.walls[index]
         edge = np.argmax(kinds == DIFFRACTION, axis=1)[:, None]

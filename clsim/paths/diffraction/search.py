@@ -107,6 +107,8 @@ def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily
     InputError
         If the order is out of range, or there are more paths or beams than the limits.
     """
+    if scene.air.layers or scene.air.fluctuation is not None:
+        raise InputError("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
     rows, order, within = _rows_of(scene, search, others, _double_candidates)
     edges = scene.room.edges()
     columns = path_columns(scene, edges, order, rows)
