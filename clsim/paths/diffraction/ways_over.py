@@ -14,13 +14,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.diffraction.family import EdgePaths
 
 
 class WaysOver:
-    """Ways over the edges of paths `index` (P,) to a receiver at places (T, 3)."""
+    """Ways over the edges of paths `index` (P,) of `EdgePaths` to a receiver at places (T, 3)."""
 
-    def __init__(self, paths: EdgePaths, index: NDArray[np.int64], received_at: Floats) -> None:
+    def __init__(self, paths: Any, index: NDArray[np.int64], received_at: Floats) -> None:
         self._paths, self._index, self._received_at = paths, index, received_at
         self._heard_at = self._image("after", index, received_at[None])
         faces = paths.scene.room.faces
