@@ -181,11 +181,13 @@ def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[floa
     rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
     window, worst = np.kaiser(count, _BETA), 0.0
     outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > carrier * max_rate + narrow.half - narrow.flat
-    for begin in rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2]):
-        times = begin + np.arange(count) / rate
-        delay, _, gain = tracks.evaluate(pair, times, flat_basis(carrier), rows)
-        heard = (begin - delay[:, 0] >= span[0] - _STRETCH) & (times[-1] - delay[:, -1] <= span[1] + _STRETCH)
-        spectrum = np.fft.fft((gain[0] * np.exp(-2j * math.pi * carrier * delay) * window)[heard], axis=1)
+    begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2])
+    stretches = begins[:, None] + np.arange(count) / rate
+    delays, _, gains = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
+    for k, begin in enumerate(begins.tolist()):
+        delay, gain = (a[:, k * count : (k + 1) * count] for a in (delays, gains[0]))
+        heard = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
+        spectrum = np.fft.fft((gain * np.exp(-2j * math.pi * carrier * delay) * window)[heard], axis=1)
         level = np.maximum(np.linalg.norm(spectrum, axis=1), 1e-300)
         worst = max(worst, float((np.linalg.norm(spectrum[:, outside], axis=1) / level).max(initial=0.0)))
     return worst * 10 ** (-MARGIN_DB / 20)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
@@ -23,6 +24,7 @@ from clsim.render.static_convolution import static_convolution
 from clsim.render.static_pairs import StaticPairs, find_static_pairs
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 from clsim.tracks.pruning import pruned
+from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
 
 if TYPE_CHECKING:
@@ -177,7 +179,10 @@ def _source_filters(
         for i, (emitted, start) in enumerate(emissions):
             signal = emitted.at_rate(options.sampling_rate)
             sound = ShortTimeSpectra.of(signal)
-            emission = Emission(i, signal, start, sound, tracks, options, until, pairs.holds(tracks, i))
+            emission = Emission(
+                i, signal, start, sound, tracks, options, until, pairs.holds(tracks, i),
+                cache(signal.energy_spectrum), cache(partial(Draw.of, tracks, i, until)),
+            )  # fmt: skip
             narrow, why = chosen_band(emission, pairs)
             told += [why] if why else []
             if narrow is None:
