@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
 _RIPPLE_DB = 15.0  # the same of the band-pass: what it leaves of a steady tone is silence
-_LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
+LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
 _SILENT = 1e-9  # energy of the rest in a window relative to the whole, below which nothing is designed for it
 
 
@@ -70,7 +70,7 @@ class NarrowBand:
         Silence is looked for in cells of 16 samples, relative to the level of what sounds within 20 to 40 ms.
         """
         begin, end = first // CELL * CELL, -(-last // CELL) * CELL
-        window = math.ceil(max(_LEVEL_TIME * signal.sampling_rate, self.reach) / CELL) * CELL
+        window = math.ceil(max(LEVEL_TIME * signal.sampling_rate, self.reach) / CELL) * CELL
         before, after = begin // window - 1, -(-end // window) + 1
         offset = before * window
         whole, left = signal.read(offset, after * window), np.zeros(end - begin)

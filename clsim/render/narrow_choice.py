@@ -11,7 +11,7 @@ from clsim.errors import DeviceError
 from clsim.opencl.device import find_device
 from clsim.render.baseband import CYCLES, WIDEST, Baseband
 from clsim.render.interpolator import Bandlimited
-from clsim.render.narrow_band import MARGIN_DB, NarrowBand
+from clsim.render.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.tracks.basis import flat_basis
 
@@ -23,16 +23,17 @@ if TYPE_CHECKING:
     from clsim.render.source_filters import Emission
     from clsim.render.static_pairs import StaticPairs
     from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import SceneTracks
+    from clsim.tracks.tracks import SceneTracks, Tracks
 
 _SHARES = (1e-3, 1e-6, 1e-9)  # of the energy to either side of what is passed as it is
 _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
 _BINS = 10.0  # of short-time spectra: what a tone spreads in them
 _LEAST_EVERY = 8  # samples of the sound in one of the envelope
-# Processor time, ns: of a path in a sample of the sound, plainly, in a rest that sounds, and in nodes of envelopes; of
-# a path in a sample of the envelope; of upsampling and of splitting a sample; of planning twice.
-_PLAIN, _REST, _NODES, _ENVELOPE = 1.2, 4.0, 0.25, 6.0
-_UPSAMPLED, _SPLIT, _PLANNED = 10.0, 60.0, 5e8
+# Processor time, ns: of a path in a sample of the sound, plainly, and more by functions of frequency where the signal's
+# band is all there is, in a rest that sounds, and in nodes of envelopes; of a path in a sample of the envelope; of
+# upsampling and of splitting a sample; of planning twice.
+_PLAIN, _WIDE, _REST, _NODES, _ENVELOPE = 1.5, 3.0, 4.0, 0.25, 6.0
+_UPSAMPLED, _SPLIT, _PLANNED = 10.0, 60.0, 1.5e8
 _ON_GPU = 50.0  # times as fast is a GPU, for which the host upsamples as fast as for any other
 _WINDOWS, _ENDS = 48, 4  # of short-time spectra that are looked at, and of these at either end
 _SOUNDING = 0.5  # of a window in which the rest is loud
@@ -62,23 +63,46 @@ def chosen_band(emission: Emission, pairs: StaticPairs) -> tuple[NarrowBand | No
         return None, ""
     rate, error_db = signal.sampling_rate, options.interpolator.error_db
     samples = min(signal.duration, until) * rate
-    path_samples = sum(len(tracks.pairs[i]) for i in mine) * samples / (_ON_GPU if _on_gpu(options) else 1.0)
+    path_samples = _heard(tracks, mine, until) * samples / (_ON_GPU if _on_gpu(options) else 1.0)
     # By so much a path must be faster in a sample, ns.
-    least = -math.inf if options.narrowband else (_PLANNED + samples * (_SPLIT + _UPSAMPLED * len(mine))) / path_samples
-    if least > _PLAIN:
+    once = _PLANNED + samples * (_SPLIT + _UPSAMPLED * len(mine))
+    least = -math.inf if options.narrowband else once / max(path_samples, 1.0)
+    low, high = sound.bounds(10 ** ((error_db - 6.0) / 10))
+    most = _PLAIN + _WIDE * (high - low) / (0.5 * rate)
+    if least > most:
         return None, ""
-    some = _some(sound)
-    bands = dict.fromkeys(_bands(signal, sound, tracks.max_rate(index)))
+    some, fades = _some(sound), _width_of_fades(tracks, mine, error_db)
+    bands = dict.fromkeys(_bands(signal, sound, tracks.max_rate(index), fades))
     designed = [NarrowBand.designed(*band, rate, error_db) for band in bands]
-    work = [_work(band, some, rate) for band in designed]
-    if not work or _PLAIN - min(work) < least:
+    gains = [_gain(band, some, rate, most) for band in designed]
+    if not gains or max(gains) < least:
         return None, ""
-    narrow = designed[int(np.argmin(work))]
+    narrow = designed[int(np.argmax(gains))]
     why = _obstacle(index, of_scene, mine, narrow, (start, start + signal.duration, until))
     return (None, f"source {index}: rendered as a whole, without a narrow part: {why}") if why else (narrow, "")
 
 
-def _bands(signal: Signal, sound: ShortTimeSpectra, max_rate: float) -> Iterator[tuple[Baseband, float, float]]:
+def _heard(tracks: Tracks, mine: list[int], until: float) -> float:
+    """Return how many paths of some pairs are heard on average until the end of the run, s."""
+    times = (np.clip([tracks.pairs[i].start, tracks.pairs[i].end], 0.0, until) for i in mine)
+    return float(sum((end - start).sum() for start, end in times)) / until
+
+
+def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
+    """Return by how far paths that begin and end spread a tone to either side within an error, Hz; 0 if none does, or at once.
+
+    The energy spectrum of a raised cosine over T is that of a step, ``1 / (2 pi f)^2``, times ``cos(pi f T)^2 /
+    (1 - (2 f T)^2)^2``: beyond F there are ``1 / (320 pi^2 T^4 F^5)`` to either side together, which must be below the
+    asked error in what sounds within 20 ms even if all paths begin at once.
+    """
+    if tracks.transition == 0.0 or all(tracks.pairs[i].always_heard for i in mine):
+        return 0.0
+    return float((320.0 * math.pi**2 * tracks.transition**4 * LEVEL_TIME * 10 ** (error_db / 10)) ** -0.2)
+
+
+def _bands(
+    signal: Signal, sound: ShortTimeSpectra, max_rate: float, fades: float
+) -> Iterator[tuple[Baseband, float, float]]:
     """Yield bands that may hold most of a sound, with the ends of what is passed as it is, and at all, Hz."""
     rate, spectrum = signal.sampling_rate, (sound.frequencies, sound.weights @ sound.energy)
     for share in _SHARES:
@@ -90,7 +114,7 @@ def _bands(signal: Signal, sound: ShortTimeSpectra, max_rate: float) -> Iterator
             flat = 0.5 * (high - low) + spread
             half = flat + skirt
             # All that is emitted is received within this.
-            width = 2.0 * (half * (1.0 + max_rate) + carrier * max_rate)
+            width = 2.0 * (max(half * (1.0 + max_rate), flat * (1.0 + max_rate) + fades) + carrier * max_rate)
             every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
             if every >= _LEAST_EVERY and width <= min(carrier, rate - 2.0 * carrier):
                 yield Baseband(carrier, width, rate / every), flat, half
@@ -108,10 +132,15 @@ def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
     return ShortTimeSpectra(sound.frequencies, sound.energy[rows], np.concatenate([sound.weights[ends], weights]))
 
 
-def _work(narrow: NarrowBand, sound: ShortTimeSpectra, rate: float) -> float:
-    """Return the processor time for a path in a sample of the sound as envelope and rest, ns."""
+def _gain(narrow: NarrowBand, sound: ShortTimeSpectra, rate: float, most: float) -> float:
+    """Return the processor time that a path in a sample of the sound saves as envelope and rest, ns.
+
+    Plainly it takes `most` where the rest is silent; where that sounds, what is wide may as well be short.
+    """
     loud = float(narrow.rest_of(sound).weights.sum() / sound.weights.sum())
-    return _NODES + _ENVELOPE * (narrow.baseband.sampling_rate or rate) / rate + _REST * _SOUNDING * loud
+    plain = _PLAIN + (most - _PLAIN) * (1.0 - loud)
+    split = _NODES + _ENVELOPE * (narrow.baseband.sampling_rate or rate) / rate + _REST * _SOUNDING * loud
+    return plain - split
 
 
 def _on_gpu(options: RenderOptions) -> bool:
@@ -129,8 +158,8 @@ def _obstacle(
     The span is when the signal begins and ends and when the run ends, s.
     """
     scene = tracks.scene
-    if not all(tracks.pairs[i].always_heard for i in mine):
-        return "paths begin and end"
+    if tracks.transition == 0.0 and not all(tracks.pairs[i].always_heard for i in mine):
+        return "paths begin and end at once"
     receivers = sorted({tracks.pairs[i].receiver for i in mine})
     ends = [("the source", scene.sources[index].trajectory)]
     ends += [(f"receiver {i}", scene.receivers[i].trajectory) for i in receivers]
