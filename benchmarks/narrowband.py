@@ -2,15 +2,20 @@
 
 Kernels are built by a first call of each that is not counted. `apart` compares both with a rendering at -110 dB, over the
 first tenth of a second. Of signals for which the default call takes the plain way the ratio shows what looking costs.
+At last the default call is compared with `plain_loop.c`, which needs a C compiler: how many paths times samples a second of
+processor time either does. To the loop branch signals and polynomials of blocks are given, and it sums one function.
 """
 
 import argparse
 import math
 import statistics
+import tempfile
 import time
 import warnings
+from pathlib import Path
 
 import numpy as np
+from rates import PlainLoop, Stages
 
 import clsim
 from clsim.render.planning import plan_render
@@ -70,6 +75,30 @@ def row(name: str, duration: float, order: int, repeat: int) -> str:
     )
 
 
+def against_the_loop(duration: float, order: int, repeat: int) -> str:
+    """Return how the default call of an abrupt tone compares with the C loop."""
+    signal = SIGNALS["40 kHz tone, abrupt ends"]
+    short, paths = (found(signal(d), d, order) for d in (1.0, duration))
+    plan = plan_render(short, RATE, duration=1.0, responses="centre", narrowband=False)
+    with Stages() as stages:
+        record(plan)
+    timed(paths, duration)
+    calls, loops = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        loop = PlainLoop(stages.launch, Path(folder))
+        for _ in range(repeat):
+            calls.append(len(paths) * duration * RATE / timed(paths, duration)[0])
+            begun = time.process_time()
+            loop.run(1)
+            loops.append(loop.slots * loop.samples / (time.process_time() - begun))
+    branches, ratio = len(plan.source_filters[0].bank.taps), max(calls) / max(loops)
+    return (
+        f"abrupt tone of {duration:g} s, {len(paths)} paths: default call {max(calls):.3g}, C loop of one function and "
+        f"{branches} branches {max(loops):.3g} path-samples a second of processor time: {ratio:.2f} (median "
+        f"{statistics.median(calls) / statistics.median(loops):.2f})"
+    )
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -82,6 +111,7 @@ def main() -> None:
     print("| signal | taken | plain | default | ratio: least | median | plain: apart | default |\n" + "|---" * 8 + "|")
     for name in options.only:
         print(row(name, options.duration, options.order, options.repeat), flush=True)
+    print("\n" + against_the_loop(options.duration, options.order, options.repeat))
 
 
 if __name__ == "__main__":

@@ -113,8 +113,9 @@ def _bands(
         for skirt in _SKIRTS:
             flat = 0.5 * (high - low) + spread
             half = flat + skirt
-            # All that is emitted is received within this.
-            width = 2.0 * (max(half * (1.0 + max_rate), flat * (1.0 + max_rate) + fades) + carrier * max_rate)
+            # All that is emitted is received within the width, and at the rate what transitions spread.
+            width, spread_out = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
+            width = max(width, WIDEST * (spread_out + 2.0 * fades))
             every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
             if every >= _LEAST_EVERY and width <= min(carrier, rate - 2.0 * carrier):
                 yield Baseband(carrier, width, rate / every), flat, half
