@@ -1,7 +1,8 @@
-"""Whether what a source emits is split into a narrow part and a rest: where that pays, and where it is right."""
+"""Whether what a source emits is split into narrow parts and a rest: where that pays, and where it is right."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from clsim.errors import DeviceError
 from clsim.opencl.device import find_device
 from clsim.render.baseband import CYCLES, WIDEST, Baseband
 from clsim.render.interpolator import Bandlimited
-from clsim.render.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand
+from clsim.render.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.tracks.basis import flat_basis
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 _SHARES = (1e-3, 1e-6, 1e-9)  # of the energy to either side of what is passed as it is
 _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
+_MOST_BANDS = 6
 _BINS = 10.0  # of short-time spectra: what a tone spreads in them
 _LEAST_EVERY = 8  # samples of the sound in one of the envelope
 # Processor time, ns: of a path in a sample of the sound, plainly, and more by functions of frequency where the signal's
@@ -43,8 +45,8 @@ _STRETCH = 0.02  # s
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
 
-def chosen_band(emission: Emission, pairs: StaticPairs) -> tuple[NarrowBand | None, str]:
-    """Return the band of a source's signal that is rendered as complex envelope, or None, and why none in spite of all.
+def chosen_split(emission: Emission, pairs: StaticPairs) -> tuple[Split | None, str]:
+    """Return the bands of a source's signal that are rendered as complex envelopes, or None, and why none after all.
 
     Parameters
     ----------
@@ -64,22 +66,24 @@ def chosen_band(emission: Emission, pairs: StaticPairs) -> tuple[NarrowBand | No
     rate, error_db = signal.sampling_rate, options.interpolator.error_db
     samples = min(signal.duration, until) * rate
     path_samples = _heard(tracks, mine, until) * samples / (_ON_GPU if _on_gpu(options) else 1.0)
-    # By so much a path must be faster in a sample, ns.
-    once = _PLANNED + samples * (_SPLIT + _UPSAMPLED * len(mine))
-    least = -math.inf if options.narrowband else once / max(path_samples, 1.0)
+    # By so much a path must be faster in a sample for each band, ns.
+    once = _PLANNED + samples * _UPSAMPLED * len(mine), samples * _SPLIT
+    of_band, of_all = (x / max(path_samples, 1.0) for x in once)
     low, high = sound.bounds(10 ** ((error_db - 6.0) / 10))
     most = _PLAIN + _WIDE * (high - low) / (0.5 * rate)
-    if least > most:
+    if of_band + of_all > most and not options.narrowband:
         return None, ""
     some, fades = _some(sound), _width_of_fades(tracks, mine, error_db)
-    bands = dict.fromkeys(_bands(signal, sound, tracks.max_rate(index), fades))
-    designed = [NarrowBand.designed(*band, rate, error_db) for band in bands]
-    gains = [_gain(band, some, rate, most) for band in designed]
-    if not gains or max(gains) < least:
+    ways = dict.fromkeys(_ways(signal, sound, tracks.max_rate(index), fades))
+    designed = [tuple(NarrowBand.designed(*band, rate, error_db) for band in bands) for bands in ways]
+    splits = [Split.into(bands, error_db) for bands in designed]
+    gains = [_gain(split, some, rate, most) - of_band * len(split.bands) - of_all for split in splits]
+    if not gains or (max(gains) < 0.0 and not options.narrowband):
         return None, ""
-    narrow = designed[int(np.argmax(gains))]
-    why = _obstacle(index, of_scene, mine, narrow, (start, start + signal.duration, until))
-    return (None, f"source {index}: rendered as a whole, without a narrow part: {why}") if why else (narrow, "")
+    split, span = splits[int(np.argmax(gains))], (start, start + signal.duration, until)
+    reasons = (_obstacle(index, of_scene, mine, band, split.silence, span) for band in split.bands)
+    why = next(filter(None, reasons), "")
+    return (None, f"source {index}: rendered as a whole, without a narrow part: {why}") if why else (split, "")
 
 
 def _heard(tracks: Tracks, mine: list[int], until: float) -> float:
@@ -89,7 +93,7 @@ def _heard(tracks: Tracks, mine: list[int], until: float) -> float:
 
 
 def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
-    """Return by how far paths that begin and end spread a tone to either side within an error, Hz; 0 if none does, or at once.
+    """Return by how far paths that begin and end spread a tone to either side within an error, Hz; 0 for none.
 
     The energy spectrum of a raised cosine over T is that of a step, ``1 / (2 pi f)^2``, times ``cos(pi f T)^2 /
     (1 - (2 f T)^2)^2``: beyond F there are ``1 / (320 pi^2 T^4 F^5)`` to either side together, which must be below the
@@ -100,25 +104,46 @@ def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
     return float((320.0 * math.pi**2 * tracks.transition**4 * LEVEL_TIME * 10 ** (error_db / 10)) ** -0.2)
 
 
-def _bands(
+def _ways(
     signal: Signal, sound: ShortTimeSpectra, max_rate: float, fades: float
-) -> Iterator[tuple[Baseband, float, float]]:
-    """Yield bands that may hold most of a sound, with the ends of what is passed as it is, and at all, Hz."""
-    rate, spectrum = signal.sampling_rate, (sound.frequencies, sound.weights @ sound.energy)
-    for share in _SHARES:
-        low, high = shares(spectrum, share)
-        spread, carrier = _BINS * float(sound.frequencies[1]), float(round(0.5 * (low + high)))
-        if abs(signal.centre_frequency - carrier) < spread:
-            carrier = signal.centre_frequency
-        for skirt in _SKIRTS:
-            flat = 0.5 * (high - low) + spread
-            half = flat + skirt
-            # All that is emitted is received within the width, and at the rate what transitions spread.
-            width, spread_out = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
-            width = max(width, WIDEST * (spread_out + 2.0 * fades))
-            every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
-            if every >= _LEAST_EVERY and width <= min(carrier, rate - 2.0 * carrier):
-                yield Baseband(carrier, width, rate / every), flat, half
+) -> Iterator[tuple[tuple[Baseband, float, float], ...]]:
+    """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz."""
+    spread, spectrum = _BINS * float(sound.frequencies[1]), (sound.frequencies, sound.weights @ sound.energy)
+    for share, skirt in itertools.product(_SHARES, _SKIRTS):
+        for ranges in ([shares(spectrum, share)], _ranges(spectrum, share, 2.0 * (spread + skirt))):
+            bands = [_band(signal, *ends, spread, skirt, max_rate, fades) for ends in ranges]
+            found = tuple(band for band in bands if band is not None)
+            if 0 < len(found) == len(ranges):
+                yield found
+
+
+def _ranges(spectrum: tuple[Floats, Floats], share: float, apart: float) -> list[tuple[float, float]]:
+    """Return ranges so far apart that hold all but twice a share of the energy, Hz; none where they are one or many."""
+    frequencies, energy = spectrum
+    order = np.argsort(energy)
+    loud = frequencies[np.sort(order[np.cumsum(energy[order]) > 2.0 * share * energy.sum()])]
+    gaps = np.flatnonzero(np.diff(loud) > apart)
+    if not 0 < len(gaps) < _MOST_BANDS:
+        return []
+    return list(zip(loud[np.r_[0, gaps + 1]].tolist(), loud[np.r_[gaps, len(loud) - 1]].tolist(), strict=True))
+
+
+def _band(
+    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float
+) -> tuple[Baseband, float, float] | None:
+    """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None."""
+    rate, carrier = signal.sampling_rate, float(round(0.5 * (low + high)))
+    if abs(signal.centre_frequency - carrier) < spread:
+        carrier = signal.centre_frequency
+    flat = 0.5 * (high - low) + spread
+    half = flat + skirt
+    # All that is emitted is received within the width, and at the rate what transitions spread.
+    width, emitted = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
+    width = max(width, WIDEST * (emitted + 2.0 * fades))
+    every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
+    if every < _LEAST_EVERY or width > min(carrier, rate - 2.0 * carrier):
+        return None
+    return Baseband(carrier, width, rate / every), flat, half
 
 
 def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
@@ -133,15 +158,15 @@ def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
     return ShortTimeSpectra(sound.frequencies, sound.energy[rows], np.concatenate([sound.weights[ends], weights]))
 
 
-def _gain(narrow: NarrowBand, sound: ShortTimeSpectra, rate: float, most: float) -> float:
-    """Return the processor time that a path in a sample of the sound saves as envelope and rest, ns.
+def _gain(split: Split, sound: ShortTimeSpectra, rate: float, most: float) -> float:
+    """Return the processor time that a path in a sample of the sound saves as envelopes and rest, ns.
 
     Plainly it takes `most` where the rest is silent; where that sounds, what is wide may as well be short.
     """
-    loud = float(narrow.rest_of(sound).weights.sum() / sound.weights.sum())
+    loud = float(split.rest_of(sound).weights.sum() / sound.weights.sum())
     plain = _PLAIN + (most - _PLAIN) * (1.0 - loud)
-    split = _NODES + _ENVELOPE * (narrow.baseband.sampling_rate or rate) / rate + _REST * _SOUNDING * loud
-    return plain - split
+    rates = [band.baseband.sampling_rate or rate for band in split.bands]
+    return plain - sum(_NODES + _ENVELOPE * each / rate for each in rates) - _REST * _SOUNDING * loud
 
 
 def _on_gpu(options: RenderOptions) -> bool:
@@ -152,9 +177,14 @@ def _on_gpu(options: RenderOptions) -> bool:
 
 
 def _obstacle(
-    index: int, tracks: SceneTracks, mine: list[int], narrow: NarrowBand, span: tuple[float, float, float]
+    index: int,
+    tracks: SceneTracks,
+    mine: list[int],
+    narrow: NarrowBand,
+    silence: float,
+    span: tuple[float, float, float],
 ) -> str:
-    """Return why envelopes at a low rate would not do; "" if they would.
+    """Return why an envelope at a low rate would not do; "" if it would. Below the level of silence nothing is heard.
 
     The span is when the signal begins and ends and when the run ends, s.
     """
@@ -171,12 +201,12 @@ def _obstacle(
     # exp(-2 pi sqrt(f^2 - D^2) d / v): the phase k sqrt(d^2 + v^2 t^2) has branch points at +-j d / v.
     skirt, carrier = narrow.half - narrow.flat, narrow.baseband.carrier
     shift, speed = carrier * tracks.max_rate(index), tracks.fastest(index, tracks.max_rate(index))[0]
-    needed = -math.log(narrow.silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
+    needed = -math.log(silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
     for i in receivers:
         speeds = float(tracks.speeds.source[index] + tracks.speeds.receiver[i])
         if speeds > 0.0 and _nearest(tracks, index, i, span[2], needed * speeds, speeds) < needed * speeds:
             return f"receiver {i} is passed so near, at up to {speed:.3g} m/s, that its sound is not narrow"
-    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > narrow.silence:
+    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > silence:
         return "ends move so quickly that what is heard is not narrow"
     return ""
 
