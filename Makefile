@@ -2,6 +2,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
+# Tests start some hundred processes: with bytecode on disk each of them is there in half the time.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test drivers study-kills fuzz kills clean
 
 demo: .venv/installed

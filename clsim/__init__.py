@@ -5,92 +5,52 @@ The pipeline is four values and three arrows between them::
     Scene --find_paths--> PathSet --track--> Tracks --render--> Recording
 
 `render` takes the last two arrows at once.
+
+The names are those of ``__init__.pyi``, and where they come from stands there alone; each is imported when it is first
+asked for, so that a process which needs few of them starts at once.
 """
 
-from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
-from clsim.impulse_responses import ImpulseResponses, impulse_responses
-from clsim.opencl.device import list_devices
-from clsim.output.open_store import open_store
-from clsim.paths.find_paths import find_paths
-from clsim.paths.ground_truth import direct_path
-from clsim.paths.path_set import PathSet
-from clsim.paths.path_table import PathTable
-from clsim.recording import Recording
-from clsim.render.baseband import Baseband
-from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
-from clsim.render.options import RenderOptions
-from clsim.render.plan import Plan
-from clsim.render.planning import plan_render
-from clsim.render.render import render, render_chunks, render_tracks
-from clsim.render.rendering import Rendering
-from clsim.scene.air import Air
-from clsim.scene.directivity.axial_table import AxialDirectivity
-from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
-from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
-from clsim.scene.directivity.spherical_table import SphericalDirectivity
-from clsim.scene.ends import Receiver, Source
-from clsim.scene.material.material import Material
-from clsim.scene.motion.trajectory import Trajectory
-from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
-from clsim.scene.room.mesh import MeshRoom
-from clsim.scene.room.shoebox import Shoebox
-from clsim.scene.scene import Scene
-from clsim.scene.signal.signal import Signal
-from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer
-from clsim.scene_file import load_scene
-from clsim.study.run import run_study
-from clsim.tracks.tracks import Tracks, track
+import ast
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
 from clsim.version import __version__ as __version__
 
-__all__ = [
-    "Air",
-    "AxialDirectivity",
-    "AxisymmetricDirectivity",
-    "Bandlimited",
-    "Baseband",
-    "ClsimError",
-    "ClsimWarning",
-    "DeviceError",
-    "Directivity",
-    "Electronics",
-    "FirstOrder",
-    "ImpulseResponses",
-    "InputError",
-    "Lagrange",
-    "Material",
-    "MeshRoom",
-    "Omni",
-    "PathSet",
-    "PathTable",
-    "Piston",
-    "Plan",
-    "Receiver",
-    "Recording",
-    "RenderOptions",
-    "Rendering",
-    "Scene",
-    "Shoebox",
-    "Signal",
-    "Source",
-    "SphericalDirectivity",
-    "Tracks",
-    "Trajectory",
-    "Transducer",
-    "TruncatedLagrange",
-    "direct_path",
-    "find_paths",
-    "grid_positions",
-    "impulse_responses",
-    "list_devices",
-    "load_scene",
-    "open_store",
-    "plan_render",
-    "positions_from_file",
-    "receiver_array",
-    "render",
-    "render_chunks",
-    "render_tracks",
-    "run_study",
-    "track",
-]
+
+def _homes() -> dict[str, str]:
+    """Return the modules of the public names, as the stub imports them; packages are those of clsim itself."""
+    stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    return {alias.name: str(node.module) for node in imports for alias in node.names if alias.name[0] != "_"}
+
+
+_HOMES = _homes()
+_PACKAGES = [name for name, home in _HOMES.items() if home == "clsim"]
+for _name in _PACKAGES:
+    del _HOMES[_name]
+__all__ = sorted(_HOMES)
+
+
+class _Package(ModuleType):
+    """A package some of whose functions are called as its modules are: the name is the function's."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name not in _HOMES or not isinstance(value, ModuleType):  # Python sets modules when it imports them
+            super().__setattr__(name, value)
+
+    def __getattr__(self, name: str) -> object:
+        if name in _PACKAGES:
+            return import_module(f"clsim.{name}")
+        if name not in _HOMES:
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        value: object = getattr(import_module(_HOMES[name]), name)
+        self.__dict__[name] = value
+        return value
+
+    def __dir__(self) -> list[str]:
+        return sorted({*self.__dict__, *_HOMES, *_PACKAGES})
+
+
+sys.modules[__name__].__class__ = _Package

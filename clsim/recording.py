@@ -7,14 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.arrays import as_number
 from clsim.errors import InputError
+from clsim.packages import check_packages
+from clsim.pictures.notebook import html_table, inline_sound
+from clsim.version import __version__
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from os import PathLike
 
+    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
+
+_MOST_DRAWN = 8  # receivers in one picture
+_MOST_LISTED = 64  # in a table
+_PLAYED = (3000.0, 384_000.0)  # Hz: rates at which browsers play
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +131,199 @@ class Recording:
         with WavWriter(path, self.sampling_rate, frames.shape[1], len(frames)) as writer:
             writer.write(frames)
 
+    def to_xarray(self) -> Any:
+        """Return it as an xarray Dataset, as `open_store` returns what is in a store.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``sound`` (receiver, time), in Pa or V; coordinates ``receiver``, ``unit`` (receiver), ``time``, s, by the
+            receivers' clocks, and, where the scene is known, ``position`` (receiver, axis) at 0 s, m; attributes
+            ``sampling_rate`` and, in baseband, ``carrier``, Hz.
+
+        Raises
+        ------
+        InputError
+            If xarray is missing.
+        """
+        check_packages("to_xarray", "a Dataset", "tables", "xarray")
+        positions = None
+        if self.paths is not None:
+            ends = self.paths.scene.receivers
+            positions = np.concatenate([end.trajectory.position(np.zeros(1)) for end in ends])
+        found = sound_coordinates(self.receiver_names, self.units, positions)
+        found["sound"] = (("receiver", "time"), self.samples, sound_attributes(self.units, self.carrier))
+        found.attrs = {"clsim_version": __version__, "sampling_rate": self.sampling_rate}
+        if self.carrier is not None:
+            found.attrs["carrier"] = self.carrier
+        return with_times(found, self.sampling_rate)
+
+    def plot(self, receivers: Sequence[int | str] | None = None) -> list[Axes]:
+        """Draw what receivers recorded over time, one below the other; in baseband its magnitude.
+
+        Parameters
+        ----------
+        receivers : sequence of int or str, optional
+            Indices or names; the first eight when left out.
+
+        Returns
+        -------
+        list of matplotlib.axes.Axes
+            One for each, of a new figure of pyplot.
+
+        Raises
+        ------
+        InputError
+            If there is no such receiver.
+        """
+        from matplotlib import pyplot
+
+        from clsim.pictures.plots import draw_waveform
+
+        rows = [self._row(r) for r in (range(len(self.samples))[:_MOST_DRAWN] if receivers is None else receivers)]
+        size = (10.0, 1.2 + 1.6 * len(rows))
+        figure, axes = pyplot.subplots(len(rows), sharex=True, squeeze=False, figsize=size, layout="constrained")
+        for row, place in zip(rows, axes[:, 0], strict=True):
+            shown = self.samples[row] if self.carrier is None else np.abs(self.samples[row])
+            name, unit = self.receiver_names[row], self.units[row]
+            draw_waveform(place, shown, self.sampling_rate, title=name, unit=unit)
+            place.label_outer()
+        return list(figure.axes)
+
+    def spectrogram(self, receiver: int | str = 0, band: tuple[float, float] | None = None) -> Axes:
+        """Draw the level over time and frequency; in baseband over what is off the carrier.
+
+        Parameters
+        ----------
+        receiver : int or str
+            Index or name.
+        band : (low, high), optional
+            Frequencies shown, Hz; all when left out, and always in baseband.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            Of a new figure of pyplot.
+
+        Raises
+        ------
+        InputError
+            If there is no such receiver.
+        """
+        from matplotlib import pyplot
+
+        from clsim.pictures.envelope_plot import draw_envelope_spectrogram
+        from clsim.pictures.plots import draw_spectrogram
+
+        row = self._row(receiver)
+        figure, axes = pyplot.subplots(figsize=(10.0, 5.0), layout="constrained")
+        samples, rate, name = self.samples[row], self.sampling_rate, self.receiver_names[row]
+        if self.carrier is None:
+            draw_spectrogram(figure, axes, samples, rate, title=name, band=band, unit=self.units[row])
+        else:
+            draw_envelope_spectrogram(figure, axes, samples, rate, self.carrier, title=name)
+        return axes
+
+    def play(self, receiver: int | str = 0, slower: float = 10.0) -> Any:
+        """Return what plays a receiver's sound in a notebook, slowed down so that ultrasound is heard.
+
+        Parameters
+        ----------
+        receiver : int or str
+            Index or name.
+        slower : float
+            Ratio by which time is stretched and frequencies fall, from 1 to 1000.
+
+        Returns
+        -------
+        IPython.display.Audio
+            Normalised to full scale.
+
+        Raises
+        ------
+        InputError
+            If there is no such receiver, what is heard would be beyond the rates that browsers play, the recording is
+            a complex envelope, or IPython is missing.
+        """
+        row = self._row(receiver)
+        slower = as_number("slower", slower, at_least=1.0, at_most=1000.0)
+        if self.carrier is not None:
+            raise InputError("recording", f"must be sound to be played, but is the envelope about {self.carrier:g} Hz")
+        rate = self.sampling_rate / slower
+        if not _PLAYED[0] <= rate <= _PLAYED[1]:
+            raise InputError(
+                "slower",
+                f"must leave a rate of {_PLAYED[0]:g} to {_PLAYED[1]:g} Hz, which browsers play, but {slower:g} makes "
+                f"it {rate:g} Hz",
+            )
+        return inline_sound("play", self.samples[row], round(rate))
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (
+                name,
+                unit,
+                f"{np.sqrt(np.mean(np.square(np.abs(row), dtype=np.float64))):.3g}",
+                f"{np.abs(row).max():.3g}",
+            )
+            for name, unit, row, _ in zip(
+                self.receiver_names, self.units, self.samples, range(_MOST_LISTED), strict=False
+            )
+        ]
+        about = "" if self.carrier is None else f", envelopes about {self.carrier:g} Hz"
+        duration = self.samples.shape[1] / self.sampling_rate
+        title = f"Recording: {len(self.samples)} receivers, {duration:.6g} s at {self.sampling_rate:g} Hz{about}"
+        more = [f"and {len(self.samples) - len(rows)} more"] if len(rows) < len(self.samples) else []
+        return html_table(title, ("receiver", "unit", "rms", "peak"), rows, [*more, *self.notes])
+
+    def _row(self, receiver: int | str) -> int:
+        """Return the row of a receiver, by index or name."""
+        if isinstance(receiver, str):
+            if receiver not in self.receiver_names:
+                names = ", ".join(map(repr, self.receiver_names))
+                raise InputError("receiver", f"must be one of {names:.200}, but is {receiver!r:.80}")
+            return self.receiver_names.index(receiver)
+        if not 0 <= receiver < len(self.receiver_names):
+            raise InputError("receiver", f"must be 0 to {len(self.receiver_names) - 1}, but is {receiver!r:.80}")
+        return int(receiver)
+
     def _all_in(self, unit: str, name: str) -> NDArray[Any]:
         for receiver, found in zip(self.receiver_names, self.units, strict=True):
             if found != unit:
                 raise InputError(name, f"must be in {unit}, but {receiver!r} recorded {found}; take recording.samples")
         return self.samples
+
+
+def sound_coordinates(names: Sequence[str], units: Sequence[str], positions: Floats | None) -> Any:
+    """Return an xarray Dataset of receivers without sound: names, units and, if known, positions (receivers, 3), m."""
+    import xarray
+
+    coordinates: dict[str, Any] = {"receiver": texts(names), "unit": ("receiver", texts(units))}
+    if positions is not None:
+        told = {"units": "m", "long_name": "position at 0 s"}
+        coordinates |= {"axis": texts("xyz"), "position": (("receiver", "axis"), positions, told)}
+    return xarray.Dataset(coords=coordinates)
+
+
+def sound_attributes(units: Sequence[str], carrier: float | None) -> dict[str, Any]:
+    """Return what stands beside samples: their unit, if they have one in common, and what they are."""
+    kinds = sorted(set(units))
+    named = {"units": kinds[0]} if len(kinds) == 1 else {}
+    what = "sound pressure or voltage, unit by receiver"
+    if carrier is not None:
+        what = "complex envelope of sound pressure about the carrier"
+    return named | {"long_name": what}
+
+
+def with_times(found: Any, sampling_rate: float) -> Any:
+    """Return an xarray Dataset of sound with its times, s, which take no space."""
+    import xarray
+
+    count = found.sizes["time"]
+    index = xarray.indexes.RangeIndex.linspace(0.0, count / sampling_rate, count, endpoint=False, dim="time")
+    return found.assign_coords(xarray.Coordinates.from_xindex(index))
+
+
+def texts(values: Any) -> NDArray[Any]:
+    """Return texts as an array that xarray, Zarr and HDF5 keep at their own lengths."""
+    return np.array(list(values), dtype=object)

@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 import clsim
-from clsim.output.plots import spectrogram_picture
+from clsim.pictures.plots import spectrogram_picture
 
 
 def main() -> None:

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.output.plots import history_picture, spectrogram_picture
+from clsim.output.path_plots import history_picture
+from clsim.pictures.plots import spectrogram_picture
 
 RATE = 192e3
 DURATION = 6.0

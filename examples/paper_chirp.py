@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.output.plots import envelope_picture
+from clsim.pictures.plots import envelope_picture
 
 RATE = 192e3  # Hz
 AMPLITUDE = 10.0 * 2**0.5  # V

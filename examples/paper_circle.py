@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.output.plots import spectrogram_picture
+from clsim.pictures.plots import spectrogram_picture
 
 
 def main() -> None:

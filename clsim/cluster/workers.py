@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from clsim.cluster.dispatch import WorkersLostError
@@ -14,6 +13,7 @@ if TYPE_CHECKING:
 
     from clsim.cluster.dispatch import Dispatch, Row, Tasks
 
+PACKAGES = ("dask", "distributed", "xarray", "zarr")  # that workers need
 _STARTS = 3  # of the processes of this machine, without any task done with in between
 
 
@@ -113,10 +113,3 @@ class Workers:
                     raise
             else:
                 return
-
-
-def check_packages(field: str, what: str) -> None:
-    """Raise an InputError if a package that workers need is missing; `what` needs it."""
-    missing = [name for name in ("dask", "distributed", "xarray", "zarr") if find_spec(name) is None]
-    if missing:
-        raise InputError(field, f'{what} needs {" and ".join(missing)}: pip install "clsim[study]"')

@@ -5,17 +5,17 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from clsim.cluster.workers import Workers, check_packages
+from clsim.cluster.workers import PACKAGES, Workers
 from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import safe_path
 from clsim.output.stores import STORES, check_store
 from clsim.output.table import check_table, write_ground_truth, write_table
+from clsim.packages import check_packages
 from clsim.scene_file import load_scene
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
 from clsim.workflow.outputs import COMPLETED, GROUND_TRUTH, RunOutputs
-from clsim.workflow.pictures import draw_pictures
 from clsim.workflow.pipeline import check_table_size, input_files, plan_scene, table_times
 from clsim.workflow.result_folder import ResultFolder
 
@@ -90,7 +90,7 @@ def _workers(options: argparse.Namespace) -> Workers | None:
         raise InputError(
             "--store", f"must be {' or '.join(by_regions)} for {field}, written by regions, but is {options.store}"
         )
-    check_packages(field, "a run on workers")
+    check_packages(field, "a run on workers", "study", *PACKAGES)
     workers.check_reach()
     return workers
 
@@ -118,9 +118,11 @@ def _fill(
     if outputs.table in missing:
         write_table(planned.path_table(times), results.work / outputs.table)
     if any(name.endswith(".png") for name in missing):
+        from clsim.workflow.pictures import draw_pictures  # late: what draws takes longer to import than all else
+
         draw_pictures(planned, times, store, results, outputs, missing)
     if GROUND_TRUTH in missing:
-        write_ground_truth(planned.ground_truth(times), paths.scene, results.work / GROUND_TRUTH)
+        write_ground_truth(planned.ground_truth(times), results.work / GROUND_TRUTH)
     if COMPLETED in missing:
         with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(sound.scene, "utf-8")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
-from clsim.output.view import view_scene
+from clsim.paths.view import view_scene
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import input_files, plan_scene

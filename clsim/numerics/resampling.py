@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
+from clsim.numerics.kaiser import length_of, low_pass
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,12 +88,9 @@ class Resampler:
 @lru_cache(maxsize=8)
 def _taps(up: int, down: int) -> Floats:
     """Return the filter at ``up`` times the old rate; its half length is a multiple of `down`."""
-    from scipy.signal import firwin, kaiserord
-
     widest = max(up, down)
     if up == down:
         return np.ones(1)
-    count, beta = kaiserord(_STOP_DB, (1.0 - _PASS) / widest)
-    half = math.ceil(count / 2)
-    taps = up * firwin(2 * half + 1, 0.5 * (1.0 + _PASS) / widest, window=("kaiser", beta))
+    half = math.ceil(length_of((1.0 - _PASS) / widest, _STOP_DB) / 2)
+    taps = up * low_pass(0.5 * (1.0 + _PASS) / widest, 2 * half + 1, _STOP_DB)
     return np.pad(taps, -half % down)

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from clsim.numerics.kaiser import length_of, low_pass
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -64,14 +66,11 @@ class Upsampler:
         Upsampler
             A window design (Kaiser) that stops the images of what is held by 115 dB.
         """
-        from scipy.signal import firwin, kaiserord
-
         images = rate / every - half
-        length, beta = kaiserord(_STOP_DB, (images - half) / (0.5 * rate))
-        reach = -(-length // (2 * every))
+        reach = -(-length_of((images - half) / (0.5 * rate), _STOP_DB) // (2 * every))
         middle = reach * every - 1  # of an odd number of taps: the window for any sample begins at most `reach` later
-        low_pass = every * firwin(2 * middle + 1, 0.5 * (images + half), window=("kaiser", beta), fs=rate)
-        mixed = low_pass * np.exp(2j * math.pi * (carrier / rate) * np.arange(-middle, middle + 1))
+        at_rest = every * low_pass(0.5 * (images + half) / (0.5 * rate), 2 * middle + 1, _STOP_DB)
+        mixed = at_rest * np.exp(2j * math.pi * (carrier / rate) * np.arange(-middle, middle + 1))
         # Sample n looks at m = 1 - reach ... reach through the tap at n - m every.
         at = np.arange(every) - every * np.arange(1 - reach, reach + 1)[:, None] + middle
         taps = np.where(at >= 0, mixed[np.maximum(at, 0)], 0.0)

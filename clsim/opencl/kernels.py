@@ -10,25 +10,30 @@ from functools import cache
 from pathlib import Path
 
 from clsim.errors import ClsimError
-
-
-@dataclass(frozen=True, slots=True)
-class Argument:
-    """An argument of a kernel.
-
-    Attributes
-    ----------
-    type : str
-        In OpenCL C: of the number, or of the elements of the buffer.
-    shape : str
-        Of a buffer, outermost first, in constants and in the names of other arguments or of words; empty for a number.
-    access : {"", "in", "out", "in out"}
-        How a buffer is used; empty for a number.
-    """
-
-    type: str
-    shape: str = ""
-    access: str = ""
+from clsim.opencl.arguments import (
+    BASIS,
+    BLOCKS,
+    BRANCHES,
+    CROSSINGS,
+    DOUBLE,
+    ENVELOPE,
+    FADES,
+    FLOAT,
+    IMAGES,
+    INT,
+    INTERVALS,
+    MEDIUM,
+    MEETINGS,
+    NODES_MADE,
+    PATHS_HEARD,
+    PRESSURE,
+    TABLES,
+    TRAJECTORY,
+    Argument,
+    changed,
+    made,
+    taken,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,21 +55,7 @@ class Program:
     constants: frozenset[str]
 
 
-def _in(kind: str, shape: str) -> Argument:
-    return Argument(kind, shape, "in")
-
-
-def _out(kind: str, shape: str) -> Argument:
-    return Argument(kind, shape, "out")
-
-
-def _both(kind: str, shape: str) -> Argument:
-    return Argument(kind, shape, "in out")
-
-
-_INT, _FLOAT, _DOUBLE = Argument("int"), Argument("float"), Argument("double")
-
-_TRIPLES = ("common/triple.h",)
+_TRIPLES = ("common/float64.h", "common/triple.h")
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _POLYNOMIALS = ("common/polynomials.h",)
@@ -72,73 +63,13 @@ _ROUNDING = ("common/rounding.h",)
 _GAINS = ("common/gains.h",)
 _MASK = ("common/mask.h",)
 
-_IMAGES = {
-    "image_matrix": _in("double", "9, slots"),
-    "image_offset": _in("double", "3, slots"),
-    "receiver_of": _in("int", "slots"),
-}
-_TRAJECTORY = {
-    "knots": _in("double", "knot_count, KNOT_COLUMNS"),
-    "knot_count": _INT, "first_knot": _DOUBLE, "knot_rate": _DOUBLE,
-}  # fmt: skip
-_BRANCHES = {"branches": _in("float", "rows, stride"), "stride": _INT, "lead": _INT}
-_BLOCKS = {
-    "delay": _in("int", "blocks, slots"),
-    "polynomials": _in("float", "blocks, slots, terms"),
-    "activity": _in("int", "blocks, slots"),
-    "slots": _INT,
-    "first_block": _INT,
-}
-_PRESSURE = {
-    "pressure": _both("float", "receivers, pressure_stride"), "pressure_stride": _INT, "first_sample": _INT,
-}  # fmt: skip
-_ENVELOPE = {
-    "envelope": _both("float", "receivers, 2, envelope_stride"),
-    "envelope_stride": _INT,
-    "first_sample": _INT,
-    "turn_per_sample": Argument("ulong"),
-    "half_turns_per_sample": _FLOAT,
-}
-_FADES = {
-    "slot_of": _in("int", "fades"),
-    "start": _in("float", "fades"),
-    "end": _in("float", "fades"),
-    "first": _in("int", "places + 1"),
-    "row": _in("int", "places"),
-    "block": _in("int", "places"),
-    "per_ramp": _FLOAT,
-    "block_samples": _INT,
-    "samples": _INT,
-}
-_ROOM = {
-    "tolerance": _DOUBLE, "thickness": _DOUBLE, "plane": _in("double4", "walls"), "sphere": _in("double4", "walls"),
-    "same": _in("int", "walls"), "first_edge": _in("int", "walls + 1"), "first_piece": _in("int", "walls + 1"),
-    "first_line": _in("int", "pieces + 1"), "first_twin": _in("int", "walls + 1"), "edge": _in("edge_ends", "edges"),
-    "line": _in("double4", "lines"), "twin": _in("int", "twins"), "box_count": _INT,
-    "box_middle": _in("double4", "box_count"), "box_extent": _in("double4", "box_count"),
-    "box_wall": _in("int", "box_count"), "box_skip": _in("int", "box_count"),
-}  # fmt: skip
-_MEETINGS = {
-    **_ROOM, "half_spaces": _in("double4", "beams, half_space_count"), "half_space_count": _INT, "beams": _INT,
-    "centre": _in("double", "beams, 3"), "radius": _DOUBLE, "slack": _DOUBLE, "last_wall": _in("int", "beams"),
-    "side": _in("int", "wall_count"), "receivers": _in("double4", "receiver_count"), "seen": _in("double4", "sides"),
-    "first_seen": _in("int", "receiver_count * wall_count + 1"), "receiver_count": _INT, "wall_count": _INT,
-    "capacity": _INT, "found": _out("int2", "capacity"), "found_count": _both("int", "1"),
-}  # fmt: skip
-_CROSSINGS = {
-    **_ROOM, "start": _in("double", "segments, 3"), "stop": _in("double", "segments, 3"), "segments": _INT,
-    "found": _out("int", "segments, MOST"),
-}  # fmt: skip
-_INTERVALS = {
-    **_ROOM, "places": _in("table_place", "1 + receivers"), "scales": _in("table_scale", "1 + receivers"),
-    "knots": _in("double", "knots, KNOT_COLUMNS"), "speeds": _in("double", "speeds"),
-    "mounts": _in("double4", "1 + receivers"), "speed_of_sound": _DOUBLE, "sequences": _in("int", "paths, ORDER"),
-    "receiver_of": _in("int", "paths"), "active": _in("int", "active_count"), "active_count": _INT,
-    "resolution": _DOUBLE, "smallest_move": _DOUBLE, "graze": _DOUBLE, "budget": _INT,
-    "states": _both("progress", "paths"), "found": _out("interval", "found"), "found_count": _both("int", "1"),
-}  # fmt: skip
 _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
-_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS"}
+_NODE_CONSTANTS = {
+    "CELL", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS",
+    "CUBIC_COLUMNS", "MACH_EXPONENT", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL",
+    "GAIN_ERROR",
+}  # fmt: skip
+_DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
 
@@ -146,39 +77,39 @@ PROGRAMS = {
     "emit": Program(
         ("render/emit.cl",),
         {
-            "count": _INT,
-            "places": _in("int", "count"),
-            "values": _in("float", "rows, count"),
-            "clear": _INT,
+            "count": INT,
+            "places": taken("int", "count"),
+            "values": taken("float", "rows, count"),
+            "clear": INT,
             "stride": Argument("long"),
-            "emitted": _out("float", "rows, stride"),
+            "emitted": made("float", "rows, stride"),
         },
         frozenset(),
     ),
     "branches": Program(
         (*_ROUNDING, "common/vector.h", "render/branches.cl"),
         {
-            "emitted": _in("float", "rows of emitted samples"),
-            "first_emitted": _INT,
-            "taps": _in("float", "rows, tap_count"),
-            "tap_count": _INT, "width": _INT, "stride": _INT, "first_row": _INT,
-            "rows": _out("float", "rows, stride"),
-            "sparse": _INT,
-            "following": _in("int", "cells"),
+            "emitted": taken("float", "rows of emitted samples"),
+            "first_emitted": Argument("long"),
+            "taps": taken("float", "rows, tap_count"),
+            "tap_count": INT, "width": INT, "stride": INT, "first_row": INT,
+            "rows": made("float", "rows, stride"),
+            "sparse": INT,
+            "following": taken("int", "cells"),
         },
         frozenset({"LANES", "VECTORS", "OVERSAMPLING", "CELL"}),
     ),
     "coarse_delays": Program(
         (*_PROPAGATION, "nodes/image.h", "nodes/coarse_delays.cl"),
         {
-            **_IMAGES,
-            "receivers": _in("receiver_node", "receivers, ends"),
-            "ends": _INT,
-            **_TRAJECTORY,
-            "start": _DOUBLE,
-            "walk_time": _DOUBLE,
-            "speed_of_sound": _DOUBLE,
-            "delays": _out("double", "ends, 2, slots"),
+            **IMAGES,
+            "receivers": taken("receiver_node", "receivers, ends"),
+            "ends": INT,
+            **TRAJECTORY,
+            "start": DOUBLE,
+            "walk_time": DOUBLE,
+            **MEDIUM,
+            "delays": made("double", "ends, 2, slots"),
         },
         frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL"}),
     ),
@@ -186,67 +117,72 @@ PROGRAMS = {
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
             "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h",
-            "nodes/smooth.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
+            "nodes/write_delay.h", "nodes/smooth.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
-            **_IMAGES,
-            "reflection": _in("bins", "slots, PARTS, BIN_VECTORS"),
-            "wall_of": _in("int", "ANGULAR, slots"),
-            "normal": _in("float", "ANGULAR, 3, slots"),
-            "heard_from": _in("int", "slots"),
-            "heard_until": _in("int", "slots"),
-            "receivers": _in("receiver_node", "receivers, nodes"),
-            "nodes": _INT,
-            "coarse_delays": _in("double", "ends of walks, 2, slots"),
-            "first_walk": _INT,
-            **_TRAJECTORY,
-            "start": _DOUBLE,
-            "sampling_rate": _DOUBLE,
-            "speed_of_sound": _DOUBLE,
-            "nepers": _in("bins", "BIN_VECTORS"),
-            "projection": _in("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
-            "functions": _in("bins", "FUNCTIONS, PARTS, BIN_VECTORS"),
-            "weight": _in("bins", "BIN_VECTORS"),
-            "strengths": _in("gains", "GAIN_VECTORS"),
-            "delay_samples": _DOUBLE,
-            "emitted_first": _DOUBLE,
-            "emitted_last": _DOUBLE,
-            "angular_frequency": _FLOAT,
-            "smooth": _FLOAT,
-            "wall_tables": _in("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
-            "source_directivity": _in("bins", "a table"),
-            "receiver_directivities": _in("bins", "tables"),
-            "directivity_of": _in("int", "receivers"),
-            "blocks": _INT,
-            "delay": _out("int", "blocks, slots"),
-            "polynomials": _out("float", "blocks, slots, terms"),
-            "found": _out("float4", "walks, slots"),
-            "unheld": _out("float", "walks, slots"),
-            "following": _in("int", "cells"),
-            "preceding": _in("int", "cells"),
-            "cells": _INT,
-            "origin": _DOUBLE,
-            "max_rate": _DOUBLE,
-            "activity": _out("int", "blocks, slots"),
+            **IMAGES,
+            **PATHS_HEARD,
+            "receivers": taken("receiver_node", "receivers, nodes"),
+            "nodes": INT,
+            "coarse_delays": taken("double", "ends of walks, 2, slots"),
+            "first_walk": INT,
+            **TRAJECTORY,
+            "start": DOUBLE,
+            "sampling_rate": DOUBLE,
+            **MEDIUM,
+            **BASIS,
+            "delay_samples": DOUBLE,
+            "emitted_first": DOUBLE,
+            "emitted_last": DOUBLE,
+            "angular_frequency": FLOAT,
+            "smooth": FLOAT,
+            **TABLES,
+            "oversampling": INT,
+            **NODES_MADE,
+            "origin": DOUBLE,
+            "max_rate": DOUBLE,
+            "activity": made("int", "blocks, slots"),
         },
-        frozenset(
-            _DELAY_CONSTANTS
-            | {
-                "BLOCK", "WALK", "SUBBLOCK", "FINE", "OVERSAMPLING", "CELL", "SPARSE", "DELAY_TERMS",
-                "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS", "CUBIC_COLUMNS", "MACH_EXPONENT",
-                "ANGULAR", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL", "GAIN_ERROR",
-                "SMOOTH_ERROR",
-            }
-        ),
+        frozenset(_DELAY_CONSTANTS | _NODE_CONSTANTS | {"SMOOTH_ERROR"}),
     ),
-    "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), _MEETINGS, frozenset({"PARALLEL"})),
-    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), _CROSSINGS, frozenset(_CROSSING_CONSTANTS)),
+    "pair_tracks": Program(
+        (
+            "common/float32.h", "common/triple.h", "common/pairs.h", *_ROUNDING, *_GAINS, "nodes/spectrum.h",
+            "nodes/lookup_tables.h", "nodes/response.h", "nodes/pair_delay.h", *_POLYNOMIALS, "nodes/block.h",
+            *_MASK, "nodes/activity.h", "nodes/pair_tracks.cl",
+        ),
+        {
+            "image_matrix": taken("float2", "9, slots"),
+            "image_offset": taken("float2", "3, slots"),
+            "receiver_of": taken("int", "slots"),
+            **PATHS_HEARD,
+            "receivers": taken("pair_receiver", "receivers, nodes"),
+            "nodes": INT,
+            "knots": taken("float", "knot_count, KNOT_COLUMNS"),
+            "rests": taken("float", "knot_count, CUBIC_COLUMNS"),
+            "knot_count": INT, "knot_rate": FLOAT,
+            "numbers": taken("float2", "6"),
+            "speed_of_sound": FLOAT,
+            **BASIS,
+            "emitted_first": FLOAT,
+            "emitted_last": FLOAT,
+            "angular_frequency": FLOAT,
+            **TABLES,
+            **NODES_MADE,
+            "origin": FLOAT,
+            "max_rate": FLOAT,
+            "activity": made("int", "blocks, slots"),
+        },
+        frozenset(_NODE_CONSTANTS | {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}),
+    ),
+    "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), MEETINGS, frozenset({"PARALLEL"})),
+    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), CROSSINGS, frozenset(_CROSSING_CONSTANTS)),
     "intervals": Program(
         (
             *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
             "paths/intervals.cl",
         ),
-        _INTERVALS,
+        INTERVALS,
         frozenset(_DELAY_CONSTANTS | {
                 "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL",
                 "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
@@ -255,24 +191,24 @@ PROGRAMS = {
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
         {
-            **_BRANCHES,
-            "functions": _INT,
-            "first_row": _in("int", "functions + 1"),
-            **_BLOCKS,
-            **_FADES,
-            **_PRESSURE,
+            **BRANCHES,
+            "functions": INT,
+            "first_row": taken("int", "functions + 1"),
+            **BLOCKS,
+            **FADES,
+            **PRESSURE,
         },
         frozenset({"DELAY_TERMS", "OVERSAMPLING", "SPARSE"}),
     ),
     "clear_gains": Program(
         (*_POLYNOMIALS, "render/clear_gains.cl"),
         {
-            "count": _INT,
-            "slot": _in("int", "count"),
-            "block": _in("int", "count"),
-            "functions": _INT,
-            "polynomials": _both("float", "blocks, slots, terms"),
-            "slots": _INT,
+            "count": INT,
+            "slot": taken("int", "count"),
+            "block": taken("int", "count"),
+            "functions": INT,
+            "polynomials": changed("float", "blocks, slots, terms"),
+            "slots": INT,
         },
         frozenset({"DELAY_TERMS", "SPARSE"}),
     ),
@@ -282,13 +218,13 @@ PROGRAMS = {
             "render/farrow.h", "render/render.cl",
         ),
         {
-            **_BRANCHES,
-            "first_row": _in("int", "functions + 1"),
-            "functions": _INT, "first_function": _INT, "functions_here": _INT,
-            **_BLOCKS,
-            "first_slot": _in("int", "receivers + 1"), "block_subblocks": _INT, "subblocks": _INT,
-            "pressure_row": _in("int", "receivers"),
-            **_PRESSURE,
+            **BRANCHES,
+            "first_row": taken("int", "functions + 1"),
+            "functions": INT, "first_function": INT, "functions_here": INT,
+            **BLOCKS,
+            "first_slot": taken("int", "receivers + 1"), "block_subblocks": INT, "subblocks": INT,
+            "pressure_row": taken("int", "receivers"),
+            **PRESSURE,
         },
         frozenset(
             {
@@ -300,13 +236,13 @@ PROGRAMS = {
     "baseband": Program(
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/baseband.cl"),
         {
-            **_BRANCHES,
-            "first_row": _in("int", "FUNCTIONS + 1"),
-            **_BLOCKS,
-            "first_slot": _in("int", "receivers + 1"),
-            "block_samples": _INT,
-            "envelope_row": _in("int", "receivers"),
-            **_ENVELOPE,
+            **BRANCHES,
+            "first_row": taken("int", "FUNCTIONS + 1"),
+            **BLOCKS,
+            "first_slot": taken("int", "receivers + 1"),
+            "block_samples": INT,
+            "envelope_row": taken("int", "receivers"),
+            **ENVELOPE,
         },
         frozenset({"LANES", "VECTORS", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "SUBBLOCK"}),
     ),
@@ -316,11 +252,11 @@ PROGRAMS = {
             "render/baseband_fades.cl",
         ),
         {
-            **_BRANCHES,
-            "first_row": _in("int", "FUNCTIONS + 1"),
-            **_BLOCKS,
-            **_FADES,
-            **_ENVELOPE,
+            **BRANCHES,
+            "first_row": taken("int", "FUNCTIONS + 1"),
+            **BLOCKS,
+            **FADES,
+            **ENVELOPE,
         },
         frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS"}),
     ),

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.opencl.kernels import Argument
+    from clsim.opencl.arguments import Argument
 
     WorkItems = tuple[tuple[int, ...], tuple[int, ...]]  # in all, and in a group
 

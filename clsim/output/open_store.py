@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
-from clsim.output.stores import STORE_FORMAT, check_packages
+from clsim.output.stores import STORE_FORMAT, STORES
+from clsim.packages import check_packages
+from clsim.recording import with_times
 
 if TYPE_CHECKING:
     import os
@@ -44,7 +46,7 @@ def open_store(path: str | os.PathLike[str]) -> Any:
     if not (path / "zarr.json").exists() and path.is_dir():
         path = next((p for p in inside if p.exists()), path)
     kind = "hdf5" if path.suffix == ".h5" else "zarr"
-    check_packages(kind, "path", "store")
+    check_packages("path", kind, "store", *STORES[kind].packages)
     import xarray
 
     try:
@@ -54,9 +56,7 @@ def open_store(path: str | os.PathLike[str]) -> Any:
     except (OSError, ValueError, KeyError) as error:
         raise InputError("path", f"must be a store of clsim, but {path} is none: {error}") from error
     check_format(found.attrs, path)
-    rate, samples = found.attrs["sampling_rate"], found.sizes["time"]
-    index = xarray.indexes.RangeIndex.linspace(0.0, samples / rate, samples, endpoint=False, dim="time")
-    return found.assign_coords(xarray.Coordinates.from_xindex(index))
+    return with_times(found, found.attrs["sampling_rate"])
 
 
 def check_format(attributes: Any, path: Path) -> None:

@@ -13,6 +13,7 @@ from clsim.files.atomic import atomic_path
 from clsim.files.names import file_names
 from clsim.files.sound import WavWriter
 from clsim.numerics.quaternions import rotate
+from clsim.packages import check_packages
 from clsim.version import __version__
 
 if TYPE_CHECKING:
@@ -118,10 +119,9 @@ def _orientations(ends: Sequence[Source | Receiver], at: float) -> Floats:
 
 
 def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> None:
-    try:
-        import sofar
-    except ImportError as error:
-        raise InputError("path", "SOFA files need sofar: pip install 'clsim[sofa]'") from error
+    check_packages("path", "SOFA", "sofa", "sofar")
+    import sofar
+
     sources, receivers, count = responses.samples.shape
     sofa = sofar.Sofa("SingleRoomSRIR")
     sofa.GLOBAL_Title = f"Impulse responses at {responses.at:g} s"

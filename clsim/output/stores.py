@@ -19,6 +19,8 @@ from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
 from clsim.output.raw_rows import RawRows
+from clsim.packages import check_packages
+from clsim.recording import sound_attributes, sound_coordinates
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.output.spectrogram import Readable
+    from clsim.pictures.spectrogram import Readable
 
 STORE_FORMAT = 1
 
@@ -83,27 +85,14 @@ class StoredSound:
 
     def coordinates(self) -> Any:
         """Return all but the sound as an xarray Dataset."""
-        import xarray
-
-        return xarray.Dataset(
-            coords={
-                "receiver": texts(self.receiver_names),
-                "unit": ("receiver", texts(self.units)),
-                "axis": texts("xyz"),
-                "position": (("receiver", "axis"), self.positions, {"units": "m", "long_name": "position at 0 s"}),
-            },
-            attrs=self.attributes(),
-        )
+        found = sound_coordinates(self.receiver_names, self.units, self.positions)
+        found.attrs = self.attributes()
+        return found
 
     @property
     def sound_attributes(self) -> dict[str, Any]:
         """Return what stands beside the samples."""
-        units = sorted(set(self.units))
-        named = {"units": units[0]} if len(units) == 1 else {}
-        what = "sound pressure or voltage, unit by receiver"
-        if self.carrier is not None:
-            what = "complex envelope of sound pressure about the carrier"
-        return named | {"long_name": what}
+        return sound_attributes(self.units, self.carrier)
 
 
 class SoundStore(ABC):
@@ -393,25 +382,11 @@ def check_store(kind: str, receiver_names: Sequence[str]) -> None:
     InputError
         If a package is missing, or a name is one that the format cannot hold.
     """
-    check_packages(kind, "--store", "store")
+    check_packages("--store", kind, "store", *STORES[kind].packages)
     for i, name in enumerate(receiver_names):
         problem = STORES[kind].problem_of(name)
         if problem:
             raise InputError(f"receivers[{i}]", problem)
-
-
-def check_packages(kind: str, field: str, extra: str) -> None:
-    """Raise an InputError if a package that a kind of store needs is missing."""
-    from importlib.util import find_spec
-
-    missing = [name for name in STORES[kind].packages if find_spec(name) is None]
-    if missing:
-        raise InputError(field, f'{kind} needs {" and ".join(missing)}: pip install "clsim[{extra}]"')
-
-
-def texts(values: Any) -> NDArray[Any]:
-    """Return texts as an array that Zarr and HDF5 keep at their own lengths."""
-    return np.array(list(values), dtype=object)
 
 
 def consolidate(path: Path) -> None:

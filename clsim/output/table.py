@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import zipfile
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +11,14 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
-from clsim.paths.path_table import PathTable
+from clsim.packages import check_packages
+from clsim.paths.path_table import PathTable, long_columns
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Sequence
 
     from clsim.paths.ground_truth import DirectPath
-    from clsim.scene.scene import Scene
 
 _NAMES = ("source_names", "receiver_names", "object_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more
@@ -65,19 +65,17 @@ def check_table(name: str, field: str = "path") -> None:
     suffix = Path(name).suffix
     if name and suffix not in (".npz", ".parquet"):
         raise InputError(field, f"must end in .npz or .parquet, but is {name!r}")
-    if suffix == ".parquet" and find_spec("pyarrow") is None:
-        raise InputError(field, 'Parquet needs pyarrow: pip install "clsim[parquet]"')
+    if suffix == ".parquet":
+        check_packages(field, "Parquet", "parquet", "pyarrow")
 
 
-def write_ground_truth(found: DirectPath, scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write what receivers should find out of the direct sound as ``.npz``: arrays as in `DirectPath`, and names.
+def write_ground_truth(found: DirectPath, path: str | os.PathLike[str]) -> None:
+    """Write what receivers should find out of the direct sound as ``.npz``: arrays as in `DirectPath`.
 
     Parameters
     ----------
     found : DirectPath
         From `direct_path`.
-    scene : Scene
-        Whose names are written.
     path : path-like
         Of the file.
 
@@ -87,8 +85,7 @@ def write_ground_truth(found: DirectPath, scene: Scene, path: str | os.PathLike[
         If the file cannot be written; nothing is left of it then.
     """
     columns: dict[str, Any] = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
-    columns["source_names"] = np.array([s.name for s in scene.sources])
-    columns["receiver_names"] = np.array([r.name for r in scene.receivers])
+    columns = {name: np.array(value) if name in _NAMES else value for name, value in columns.items()}
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **columns)
 
@@ -119,52 +116,22 @@ def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
+    def words(texts: Sequence[str], which: Any) -> Any:
+        # Not NumPy's text, where every row is as wide as the longest and four bytes a character.
+        return pa.array(texts, pa.string()).take(pa.array(which, pa.int64()))
+
     step = max(1, _ROW_GROUP // max(1, len(table.times)))
-    ways = [",".join(table.object_names[i] for i in row if i >= 0) for row in table.objects]
-    kinds = [",".join(str(kind) for kind in row if kind >= 0) for row in table.interactions.tolist()]
     with atomic_path(path) as temporary:
         writer = None
         try:
             for first in range(0, max(1, len(table.source)), step):
                 rows = range(first, min(first + step, len(table.source)))
-                piece = pa.table(_long(table, rows, ways, kinds))
+                columns = long_columns(table, rows, words)
+                if np.iscomplexobj(table.gain):  # a type that Parquet does not know
+                    columns |= {"gain": np.abs(columns["gain"]), "gain_phase": np.angle(columns["gain"])}
+                piece = pa.table(columns)
                 writer = writer or parquet.ParquetWriter(temporary, piece.schema, use_dictionary=_REPEATING)
                 writer.write_table(piece)
         finally:
             if writer is not None:
                 writer.close()
-
-
-def _long(table: PathTable, rows: range, ways: list[str], kinds: list[str]) -> dict[str, Any]:
-    """Return the columns of some paths, a row per path and time at which it is heard."""
-    import pyarrow as pa
-
-    part = slice(rows.start, rows.stop)
-    count = len(table.times)
-    heard = np.isfinite(table.delay[part]).ravel()
-
-    def per_path(values: Any) -> Any:
-        return np.repeat(np.asarray(values), count)[heard]
-
-    def words(texts: Any, which: Any) -> Any:
-        # Not NumPy's text, where every row is as wide as the longest and four bytes a character.
-        return pa.array(texts, pa.string()).take(pa.array(per_path(which), pa.int64()))
-
-    columns = {
-        "times": np.tile(table.times, len(rows))[heard],
-        "path": per_path(np.arange(rows.start, rows.stop)),
-        "source": words(table.source_names, table.source[part]),
-        "receiver": words(table.receiver_names, table.receiver[part]),
-        "order": per_path(table.order[part]),
-        "interactions": words(kinds[part], np.arange(len(rows))),
-        "objects": words(ways[part], np.arange(len(rows))),
-        "direct": per_path(table.direct[part]),
-    }
-    for name in ("delay", "doppler_factor", "doppler_shift", "gain"):
-        columns[name] = getattr(table, name)[part].ravel()[heard]
-    if np.iscomplexobj(table.gain):  # a type that Parquet does not know
-        columns |= {"gain": np.abs(columns["gain"]), "gain_phase": np.angle(columns["gain"])}
-    for name in ("departure", "arrival"):
-        for axis in range(3):
-            columns[f"{name}_{'xyz'[axis]}"] = getattr(table, name)[part, :, axis].ravel()[heard]
-    return columns

@@ -31,9 +31,12 @@ class Arrivals:
     delay_rate : ndarray (P, T)
         Its derivative by the time of reception; the Doppler factor is ``1 - delay_rate``.
     departure, arrival : ndarray (P, T, 3)
-        Unit vectors: from the real source along the path, and from the receiver back along it.
+        Unit vectors: from the real source along the path, and from the receiver back along it; in wind the normals of
+        the wavefront.
     length : ndarray (P, T)
-        Of the path, m.
+        Of the path, over which pressure falls, m.
+    through : ndarray (P, T)
+        Of the air that it passes, m: the same where the air rests.
     emission_time : ndarray (P, T)
         When it was emitted, s.
     mach_factor : ndarray (P, T)
@@ -45,6 +48,7 @@ class Arrivals:
     departure: Floats
     arrival: Floats
     length: Floats
+    through: Floats
     emission_time: Floats
     mach_factor: Floats
 

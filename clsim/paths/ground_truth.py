@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import as_choice, as_floats
 from clsim.paths.arrivals import MOTIONS, slices_of
+from clsim.paths.labelled import labelled_dataset
 from clsim.paths.specular.family import SpecularPaths
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ class DirectPath:
     radial_speed : ndarray (sources, receivers, T)
         Speed of sound times the change of the delay by time of reception, ``c (1 - doppler_factor)``, m/s; positive
         where they part.
+    source_names, receiver_names : tuple of str
+        Along the first two axes.
     """
 
     times: Floats
@@ -42,6 +45,30 @@ class DirectPath:
     doppler_factor: Floats
     line_of_sight: NDArray[np.bool_]
     radial_speed: Floats
+    source_names: tuple[str, ...]
+    receiver_names: tuple[str, ...]
+
+    def to_xarray(self) -> Any:
+        """Return it with named dimensions ``source``, ``receiver`` and ``times``, coordinates and units.
+
+        Returns
+        -------
+        xarray.Dataset
+            A variable for each field.
+
+        Raises
+        ------
+        InputError
+            If xarray is missing.
+        """
+        over = ("source", "receiver", "times")
+        names = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
+        coordinates = {
+            "source": ("source", np.array(self.source_names, dtype=object)),
+            "receiver": ("receiver", np.array(self.receiver_names, dtype=object)),
+            "times": ("times", self.times),
+        }
+        return labelled_dataset({name: (over, getattr(self, name)) for name in names}, coordinates)
 
 
 def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> DirectPath:
@@ -91,4 +118,5 @@ def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> Dire
     for row in np.flatnonzero(paths.order == 0):
         heard = (times >= paths.start[row]) & (times < paths.end[row])
         seen[paths.source[row], paths.receiver[row]] |= heard
-    return DirectPath(times, delay, 1.0 - rate, seen, scene.air.speed_of_sound * rate)
+    names = tuple(s.name for s in scene.sources), tuple(r.name for r in scene.receivers)
+    return DirectPath(times, delay, 1.0 - rate, seen, scene.air.speed_of_sound * rate, *names)

@@ -9,17 +9,30 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
+from clsim.paths.channel import (
+    ChannelBand,
+    ChannelPaths,
+    ChannelTaps,
+    DelayDoppler,
+    as_times,
+    channel_paths,
+    channel_taps,
+)
 from clsim.paths.family import SPECULAR, PathFamily
 from clsim.paths.path_table import PathTable
+from clsim.paths.view import paths_page
+from clsim.pictures.notebook import html_table, inline_page
+from clsim.scene.view import known_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
+    from clsim.arrays import Complexes
     from clsim.paths.family import PairPaths
     from clsim.scene.scene import Scene
 
@@ -196,8 +209,219 @@ class PathSet:
         return PathTable(
             times, self.source, self.receiver, self.order, self.interactions, self.objects, self.order == 0,
             delay, doppler_factor, shift, gain, departure, arrival,
-            tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers), self.object_names,
+            *self._names(), self.object_names,
         )  # fmt: skip
+
+    def to_dataframe(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
+        """Return what every path does at the given times as a pandas DataFrame, a row per path and time.
+
+        Parameters
+        ----------
+        times, motion, amplitude
+            As for `table`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            See `PathTable.to_dataframe`.
+        """
+        return self.table(times, motion, amplitude).to_dataframe()
+
+    def to_xarray(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
+        """Return what every path does at the given times as an xarray Dataset.
+
+        Parameters
+        ----------
+        times, motion, amplitude
+            As for `table`.
+
+        Returns
+        -------
+        xarray.Dataset
+            See `PathTable.to_xarray`.
+        """
+        return self.table(times, motion, amplitude).to_xarray()
+
+    def cir(
+        self, times: Floats, *, carrier: float, motion: str = "retarded", amplitude: str = "wave-equation"
+    ) -> ChannelPaths:
+        """Return the complex gain about a carrier, and the delay, of every path.
+
+        Parameters
+        ----------
+        times : array_like (T,)
+            Times of reception, s.
+        carrier : float
+            At which air, walls and directivities are taken, Hz.
+        motion : {"retarded", "quasi-static"}
+            As in `render`.
+        amplitude : {"wave-equation", "static", "convective"}
+            As in `render`.
+
+        Returns
+        -------
+        ChannelPaths
+            Delays are absolute.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or a wall or directivity is not known at the carrier.
+        """
+        times = as_times(times)
+        delay, _, gain = self._channel(times, carrier, motion, amplitude)
+        return ChannelPaths(
+            times, self.source, self.receiver, read_only(delay), read_only(gain), float(carrier), *self._names()
+        )
+
+    def taps(
+        self,
+        times: Floats,
+        *,
+        carrier: float,
+        bandwidth: float,
+        sampling_rate: float,
+        motion: str = "retarded",
+        amplitude: str = "wave-equation",
+    ) -> ChannelTaps:
+        """Return the channel as a filter of complex envelopes that changes with time, exact over a band.
+
+        Parameters
+        ----------
+        times : array_like (T,)
+            Times of reception, s; any, for they need not follow the sampling rate.
+        carrier : float
+            Hz.
+        bandwidth : float
+            Width of the band about the carrier, both sides together, within which the filter is exact, Hz.
+        sampling_rate : float
+            Of the taps and of the envelope that they filter, at least 1.25 times the bandwidth, Hz.
+        motion : {"retarded", "quasi-static"}
+            As in `render`.
+        amplitude : {"wave-equation", "static", "convective"}
+            As in `render`.
+
+        Returns
+        -------
+        ChannelTaps
+            Tap l is that of the delay ``l / sampling_rate``, absolute.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, a wall or directivity is not known over the band, or the taps would be more
+            than 8 GiB.
+
+        Notes
+        -----
+        Air, walls and directivities act over the whole band. A path is there or not: the transition of `render`, in
+        which it fades in and out, is left out.
+        """
+        times, band = as_times(times), ChannelBand(carrier, bandwidth, sampling_rate)
+        span = self.start, self.end
+        gain, first = channel_taps(self.scene, self.pairs(), span, times, band, motion, amplitude)
+        delays = (first + np.arange(gain.shape[2])) / band.sampling_rate
+        return ChannelTaps(
+            times, read_only(delays), read_only(gain), band.carrier, band.bandwidth, band.sampling_rate, *self._names()
+        )
+
+    def delay_doppler(
+        self,
+        time: float,
+        duration: float,
+        *,
+        carrier: float,
+        motion: str = "retarded",
+        amplitude: str = "wave-equation",
+    ) -> DelayDoppler:
+        """Return every path as a point of delay and Doppler shift over a time.
+
+        Parameters
+        ----------
+        time : float
+            Of reception, when it begins, s.
+        duration : float
+            How long it lasts, s.
+        carrier : float
+            Hz.
+        motion : {"retarded", "quasi-static"}
+            As in `render`.
+        amplitude : {"wave-equation", "static", "convective"}
+            As in `render`.
+
+        Returns
+        -------
+        DelayDoppler
+            Points, and how far they move.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or a wall or directivity is not known at the carrier.
+        """
+        begin = as_number("time", time, at_least=0.0, unit="s")
+        length = as_number("duration", duration, above=0.0, unit="s")
+        times = begin + length * np.array([0.0, 0.5, 1.0])
+        delay, rate, gain = self._channel(times, carrier, motion, amplitude)
+        shift = -float(carrier) * rate
+        return DelayDoppler(
+            begin, length, self.source, self.receiver, read_only(delay[:, 1]), read_only(shift[:, 1]),
+            read_only(gain[:, 1]), read_only(delay[:, 2] - delay[:, 0]), read_only(shift[:, 2] - shift[:, 0]),
+            float(carrier),
+        )  # fmt: skip
+
+    def _channel(self, times: Floats, carrier: float, motion: str, amplitude: str) -> tuple[Floats, Floats, Complexes]:
+        return channel_paths(self.scene, self.pairs(), (self.start, self.end), times, carrier, motion, amplitude)
+
+    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers)
+
+    def show(self, duration: float | None = None, frames: int = 120, limit: int = 300, height: int = 600) -> Any:
+        """Return the viewer page of the room, the motion and the paths over time, for a notebook.
+
+        Parameters
+        ----------
+        duration : float, optional
+            Until when, s; until the first trajectory ends when left out.
+        frames : int
+            Instants to choose from, 1 to 10 000.
+        limit : int
+            Strongest paths that are drawn, 1 to 100 000.
+        height : int
+            Pixels, 100 to 10 000.
+
+        Returns
+        -------
+        IPython.display.HTML
+            The page, as ``clsim view`` writes it.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or IPython is missing.
+        """
+        frames = as_count("frames", frames, at_least=1, at_most=10_000)
+        limit = as_count("limit", limit, at_least=1, at_most=100_000)
+        height = as_count("height", height, at_least=100, at_most=10_000)
+        longest = known_until(self.scene.named_ends())
+        until = longest if duration is None else as_number("duration", duration, at_least=0.0, unit="s")
+        return inline_page("show", paths_page(self, title="paths", duration=until, frames=frames, limit=limit), height)
+
+    def _repr_html_(self) -> str:
+        kinds, scene = np.unique(self.order), self.scene
+        rows = [(n, int(np.sum(self.order == n)), self._seconds(self.order == n)) for n in kinds.tolist()]
+        pairs = len(np.unique(self.source.astype(np.int64) * len(scene.receivers) + self.receiver))
+        title = (
+            f"PathSet: {len(self)} intervals of paths, {len(scene.sources)} sources, {len(scene.receivers)} receivers"
+        )
+        silent = len(scene.sources) * len(scene.receivers) - pairs
+        notes = [f"{silent} pairs of source and receiver have none"] if silent else []
+        return html_table(title, ("order", "intervals", "heard"), rows, notes)
+
+    def _seconds(self, rows: NDArray[np.bool_]) -> str:
+        """Return how long intervals are together, as a text."""
+        total = float(np.sum(self.end[rows] - self.start[rows]))
+        return f"{total:.4g} s" if np.isfinite(total) else "always"
 
     def vertices(self, time: float, motion: str = "retarded") -> Floats:
         """Return where every path leaves, meets something and arrives, as it is heard at a time.

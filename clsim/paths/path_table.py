@@ -7,12 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
+from clsim.paths.labelled import labelled_dataset, labelled_frame
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
+
+_OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain")
+_DIRECTIONS = ("departure", "arrival")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +90,101 @@ class PathTable:
         """
         return ", ".join(self.object_names[i] for i in self.objects[path] if i >= 0) or "direct"
 
+    def to_dataframe(self) -> Any:
+        """Return it as a pandas DataFrame, a row per path and time at which it is heard.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns as in a Parquet file of it, texts as categories, a complex gain as it is; ``attrs["units"]`` tells
+            the units.
+
+        Raises
+        ------
+        InputError
+            If pandas is missing.
+        """
+        check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
+        import pandas
+
+        def words(texts: Sequence[str], which: Any) -> Any:
+            kinds, code = np.unique(np.array(texts, dtype=object), return_inverse=True)
+            return pandas.Categorical.from_codes(code[which], kinds)
+
+        return labelled_frame(long_columns(self, range(len(self.source)), words))
+
+    def to_xarray(self) -> Any:
+        """Return it as an xarray Dataset with dimensions ``path``, ``times`` and ``axis``, coordinates and units.
+
+        Returns
+        -------
+        xarray.Dataset
+            Variables over paths and times, NaN while a path is not heard; what is said of paths are coordinates.
+
+        Raises
+        ------
+        InputError
+            If xarray is missing.
+        """
+        texts = {
+            "source": [self.source_names[i] for i in self.source],
+            "receiver": [self.receiver_names[i] for i in self.receiver],
+            "interactions": [_listed(row) for row in self.interactions.tolist()],
+            "objects": [self.name_way(p) for p in range(len(self.source))],
+        }
+        of_paths = {name: ("path", np.array(values, dtype=object)) for name, values in texts.items()}
+        of_paths |= {"order": ("path", self.order), "direct": ("path", self.direct)}
+        over_time = {name: (("path", "times"), getattr(self, name)) for name in _OVER_TIME}
+        directions = {name: (("path", "times", "axis"), getattr(self, name)) for name in _DIRECTIONS}
+        return labelled_dataset(
+            over_time | directions, of_paths | {"times": ("times", self.times), "axis": ("axis", list("xyz"))}
+        )
+
     @property
     def heard(self) -> NDArray[np.bool_]:
         """Whether anything arrives (P, T): the path is there, and its gain is not 0."""
         return np.asarray(np.isfinite(self.delay) & (self.gain != 0.0))
+
+
+def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], Any], Any]) -> dict[str, Any]:
+    """Return the columns of some paths, a row per path and time at which it is heard.
+
+    Parameters
+    ----------
+    table : PathTable
+        Whose paths.
+    rows : range
+        Which of them.
+    words : callable
+        Takes texts and, for every row, which of them it has; gives a column of texts.
+    """
+    part = slice(rows.start, rows.stop)
+    count = len(table.times)
+    heard = np.isfinite(table.delay[part]).ravel()
+    ways = [",".join(table.object_names[i] for i in row if i >= 0) for row in table.objects[part]]
+    kinds = [_listed(row) for row in table.interactions[part].tolist()]
+
+    def per_path(values: Any) -> Any:
+        return np.repeat(np.asarray(values), count)[heard]
+
+    columns = {
+        "times": np.tile(table.times, len(rows))[heard],
+        "path": per_path(np.arange(rows.start, rows.stop)),
+        "source": words(table.source_names, per_path(table.source[part])),
+        "receiver": words(table.receiver_names, per_path(table.receiver[part])),
+        "order": per_path(table.order[part]),
+        "interactions": words(kinds, per_path(np.arange(len(rows)))),
+        "objects": words(ways, per_path(np.arange(len(rows)))),
+        "direct": per_path(table.direct[part]),
+    }
+    for name in _OVER_TIME:
+        columns[name] = getattr(table, name)[part].ravel()[heard]
+    for name in _DIRECTIONS:
+        for axis in range(3):
+            columns[f"{name}_{'xyz'[axis]}"] = getattr(table, name)[part, :, axis].ravel()[heard]
+    return columns
+
+
+def _listed(kinds: list[int]) -> str:
+    """Return kinds of interactions as a text."""
+    return ",".join(str(kind) for kind in kinds if kind >= 0)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.fractional_delay import design_bandlimited
+from clsim.numerics.kaiser import low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
@@ -218,18 +219,6 @@ def envelope_filters(emission: Emission, half: float, low_pass: Floats, removed_
         emission.signal, emission.start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, 1,
         removed_db, baseband.carrier, half, mixer, plain,
     )  # fmt: skip
-
-
-def low_pass_between(passed: float, stopped: float, rate: float, ripple_db: float) -> Floats:
-    """Return a low-pass without delay, of odd length, from frequencies that are passed to those stopped, Hz.
-
-    By the window method (Kaiser), which makes both ripples equal, so many dB below 1.
-    """
-    from scipy.signal import firwin, kaiserord
-
-    length, beta = kaiserord(ripple_db, (stopped - passed) / (0.5 * rate))
-    length += 1 - length % 2
-    return np.asarray(firwin(length, 0.5 * (stopped + passed), window=("kaiser", beta), fs=rate))
 
 
 def _mixer(rate: float, every: int, carrier: float, low_pass: Floats, filters: Floats) -> Mixer:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
 BLOCKS = (768, 384, 192, 96, 48, 24, 8)  # samples in a block, divisors of a segment, tried in this order
 FINE = 96  # samples, shorter blocks than which are rendered in small subblocks by all terms of their cubics
+BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
+_TRANSFORMED = 80.0  # bytes of a sample while what is emitted is filtered: transforms in float64, measured
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 
 
@@ -176,21 +178,55 @@ class Plan:
         return "receivers" if largest == "render.chunk" and self.chunk == self.segment else largest
 
     def _memory(self) -> dict[str, float]:
-        """Return the bytes that the fields of a scene file ask for."""
-        middle, length = 0.5 * self.duration, 0.5 * min(self.chunk / self.sampling_rate, self.duration)
-        span = self.tracks.longest_delay(middle - length, middle + length) * self.sampling_rate
+        """Return the bytes that the fields of a scene file ask for: buffers of the device, and arrays beside them."""
+        length = -(-min(self.chunk, self.samples) // BLOCKS[0]) * BLOCKS[0]
+        middle, half = 0.5 * self.duration, 0.5 * length / self.sampling_rate
+        span = self.tracks.longest_delay(middle - half, middle + half) * self.sampling_rate + 256.0  # margins
+        parts = 1 if self.baseband is None else 2
         rows = max(e.oversampling * int(e.rows[-1]) for e in self.source_filters)
-        functions = max(len(e.basis) for e in self.source_filters)
-        per_segment = (
-            (4 + 4 * self.delay_terms + 16 * functions)
-            * (self.segment // self.shortest_block)
-            * max((len(pair) for pair in self.tracks.pairs), default=0)
-        )
-        size = 4.0 if self.baseband is None else 8.0
+        functions = max(e.oversampling * len(e.basis) for e in self.source_filters)
+        # Branch signals, rounded up by 1/32 on average; what is emitted, on the device, of this chunk and of the next.
+        a_sample = 4.0 * parts * (1.03 * (rows + functions) + 2.0 * functions) + _TRANSFORMED
+        held = 4.0 * parts * 2.0 * self.receiver_count * length  # on the device, and read from it
         return {
-            "render.chunk": size * ((rows + 1) * self.chunk + 2 * self.chunk * self.receiver_count),
-            "paths.max_order": size * (rows + 1) * span + max(NODE_BUDGET, per_segment) + self.path_count * 150,
+            "render.chunk": a_sample * length + held,
+            "paths.max_order": a_sample * span + self._node_bytes(-(-length // self.segment)) + self.path_count * 150,
         }
+
+    def bytes_per_node(self, source: int) -> int:
+        """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain.
+
+        Parameters
+        ----------
+        source : int
+            Index of the source.
+
+        Returns
+        -------
+        int
+            Bytes.
+        """
+        return 4 + 4 * self.delay_terms + 16 * len(self.source_filters[source].basis)
+
+    def _node_bytes(self, segments: int) -> float:
+        """Return what polynomials of a chunk of segments take, in blocks of the two longest lengths.
+
+        Shorter ones are for motion that is near and fast; each of these lengths takes `NODE_BUDGET` at most.
+        """
+        most = 0.0
+        for source in range(len(self.source_filters)):
+            mine = [
+                pair
+                for i, pair in enumerate(self.tracks.pairs)
+                if pair.source == source and i not in self.static_pairs.indices and len(pair)
+            ]
+            slots = [-(-len(pair) // BATCH) * BATCH for pair in mine]
+            a_segment = self.bytes_per_node(source) * (self.segment // self.shortest_block)
+            together = min(sum(slots), max(NODE_BUDGET // a_segment, *slots, 0)) if slots else 0
+            each = [float(self.bytes_per_node(source) * together * (self.segment // b)) for b in self.blocks[:2]]
+            at_once = [min(segments, max(1, NODE_BUDGET // max(size, 1.0))) for size in each]
+            most = max(most, sum(size * count for size, count in zip(each, at_once, strict=True)))
+        return most
 
     @property
     def motion_error_db(self) -> float:

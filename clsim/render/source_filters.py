@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError, warn
+from clsim.numerics.convolution import convolved
+from clsim.numerics.kaiser import low_pass_between
 from clsim.paths.coverage import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.scene.signal.occupied_bandwidth import CELLS, share_above, shares
@@ -304,8 +306,8 @@ def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate:
 
 def _doubling(rate: float) -> Floats:
     """Return the low-pass behind a signal's samples with zeros between them, at twice its rate in Hz."""
-    limit = _low_pass((2.0 - _WIDEST_OVERSAMPLED) * 0.5 * rate, (1.0 - _WIDEST_OVERSAMPLED) * rate, 2.0 * rate)
-    return 2.0 * limit
+    passed = 0.5 * _WIDEST_OVERSAMPLED * rate
+    return 2.0 * low_pass_between(passed, rate - passed, 2.0 * rate, _LIMIT_DB)
 
 
 def _band(emission: Emission, times: int) -> tuple[float, float, Floats]:
@@ -373,16 +375,7 @@ def _band_limit(main: float, stop: float, rate: float) -> Floats:
     By the window method (Kaiser): wide where there is room, so that it rings shortly.
     """
     width = 0.5 * rate * float(np.clip((stop - main) / (0.5 * rate), _LEAST_LIMIT_WIDTH, _LIMIT_WIDTH))
-    return _low_pass(stop, width, rate)
-
-
-def _low_pass(stop: float, width: float, rate: float) -> Floats:
-    """Return a low-pass without delay that falls within `width` Hz up to `stop` Hz, of odd length."""
-    from scipy.signal import firwin, kaiserord
-
-    length, beta = kaiserord(_LIMIT_DB, width / (0.5 * rate))
-    length += 1 - length % 2
-    return np.asarray(firwin(length, stop - 0.5 * width, window=("kaiser", beta), fs=rate))
+    return low_pass_between(stop - width, stop, rate, _LIMIT_DB)
 
 
 def filtered(
@@ -404,12 +397,9 @@ def filtered(
     places = _ranges(begins, lengths)
     if length == 0:
         return places, samples[places] * filters
-    from scipy.signal import oaconvolve
-
     together = samples[_ranges(begins, lengths + length)]  # without the pauses
-    made = oaconvolve(together[None], filters, mode="valid", axes=1)
-    within = _ranges(np.cumsum(lengths + length) - lengths - length, lengths)
-    return places, np.asarray(made[:, within])
+    within = _ranges(np.cumsum(lengths + length) - lengths, lengths)
+    return places, np.asarray(convolved(together, filters)[:, within])
 
 
 def _ranges(begins: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:

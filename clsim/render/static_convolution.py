@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.convolution import convolved
 from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_response
 from clsim.render.contributions import Stateless
 from clsim.scene.signal.occupied_bandwidth import shares
@@ -129,15 +130,14 @@ def _band(filters: SourceFilters, *, complex_responses: bool) -> ResponseBand:
 
 def _convolved(emitted: NDArray[Any], response: ImpulseResponse, count: int) -> NDArray[Any]:
     """Return samples (count,) of a response to what was emitted from as many samples before as it is long."""
-    from scipy.signal import oaconvolve
-
     taps = response.taps
     heard = emitted[: count + len(taps) - 1]
     out, active = np.zeros(count, dtype=heard.dtype), np.flatnonzero(heard)
     if not len(active):
         return out
     begin, end = int(active[0]), int(active[-1]) + 1
-    whole = oaconvolve(heard[begin:end], taps)
+    short, long = sorted((heard[begin:end], taps), key=len)
+    whole = convolved(long, short)
     first, last = max(begin - len(taps) + 1, 0), min(end, count)
     out[first:last] = whole[first + len(taps) - 1 - begin : last + len(taps) - 1 - begin]
     # Where nothing sounds there is silence, without the rounding of the transforms.

@@ -22,7 +22,7 @@ _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room an
 _SCAN_BLOCK = 65536  # instants among which the nearest approach is sought
 
 
-def check_motions(room: Room, ends: Sequence[tuple[str, End]], speed_of_sound: float) -> None:
+def check_motions(room: Room, ends: Sequence[tuple[str, End]], slowest: float) -> None:
     """Refuse trajectories that leave the room, meet a wall, or are as fast as sound, with time and place."""
     static = [i for i, (_, item) in enumerate(ends) if item.trajectory.is_static and item.flush is False]
     checked = set(range(len(ends)))
@@ -30,10 +30,10 @@ def check_motions(room: Room, ends: Sequence[tuple[str, End]], speed_of_sound: f
         free = room.clearance(_places([ends[i][1] for i in static])) > 0.0
         checked -= {static[i] for i in np.flatnonzero(free)}
     for i in sorted(checked):
-        _check_motion(room, *ends[i], speed_of_sound)
+        _check_motion(room, *ends[i], slowest)
 
 
-def _check_motion(room: Room, field_name: str, item: End, speed_of_sound: float) -> None:
+def _check_motion(room: Room, field_name: str, item: End, slowest: float) -> None:
     try:
         mount = find_mount(room, item)
     except InputError as error:
@@ -52,10 +52,10 @@ def _check_motion(room: Room, field_name: str, item: End, speed_of_sound: float)
                 f"{_place(positions, times, contact.index)}{contact.hint}",
             )
     speed, time = item.trajectory.peak_speed(start, end, _SCAN_RATE)
-    if speed >= speed_of_sound:
+    if speed >= slowest:
         raise InputError(
             f"{field_name}.trajectory",
-            f"must stay below the speed of sound, {speed_of_sound:.6g} m/s, "
+            f"must stay below the speed of sound, {slowest:.6g} m/s, "
             f"but {item.name!r} moves at {speed:.6g} m/s at {time:.6g} s",
         )
 

@@ -7,14 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clsim.arrays import FARTHEST, as_number
+from clsim.arrays import FARTHEST, as_count, as_number
 from clsim.errors import InputError
+from clsim.pictures.notebook import html_table, inline_page
 from clsim.scene.air import Air
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.placement import check_distances, check_motions, check_sides, first_place
 from clsim.scene.plausibility import warn_of_units
 from clsim.scene.room.protocol import Room, checked_room
+from clsim.scene.view import scene_page
 
+_MOST_LISTED = 64  # sources and receivers in a table
 _NEAREST = 1e-6  # m, least bound of the distance between ends
 
 
@@ -61,7 +64,7 @@ class Scene:
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
         ends = self.named_ends()
-        check_motions(self.room, ends, self.air.speed_of_sound)
+        check_motions(self.room, ends, self.air.slowest)
         check_sides(self.room, ends)
         warn_of_units(self.room, self.sources)
         for i, source in enumerate(self.sources):
@@ -86,6 +89,43 @@ class Scene:
         receivers = [(f"receivers[{i}]", r) for i, r in enumerate(self.receivers)]
         return [*sources, *receivers]
 
+    def show(self, frames: int = 120, height: int = 600) -> Any:
+        """Return the viewer page of the room and of what moves in it, for a notebook.
+
+        Parameters
+        ----------
+        frames : int
+            Instants to choose from, until the first trajectory ends, 1 to 10 000.
+        height : int
+            Pixels, 100 to 10 000.
+
+        Returns
+        -------
+        IPython.display.HTML
+            The page; `PathSet.show` has the paths in it, too.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or IPython is missing.
+        """
+        frames = as_count("frames", frames, at_least=1, at_most=10_000)
+        height = as_count("height", height, at_least=100, at_most=10_000)
+        return inline_page("show", scene_page(self.room, self.named_ends(), frames, "scene"), height)
+
+    def _repr_html_(self) -> str:
+        ends = [
+            (field, item.name, "static" if item.trajectory.is_static else "moves", _place(item))
+            for field, item in self.named_ends()[:_MOST_LISTED]
+        ]
+        more = len(self.named_ends()) - len(ends)
+        air = (
+            f"air: {self.air.temperature_celsius:g} °C, {100.0 * self.air.relative_humidity:g} % relative humidity, "
+            f"sound at {self.air.speed_of_sound:.2f} m/s"
+        )
+        notes = [*([f"and {more} more"] if more else []), *self.room.describe(), air]
+        return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
+
     def describe(self) -> list[str]:
         """Return what the room is like, a line each, and of ends in one that walls close which are inside at 0 s.
 
@@ -96,6 +136,10 @@ class Scene:
         """
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
         return [*self.room.describe(), *(_side(self.room, field_name, item) for field_name, item in sides)]
+
+
+def _place(item: End) -> str:
+    return ", ".join(f"{x:.3f}" for x in item.trajectory.position(item.time_range[0]))
 
 
 def _side(room: Room, field_name: str, item: End) -> str:

@@ -33,6 +33,7 @@ class _Air(Model):
     pressure: float = 101_325.0
     speed_of_sound: float | Literal["iso9613"] | None = None
     absorption: bool = True
+    wind: Vector | None = None
 
 
 class _Common(Model):

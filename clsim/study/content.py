@@ -15,8 +15,8 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
 from clsim.output.raw_rows import SampleFile
-from clsim.output.stores import STORES, texts
-from clsim.recording import Recording
+from clsim.output.stores import STORES
+from clsim.recording import Recording, texts
 from clsim.render.rendering import Rendering
 from clsim.scene_file.scene import build_scene
 from clsim.study.file import TAKEN

@@ -10,9 +10,10 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clsim.cluster.workers import Workers, check_packages
+from clsim.cluster.workers import PACKAGES, Workers
 from clsim.errors import InputError
 from clsim.files.atomic import locked, safe_path
+from clsim.packages import check_packages
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
 
@@ -81,7 +82,7 @@ def run_study(
     replaced, and what it was at is done by another; a member whose workers go on dying fails, and no other one with it.
     What the store holds counts: a member counts as finished when its group is there, and groups appear whole.
     """
-    check_packages("study", "a study")
+    check_packages("study", "a study", "study", *PACKAGES)
     from clsim.cluster.dispatch import Dispatch
     from clsim.study.content import metrics_function
     from clsim.study.file import DEFAULT_LIMIT, checked, load_study

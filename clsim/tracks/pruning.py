@@ -83,8 +83,9 @@ def _bounds(tracks: SceneTracks, pair: int, band: tuple[float, float], until: fl
     directivities = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
     reflected = paths.family.gain_bound(paths.rows, at) * directivities
     source_speed = float(tracks.speeds.source[paths.source])
-    mach_factor = (1.0 - source_speed / c) ** -MACH_EXPONENT[tracks.amplitude]
-    bound, strongest, slowest = np.zeros(len(reflected)), 0.0, paths.family.medium.slowest
+    slowest = paths.family.medium.slowest
+    mach_factor = (1.0 - source_speed / slowest) ** -MACH_EXPONENT[tracks.amplitude]
+    bound, strongest = np.zeros(len(reflected)), 0.0
     speed = source_speed + float(tracks.speeds.receiver[paths.receiver])
     member, step = tracks.pairs[pair], _STEP
     if member.always_heard:

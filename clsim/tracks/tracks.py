@@ -285,7 +285,7 @@ class SceneTracks(Tracks):
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
         """Return the largest peak speed, and by how much all speeds must be scaled for another rate of delays."""
         v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
-        scale = max_rate * self.scene.air.speed_of_sound / (v_s + v_r + max_rate * v_s)
+        scale = max_rate * self.scene.air.slowest / (v_s + v_r + max_rate * v_s)
         return max(v_s, v_r), scale * max(v_s, v_r)
 
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:

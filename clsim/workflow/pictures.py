@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.errors import warn
-from clsim.output.envelope_plot import envelope_spectrogram
-from clsim.output.plots import echogram_picture, history_picture, spectrogram_picture
+from clsim.output.path_plots import echogram_picture, history_picture
+from clsim.pictures.envelope_plot import envelope_spectrogram
+from clsim.pictures.plots import spectrogram_picture
 from clsim.workflow.console import progress
 from clsim.workflow.outputs import MOST_DRAWN, PICTURES, picture
 
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clsim.arrays import Floats
-    from clsim.output.spectrogram import Readable
     from clsim.output.stores import SoundStore
+    from clsim.pictures.spectrogram import Readable
     from clsim.render.plan import Plan
     from clsim.workflow.outputs import RunOutputs
     from clsim.workflow.pipeline import PlannedScene

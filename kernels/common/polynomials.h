@@ -15,7 +15,7 @@ static int terms(int functions) { return DELAY_TERMS + 4 * functions; }
 // Where the polynomials of a block and a path begin; their terms are BESIDE from each other.
 static long place_of(int block, int slot, int functions, int slots)
 {
-    return ((long)block * slots + slot / BESIDE * BESIDE) * terms(functions) + slot % BESIDE;
+    return (block * (long)slots + slot / BESIDE * BESIDE) * terms(functions) + slot % BESIDE;
 }
 
 // Value at t in [-1, 1] of a cubic with coefficients a to d, its derivative, and half of its second one. So written that

@@ -6,38 +6,40 @@ typedef struct {
     __global const int* following;  // [cells], the next cell that sounds, or `cells`; itself if it does
     __global const int* preceding;  // [cells], the one before, or -1
     int cells;
-    double origin;                  // sample of the branches at the run's first sample, without delay
+    real origin;                    // sample of the branches at the run's first sample, without delay
+    int block_samples, subblock_samples;
 } activity_mask;
 
-static int cell_at(const activity_mask* s, double sample)
+static int cell_at(const activity_mask* s, real sample)
 {
-    const double cell = sample * (1.0 / CELL);
-    return cell < 0.0 ? 0 : cell < (double)s->cells ? (int)cell : s->cells - 1;
+    const real cell = sample * (1.0f / CELL);
+    return cell < 0 ? 0 : cell < (real)s->cells ? (int)cell : s->cells - 1;
 }
 
 // Whether anything is heard in a block, for delays between two bounds, samples.
-static int is_active(const activity_mask* s, int block, double shortest, double longest)
+static int is_active(const activity_mask* s, int block, real shortest, real longest)
 {
-    const double start = s->origin + (double)block * BLOCK;
-    return s->following[cell_at(s, start - longest)] <= cell_at(s, start + BLOCK - shortest);
+    const real start = s->origin + (real)block * s->block_samples;
+    return s->following[cell_at(s, start - longest)] <= cell_at(s, start + s->block_samples - shortest);
 }
 
 // First block, from a given one on, in which anything may be heard, for delays between two bounds, samples.
-static int next_active(const activity_mask* s, int block, double shortest, double longest)
+static int next_active(const activity_mask* s, int block, real shortest, real longest)
 {
-    const double start = s->origin + (double)block * BLOCK;
+    const real start = s->origin + (real)block * s->block_samples;
     const int cell = s->following[cell_at(s, start - longest)];
-    const double begin = (double)cell * CELL - start + shortest;
-    return cell == s->cells ? NEVER : begin > 0.0 ? block + (int)(begin * (1.0 / BLOCK)) : block;
+    const real begin = (real)cell * CELL - start + shortest;
+    return cell == s->cells ? NEVER : begin > 0 ? block + (int)(begin * ((real)1 / s->block_samples)) : block;
 }
 
 // The mask of a block, see mask.h.
-static int active_subblocks(const activity_mask* s, int block, double shortest, double longest)
+static int active_subblocks(const activity_mask* s, int block, real shortest, real longest)
 {
-    const double start = s->origin + (double)block * BLOCK;
-    const double begin = (double)s->following[cell_at(s, start - longest)] * CELL - start + shortest;
-    const double end = (double)(s->preceding[cell_at(s, start + BLOCK - shortest)] + 1) * CELL - start + longest;
-    const int first = begin > 0.0 ? (int)(begin / SUBBLOCK) : 0;
-    const int last = end < (double)BLOCK ? (int)(end / SUBBLOCK) + 1 : BLOCK / SUBBLOCK;
-    return first < last && end > 0.0 ? MASK(first, last) : 0;
+    const real start = s->origin + (real)block * s->block_samples;
+    const real begin = (real)s->following[cell_at(s, start - longest)] * CELL - start + shortest;
+    const real end = (real)(s->preceding[cell_at(s, start + s->block_samples - shortest)] + 1) * CELL - start + longest;
+    const int first = begin > 0 ? (int)(begin / s->subblock_samples) : 0;
+    const int count = s->block_samples / s->subblock_samples;
+    const int last = end < (real)s->block_samples ? (int)(end / s->subblock_samples) + 1 : count;
+    return first < last && end > 0 ? MASK(first, last) : 0;
 }

@@ -5,27 +5,26 @@
 
 
 typedef struct {
-    double delay[4], rate[4];  // s, and by the time of reception
+    real delay[4], rate[4];  // s, and by the time of reception
     gains gain[4][GAIN_VECTORS];
     float strength[4];         // mean square of the response
 } window;
 
 // Write the gains of neighbouring functions; `g` is the place of the first one's term.
-static void write_gains(const gains* gain, int apart, __global float* g)
+static void write_gains(const gains* gain, int functions, int apart, __global float* g)
 {
-#pragma unroll
-    for (int k = 0; k < FUNCTIONS; k++) g[k * apart] = ((const float*)gain)[k];
+    for (int k = 0; k < functions; k++) g[k * apart] = ((const float*)gain)[k];
 }
 
 // Write four powers of the gains, of a path that is heard or not.
-static void write_terms(gains terms[4][GAIN_VECTORS], int heard, int apart, __global float* c)
+static void write_terms(gains terms[4][GAIN_VECTORS], int heard, int functions, int apart, __global float* c)
 {
 #pragma unroll
     for (int power = 0; power < 4; power++) {
         if (!heard) {
             for (int i = 0; i < GAIN_VECTORS; i++) terms[power][i] = 0.0f;
         }
-        write_gains(terms[power], apart, c + (DELAY_TERMS + power * FUNCTIONS) * apart);
+        write_gains(terms[power], functions, apart, c + (DELAY_TERMS + power * functions) * apart);
     }
 }
 
@@ -52,24 +51,6 @@ static void terms_between(const window* node, gains terms[4][GAIN_VECTORS])
     }
 }
 
-// Write the delay; returns its whole part.
-static int write_delay(const window* node, int apart, double sampling_rate, double delay_samples, __global float* c)
-{
-#if DELAY_TERMS == 8
-    return write_septic(node->delay, node->rate, sampling_rate, delay_samples, c);
-#else
-    const double rate = OVERSAMPLING * sampling_rate, half_block = 0.5 * OVERSAMPLING * BLOCK;
-    const double p0 = node->delay[1] * rate + delay_samples, p1 = node->delay[2] * rate + delay_samples;
-    const double e0 = node->rate[1] * half_block, e1 = node->rate[2] * half_block;
-    const double centre = 0.5 * (p0 + p1) - 0.25 * (e1 - e0), whole = (centre + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
-    c[0] = (float)(centre - whole);
-    c[apart] = (float)(0.75 * (p1 - p0) - 0.25 * (e0 + e1));
-    c[2 * apart] = (float)(0.25 * (e1 - e0));
-    c[3 * apart] = (float)(0.25 * (e0 + e1) - 0.25 * (p1 - p0));
-    return (int)whole;
-#endif
-}
-
 #if DELAY_TERMS == 8
 // Square of the share that gains' fourth differences have of their third, as if differences went on falling; at most 1.
 static gains falling(gains g0, gains g1, gains g2, gains g3, gains third_squared)
@@ -83,35 +64,29 @@ static gains falling(gains g0, gains g1, gains g2, gains g3, gains third_squared
 
 // Square of the largest error of those cubics as pressure at full scale: the Hermite remainder h^4 f''''/384 of the delay
 // turned into phase, and 0.02 of the gains' third differences (0.016 is that of Catmull-Rom), both from differences of
-// nodes; and what groups leave out of the cubics but for FINE ones: the delay's third power, the gains' second one. Of
-// envelopes the septic's, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
-static float delay_error_squared(const window* node, float angular_frequency, double block_time)
+// nodes; and what groups leave out of the cubics, where subblocks are a `part` of the block: the delay's third power, the
+// gains' second one (fine ones leave out nothing: `part` is 0). Of envelopes the septic's, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
+static float delay_error_squared(const window* node, float angular_frequency, real block_time, float part)
 {
-    const double* r = node->rate;
+    const real* r = node->rate;
 #if DELAY_TERMS == 8
     const float delay_error = septic_error(node->delay, r, block_time);
 #else
-    const float remainder = (float)((r[3] - r[0] + 3.0 * (r[1] - r[2])) * block_time) / 384.0f;
-#if FINE
-    const float delay_error = remainder;
-#else
-    const float part = (float)SUBBLOCK / (float)BLOCK;
-    const float cubed = (float)(0.125 * block_time * (r[1] + r[2]) - 0.25 * (node->delay[2] - node->delay[1]));
+    const float remainder = (float)((r[3] - r[0] + 3 * (r[1] - r[2])) * block_time) / 384.0f;
+    const float cubed = (float)(0.125f * block_time * (r[1] + r[2]) - 0.25f * (node->delay[2] - node->delay[1]));
     const float twist = cubed * part * part * part;
     const float delay_error = (remainder < 0.0f ? -remainder : remainder) + (twist < 0.0f ? -twist : twist);
-#endif
 #endif
     const float phase = angular_frequency * delay_error;
     return phase * phase * node->strength[1];
 }
 
 // The same of what groups leave out of gains.
-static float left_out_squared(const gains terms[4][GAIN_VECTORS], __global const gains* sizes)
+static float left_out_squared(const gains terms[4][GAIN_VECTORS], __global const gains* sizes, float part)
 {
-#if DELAY_TERMS == 8 || FINE
+#if DELAY_TERMS == 8
     return 0.0f;
 #else
-    const float part = (float)SUBBLOCK / (float)BLOCK;
     gains change = 0.0f;
 #pragma unroll
     for (int i = 0; i < GAIN_VECTORS; i++) {

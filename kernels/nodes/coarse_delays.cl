@@ -6,18 +6,19 @@ __kernel void coarse_delays(__global const double* image_matrix, __global const 
                             __global const receiver_node* receivers,  // [receivers][ends, 1 if STATIC_RECEIVERS]
                             int ends,                                 // a multiple of NODES_AT_ONCE
                             __global const double* knots, int knot_count, double first_knot, double knot_rate, double start,
-                            double walk_time, double speed_of_sound, __global double* delays)  // [ends][2][slots]
+                            double walk_time, double speed_of_sound, __global const double* wind,  // [3], m/s
+                            __global double* delays)  // [ends][2][slots]
 {
     const int slot = get_global_id(0), slots = get_global_size(0), end = get_global_id(1) * NODES_AT_ONCE;
-    const trajectory path = {knots, knot_count, first_knot, knot_rate, 1.0 / speed_of_sound};
+    const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const receivers_in_image receiver =
-        receivers_at(image_matrix, slots, slot, image_offset_of(image_offset, slots, slot),
-                     receivers + (STATIC_RECEIVERS ? receiver_of[slot] : (long)receiver_of[slot] * ends + end));
+        receivers_at(&path, image_matrix, slots, slot, image_offset_of(image_offset, slots, slot),
+                     receivers + (STATIC_RECEIVERS ? receiver_of[slot] : receiver_of[slot] * (long)ends + end));
     const double at[4] = {end - 1, end, end + 1, end + 2};
     const reals walk = SIDE_BY_SIDE(at, );
     arrivals a;
     a.delay = 0.0;
-    solve_delay(&path, receiver.position, receiver.velocity, start + walk * walk_time + receiver.clock_error, CONVERGED, &a);
+    solve_delay(&path, &receiver.ear, start + walk * walk_time + receiver.clock_error, CONVERGED, &a);
     const reals late = a.delay - receiver.clock_error, rate = a.rate * receiver.clock_rate - (receiver.clock_rate - 1.0);
     for (int i = 0; i < NODES_AT_ONCE; i++) {
         delays[2 * (end + i) * (long)slots + slot] = OF_NODE(late, i);

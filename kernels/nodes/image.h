@@ -8,12 +8,12 @@ typedef struct {
 
 static triple image_offset_of(__global const double* offset, int slots, int slot)
 {
-    const triple out = {offset[slot], offset[slots + slot], offset[2 * slots + slot]};
+    const triple out = {offset[slot], offset[(long)slots + slot], offset[2 * (long)slots + slot]};
     return out;
 }
 
 // Vectors by the transposed matrix of an image.
-static triples turned_back(__global const double* matrix, int slots, int slot, triples v)
+static triples turned_back(__global const double* matrix, long slots, int slot, triples v)
 {
     __global const double* m = matrix + slot;
     const triples out = {m[0] * v.x + m[3 * slots] * v.y + m[6 * slots] * v.z,
@@ -24,23 +24,30 @@ static triples turned_back(__global const double* matrix, int slots, int slot, t
 
 // Receivers as seen from the source's own room: where they are, how they move and turn, and their clocks.
 typedef struct {
-    triples position, velocity, frame[3];
+    listener ear;
+    triples frame[3];
     reals clock_error, clock_rate;  // as of a receiver_node
 } receivers_in_image;
 
 // Those of nodes side by side; of receivers at rest there is one row.
 #define OF_ROWS(field) SIDE_BY_SIDE(row, ->field)
-static receivers_in_image receivers_at(__global const double* image_matrix, int slots, int slot, triple offset,
-                                       __global const receiver_node* node)
+static receivers_in_image receivers_at(const trajectory* path, __global const double* image_matrix, int slots, int slot,
+                                       triple offset, __global const receiver_node* node)
 {
     receivers_in_image out;
     __global const receiver_node* row[NODES_AT_ONCE];
 #pragma unroll
     for (int i = 0; i < NODES_AT_ONCE; i++) row[i] = node + (STATIC_RECEIVERS ? 0 : i);
-    const triples apart = {OF_ROWS(position[0]) - offset.x, OF_ROWS(position[1]) - offset.y, OF_ROWS(position[2]) - offset.z};
+    const triples at = {OF_ROWS(position[0]), OF_ROWS(position[1]), OF_ROWS(position[2])};
+    const triples apart = {at.x - offset.x, at.y - offset.y, at.z - offset.z};
     const triples velocity = {OF_ROWS(velocity[0]), OF_ROWS(velocity[1]), OF_ROWS(velocity[2])};
-    out.position = turned_back(image_matrix, slots, slot, apart);
-    out.velocity = turned_back(image_matrix, slots, slot, velocity);
+    out.ear.position = turned_back(image_matrix, slots, slot, apart);
+    out.ear.velocity = turned_back(image_matrix, slots, slot, velocity);
+#if WIND
+    const triples wind = {path->wind.x, path->wind.y, path->wind.z};
+    out.ear.wind = turned_back(image_matrix, slots, slot, wind);
+    out.ear.downwind = DOT(at, wind);
+#endif
 #if RECEIVER_DIRECTIVITY != OMNI
     const triples x = {OF_ROWS(axes[0][0]), OF_ROWS(axes[0][1]), OF_ROWS(axes[0][2])};
     out.frame[0] = turned_back(image_matrix, slots, slot, x);

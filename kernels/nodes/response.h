@@ -1,26 +1,28 @@
 // The gains of one path at one node: its response (spreading, air, walls, Mach factor, directivities) at FREQUENCIES
-// frequencies, projected on FUNCTIONS functions of frequency. The twin of paths/response.py.
+// frequencies, projected on at most FUNCTIONS functions of frequency. The twin of paths/response.py.
 
 typedef struct {
     __global const bins* nepers;         // [BIN_VECTORS], of the amplitude, 1/m
     __global const gains* projection;    // [PARTS][FREQUENCIES][GAIN_VECTORS]
-    __global const bins* functions;      // [FUNCTIONS][PARTS][BIN_VECTORS], weighted
+    __global const bins* functions;      // [function_count][PARTS][BIN_VECTORS], weighted
     __global const bins* weight;         // [BIN_VECTORS]
     __global const gains* sizes;         // [GAIN_VECTORS], most that each adds to a path
     __global const bins* reflection;     // [slots][PARTS][BIN_VECTORS], of walls that are the same at every angle
     __global const bins* walls;          // those that are not: [materials][CELLS][4][PARTS][BIN_VECTORS]
-    __global const int* wall_of;         // [ANGULAR][slots], -1 for none
-    __global const float* normal;        // [ANGULAR][3][slots], unfolded
+    __global const int* wall_of;         // [angular][slots], -1 for none
+    __global const float* normal;        // [angular][3][slots], unfolded
     __global const bins* source_directivity;    // AXIAL: [CELLS][4][PARTS][BIN_VECTORS]; SPHERICAL: [6][SIDE][SIDE][PARTS][BIN_VECTORS]
     __global const bins* receiver_directivity;  // likewise
+    int function_count, angular;         // how many, and of how many walls at most the factor depends on the angle
 } surroundings;
 
 // What of an arrival gains depend on.
 typedef struct {
-    double delay, mach_factor;
-    triple departure;
-    __global const double* knot;
-    double u;
+    float through, length;      // m of air, and over which pressure falls
+    real mach_factor;
+    triple departure, arrival;  // along the path, both as seen from the source's own room
+    __global const real* knot;
+    real u;
 } arrival;
 
 // Gains of functions: products with every node. Four sums at a time, so that none waits for the one before.
@@ -41,11 +43,10 @@ static void project(const response* r, __global const gains* projection, gains* 
 }
 
 // Returns the response's mean square over the nodes; `unheld` is that of what the functions do not hold of it.
-static float path_gains(const arrival* a, double speed_of_sound, const surroundings* s, int slots, int slot,
-                        const triple* receiver_frame, gains* gain, float* unheld)
+static float path_gains(const arrival* a, const surroundings* s, int slots, int slot, const triple* receiver_frame, gains* gain,
+                        float* unheld)
 {
-    const float distance = (float)(a->delay * speed_of_sound);
-    float common = 1.0f / distance;
+    float common = 1.0f / a->length;
 #if MACH_EXPONENT >= 1
     common *= (float)a->mach_factor;
 #endif
@@ -54,42 +55,42 @@ static float path_gains(const arrival* a, double speed_of_sound, const surroundi
 #endif
     response r;
     for (int b = 0; b < BIN_VECTORS; b++) {
-        bins loss = s->nepers[b] * (distance - 1.0f);
+        bins loss = s->nepers[b] * (a->through - 1.0f);
         loss = loss < 80.0f ? loss : (bins)(80.0f);
         const bins air = exponential(-loss) * common;
         for (int part = 0; part < PARTS; part++) {
-            r.part[part][b] = s->reflection[(slot * PARTS + part) * BIN_VECTORS + b] * air;
+            r.part[part][b] = s->reflection[((long)slot * PARTS + part) * BIN_VECTORS + b] * air;
         }
     }
-    for (int i = 0; i < ANGULAR; i++) {
-        const int wall = s->wall_of[i * slots + slot];
+    for (int i = 0; i < s->angular; i++) {
+        const int wall = s->wall_of[i * (long)slots + slot];
         if (wall < 0) break;
-        __global const float* n = s->normal + 3 * i * slots + slot;
+        __global const float* n = s->normal + 3 * i * (long)slots + slot;
         const float cosine = n[0] * (float)a->departure.x + n[slots] * (float)a->departure.y +
-                             n[2 * slots] * (float)a->departure.z;
+                             n[2 * (long)slots] * (float)a->departure.z;
         // Over the root of the cosine: hard walls change within 0.1 degree of grazing.
         apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
     }
 #if SOURCE_DIRECTIVITY == AXIAL
-    const double cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
-    apply_cubics(s->source_directivity, 0.5f * (float)(1.0 + cosine), &r);
+    const real cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
+    apply_cubics(s->source_directivity, 0.5f * (float)(1 + cosine), &r);
 #elif SOURCE_DIRECTIVITY == SPHERICAL
     const triple x = cubic(a->knot + CUBIC_COLUMNS, a->u), y = cubic(a->knot + 2 * CUBIC_COLUMNS, a->u), z = cross_product(x, y);
     apply_sphere(s->source_directivity, (float)inner(x, a->departure), (float)inner(y, a->departure),
                  (float)inner(z, a->departure), &r);
 #endif
 #if RECEIVER_DIRECTIVITY == AXIAL
-    apply_cubics(s->receiver_directivity, 0.5f * (float)(1.0 - inner(receiver_frame[0], a->departure)), &r);
+    apply_cubics(s->receiver_directivity, 0.5f * (float)(1 - inner(receiver_frame[0], a->arrival)), &r);
 #elif RECEIVER_DIRECTIVITY == SPHERICAL
-    apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->departure),
-                 -(float)inner(receiver_frame[1], a->departure), -(float)inner(receiver_frame[2], a->departure), &r);
+    apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->arrival),
+                 -(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r);
 #endif
     project(&r, s->projection, gain);
     // What is heard, and what of it the functions do not hold.
     bins heard[PARTS * BIN_VECTORS], rest[PARTS * BIN_VECTORS], whole = 0.0f, left = 0.0f;
 #pragma unroll
     for (int b = 0; b < PARTS * BIN_VECTORS; b++) rest[b] = heard[b] = s->weight[b % BIN_VECTORS] * r.part[b / BIN_VECTORS][b % BIN_VECTORS];
-    for (int k = 0; k < FUNCTIONS; k++) {
+    for (int k = 0; k < s->function_count; k++) {
         const float held = ((const float*)gain)[k];
 #pragma unroll
         for (int b = 0; b < PARTS * BIN_VECTORS; b++) rest[b] -= s->functions[k * PARTS * BIN_VECTORS + b] * held;

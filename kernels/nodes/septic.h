@@ -20,14 +20,14 @@ static void septic(const double* value, const double* slope, double* c)
 
 #if DELAY_TERMS == 8
 // Write the delay of the block between the middle two nodes, in samples less the whole delay, which is returned.
-static int write_septic(const double* delay, const double* rate, double sampling_rate, double delay_samples,
-                        __global float* c)
+static int write_septic(const double* delay, const double* rate, double sampling_rate, double half_block,
+                        double delay_samples, __global float* c)
 {
     const double first = delay[1] * sampling_rate + delay_samples, whole = (first + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
     double p[4], e[4], exact[8];
     for (int i = 0; i < 4; i++) {
         p[i] = delay[i] * sampling_rate + delay_samples - whole;
-        e[i] = rate[i] * (0.5 * BLOCK);
+        e[i] = rate[i] * half_block;
     }
     septic(p, e, exact);
     const double more = (exact[0] + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;  // whole samples from the block's start to its middle

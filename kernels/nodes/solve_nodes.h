@@ -13,6 +13,7 @@ typedef struct {
     int slots, slot;
     __global const receiver_node* rows;  // of the walk's first node on
     double start, block_time;            // time of the walk's first block, s
+    double block_share;                  // two blocks over the walk
     const double* predicted;             // delays over the walk, a septic on [-1, 1]
     int ready;                           // the group that is solved
     receivers_in_image receiver[STATIC_RECEIVERS ? 1 : AT_ONCE];
@@ -28,16 +29,16 @@ static void solve_group(path_nodes* s, int group)
         receivers_in_image* receiver = s->receiver + (STATIC_RECEIVERS ? 0 : part);
         const int first = group * GROUP + part * NODES_AT_ONCE;
 #if !STATIC_RECEIVERS
-        *receiver = receivers_at(s->image_matrix, s->slots, s->slot, s->offset, s->rows + first);
+        *receiver = receivers_at(s->path, s->image_matrix, s->slots, s->slot, s->offset, s->rows + first);
 #endif
         const double at[4] = {first - 1, first, first + 1, first + 2};
-        const reals block = SIDE_BY_SIDE(at, ), u = block * (2.0 / WALK) - 1.0;
+        const reals block = SIDE_BY_SIDE(at, ), u = block * s->block_share - 1.0;
         reals expected = s->predicted[7];
 #pragma unroll
         for (int k = 6; k >= 0; k--) expected = expected * u + s->predicted[k];
         s->node[part].delay = expected + receiver->clock_error;
-        solve_delay(s->path, receiver->position, receiver->velocity, s->start + block * s->block_time + receiver->clock_error,
-                    CONVERGED, s->node + part);
+        solve_delay(s->path, &receiver->ear, s->start + block * s->block_time + receiver->clock_error, CONVERGED,
+                    s->node + part);
     }
 }
 
@@ -66,11 +67,18 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
 {
     const arrivals* a = s->node + PART(i);
     const int beside = BESIDE_IT(i);
-    const arrival here = {OF_NODE(a->delay, beside), OF_NODE(a->mach_factor, beside), triple_of(&a->departure, beside),
+    const double through = OF_NODE(a->delay, beside) * speed_of_sound;
+    const triple departure = triple_of(&a->departure, beside);
+#if WIND
+    const arrival here = {(float)through, (float)OF_NODE(a->length, beside), OF_NODE(a->mach_factor, beside), departure,
+                          triple_of(&a->arrival, beside), a->knot[beside], OF_NODE(a->u, beside)};
+#else
+    const arrival here = {(float)through, (float)through, OF_NODE(a->mach_factor, beside), departure, departure,
                           a->knot[beside], OF_NODE(a->u, beside)};
+#endif
     triple frame[3];
 #if RECEIVER_DIRECTIVITY != OMNI
     for (int k = 0; k < 3; k++) frame[k] = triple_of(s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].frame + k, beside);
 #endif
-    return path_gains(&here, speed_of_sound, around, s->slots, s->slot, frame, gain, unheld);
+    return path_gains(&here, around, s->slots, s->slot, frame, gain, unheld);
 }

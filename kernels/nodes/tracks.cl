@@ -1,5 +1,5 @@
 // Delay and gain of every path as cubics on every block, in float64. Work-item: dimension 0 counts slots (paths),
-// dimension 1 walks of WALK blocks. Delays at nodes are predicted from those at four ends of walks, so that no node
+// dimension 1 walks of `walk_blocks` blocks. Delays at nodes are predicted from those at four ends of walks, so that no node
 // depends on which others are solved: where signals pause (SPARSE), blocks in which nothing sounds are left out.
 // Node n is one block before the start of block n; the slope of a block's gain needs the node before and after its own.
 
@@ -20,8 +20,11 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* knots, int knot_count, double first_knot, double knot_rate,
                      double start,                         // time of the run's first sample, s
                      double sampling_rate, double speed_of_sound,
+                     __global const double* wind,          // [3], m/s
                      __global const bins* nepers, __global const gains* projection, __global const bins* functions,
                      __global const bins* weight, __global const gains* strengths,
+                     int function_count,                   // at most FUNCTIONS
+                     int angular,                          // walls of a path whose factor depends on the angle, at most
                      double delay_samples,                 // added to the delay
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
                      float angular_frequency,              // largest of the signal, rad/s
@@ -29,7 +32,10 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const bins* wall_tables, __global const bins* source_directivity,
                      __global const bins* receiver_directivities,  // of every kind that is there
                      __global const int* directivity_of,   // [receivers], bands from the first
-                     int blocks,
+                     int blocks, int block_samples, int walk_blocks,
+                     int subblock_samples,
+                     float subblock_share,                 // of a block; 0 where subblocks take all terms of the cubics
+                     int oversampling,                     // samples of the branches in one of the run
                      __global int* delay,                  // [blocks][slots]
                      __global float* polynomials,          // as in polynomials.h
                      __global float4* found,               // [walks][slots]: error squared, strength, delays
@@ -39,14 +45,17 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global int* activity)               // [blocks][slots]: subblocks in which it sounds, see activity.h
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
-    const int first = walk * WALK, apart = BESIDE, last = first + WALK < blocks ? first + WALK : blocks;
-    const trajectory path = {knots, knot_count, first_knot, knot_rate, 1.0 / speed_of_sound};
+    const int first = walk * walk_blocks, apart = BESIDE;
+    const int last = first + walk_blocks < blocks ? first + walk_blocks : blocks;
+    const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const triple offset = image_offset_of(image_offset, slots, slot);
     __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
     const surroundings around = {nepers,     projection,  functions, weight, strengths,
                                  reflection, wall_tables, wall_of,   normal, source_directivity,
-                                 receiver_directivities + directivity_of[receiver_of[slot]]};
-    const double block_time = (double)BLOCK / sampling_rate, walk_time = WALK * block_time;
+                                 receiver_directivities + directivity_of[receiver_of[slot]],
+                                 function_count, angular};
+    const double block_time = (double)block_samples / sampling_rate, walk_time = walk_blocks * block_time;
+    const double branch_rate = oversampling * sampling_rate, half_block = 0.5 * oversampling * block_samples;
     __global const double* coarse = coarse_delays + 2 * (first_walk + walk) * (long)slots + slot;
     double ends[4], slopes[4], predicted[8];
     for (int i = 0; i < 4; i++) {
@@ -56,12 +65,12 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     septic(ends, slopes, predicted);
     const int from = heard_from[slot], until = heard_until[slot];
 #if SPARSE
-    const activity_mask mask = {following, preceding, cells, origin};
+    const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
 #endif
     path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, rows + (STATIC_RECEIVERS ? 0 : first),
-                                start + first * block_time, block_time, predicted, -1};
+                                start + first * block_time, block_time, 2.0 / walk_blocks, predicted, -1};
 #if STATIC_RECEIVERS
-    nodes_of_path.receiver[0] = receivers_at(image_matrix, slots, slot, offset, rows);
+    nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, rows);
 #endif
 #if DELAY_TERMS == 4
     smooth_gains slow;
@@ -72,7 +81,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     int solved = first - 1;  // last node in the window
     float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
     for (int block = first; block < last; block++) {
-        const int heard = from < (block + 1) * BLOCK && until > block * BLOCK;
+        const int heard = from < (block + 1) * block_samples && until > block * block_samples;
 #if SPARSE
         if (!heard) continue;
         const double since = (block - first) * block_time, left = walk_time - since;
@@ -121,14 +130,14 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             shortest = delay_now < shortest ? delay_now : shortest;
             longest = delay_now > longest ? delay_now : longest;
         }
-        __global float* c = polynomials + place_of(block, slot, FUNCTIONS, slots);
-        delay[block * slots + slot] = write_delay(&w, apart, sampling_rate, delay_samples, c);
-        write_terms(powers, heard, apart, c);
+        __global float* c = polynomials + place_of(block, slot, function_count, slots);
+        delay[block * (long)slots + slot] = write_delay(&w, apart, branch_rate, half_block, delay_samples, c);
+        write_terms(powers, heard, function_count, apart, c);
         if (!heard) continue;
 #if SPARSE
         const double p1 = w.delay[1] * sampling_rate + delay_samples, p2 = w.delay[2] * sampling_rate + delay_samples;
-        const double r1 = w.rate[1] - (p2 - p1) / BLOCK, r2 = w.rate[2] - (p2 - p1) / BLOCK;
-        const double bulge = 0.25 * BLOCK * ((r1 < 0.0 ? -r1 : r1) + (r2 < 0.0 ? -r2 : r2)) + 2.0;  // of the cubic
+        const double r1 = w.rate[1] - (p2 - p1) / block_samples, r2 = w.rate[2] - (p2 - p1) / block_samples;
+        const double bulge = 0.25 * block_samples * ((r1 < 0.0 ? -r1 : r1) + (r2 < 0.0 ? -r2 : r2)) + 2.0;  // of the cubic
         activity[block * (long)slots + slot] =
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
@@ -136,11 +145,11 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         rest = left_over > rest ? left_over : rest;
         const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
-            const float squared = delay_error_squared(&w, angular_frequency, block_time) +
-                                  left_out_squared(powers, strengths) + gain_error;
+            const float squared = delay_error_squared(&w, angular_frequency, block_time, subblock_share) +
+                                  left_out_squared(powers, strengths, subblock_share) + gain_error;
             error = squared > error ? squared : error;
         }
     }
-    found[walk * slots + slot] = (float4)(error, strength, shortest, longest);
-    unheld[walk * slots + slot] = rest;
+    found[walk * (long)slots + slot] = (float4)(error, strength, shortest, longest);
+    unheld[walk * (long)slots + slot] = rest;
 }

@@ -15,8 +15,8 @@ __kernel void crossings(double tolerance, double thickness, __global const doubl
     if (segment >= segments) return;
     const room walls = {tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge, line, twin,
                         {box_count, box_middle, box_extent, box_wall, box_skip}};
-    const triple a = at_row(start + 3 * segment), b = at_row(stop + 3 * segment);
-    __global int* mine = found + MOST * segment;
+    const triple a = at_row(start + 3 * (long)segment), b = at_row(stop + 3 * (long)segment);
+    __global int* mine = found + MOST * (long)segment;
     double looks[MOST];
     for (int i = 0; i < MOST; i++) {
         mine[i] = -1;

@@ -23,24 +23,29 @@ typedef struct {
     room walls;
     end_of_path source, receiver;
     __global const int* sequence;
+    double most_slowness;  // 1 / least speed at which sound makes way, s/m
 } search;
 
 // Status at an instant, while both ends move as they can for `within` before and after (s); `reach` is how far that is.
 static int evaluate(const search* s, double time, double within, double* clear, double* reach)
 {
     const triple source_perturbation = SOURCE_PERTURBATION, receiver_perturbation = RECEIVER_PERTURBATION;
-    const triples still = {0.0, 0.0, 0.0};
     arrivals a;
     locate(&s->receiver.path, time, &a);
     const triple receiver = cubic(a.knot[0], a.u);
     triple image = receiver;
     for (int k = ORDER; k > 0; k--) image = mirrored(s->walls.plane[s->sequence[k - 1]], image);
-    const triples seen = {image.x, image.y, image.z};
+    listener seen = {{image.x, image.y, image.z}, {0.0, 0.0, 0.0}};
+#if WIND
+    const triples unseen = {0.0, 0.0, 0.0};  // directions at the receiver are not asked for
+    seen.wind = unseen;
+    seen.downwind = inner(s->source.path.wind, receiver);
+#endif
     a.delay = 0.0;
-    solve_delay(&s->source.path, seen, still, time, 1e-18, &a);
+    solve_delay(&s->source.path, &seen, time, 1e-18, &a);
     const double emitted = time - a.delay;
     locate(&s->source.path, emitted, &a);
-    const double slowness = s->source.path.slowness;
+    const double slowness = s->most_slowness;
     const double time_dilation = (1.0 + s->receiver.fastest * slowness) / (1.0 - s->source.fastest * slowness);
     const double source_reach =
         within * time_dilation * speed_over(&s->source, emitted - time_dilation * within, emitted + time_dilation * within);
@@ -85,6 +90,8 @@ __kernel void intervals(double tolerance, double thickness, __global const doubl
                         __global const double* knots, __global const double* speeds,
                         __global const double4* mounts,  // [ends]: normal and offset, see `end_of_path`
                         double speed_of_sound,
+                        __global const double* wind,    // [3], m/s
+                        double slowest,                 // speed at which sound makes way at least, m/s
                         __global const int* sequences, __global const int* receiver_of,  // [paths][ORDER], [paths]
                         __global const int* active, int active_count,  // paths that are not done
                         double resolution,              // s, to which ends are found
@@ -97,9 +104,9 @@ __kernel void intervals(double tolerance, double thickness, __global const doubl
     if (get_global_id(0) >= active_count) return;
     const int path = active[get_global_id(0)];
     const search s = {{tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
-                       line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 0),
-                      trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, 1 + receiver_of[path]),
-                      sequences + ORDER * path};
+                       line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 0),
+                      trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 1 + receiver_of[path]),
+                      sequences + ORDER * (long)path, 1.0 / slowest};
     __global progress* p = states + path;
     int evaluations = 0;
     while (p->depth > 0 && evaluations < budget) {

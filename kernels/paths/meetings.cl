@@ -35,8 +35,8 @@ __kernel void meetings(double tolerance, double thickness, __global const double
     if (beam >= beams) return;
     const room walls = {tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge, line, twin,
                         {box_count, box_middle, box_extent, box_wall, box_skip}};
-    __global const double4* mine = half_spaces + half_space_count * beam;
-    const triple ball = at_row(centre + 3 * beam);
+    __global const double4* mine = half_spaces + half_space_count * (long)beam;
+    const triple ball = at_row(centre + 3 * (long)beam);
     for (int box = 0; box < box_count;) {
         const double4 middle = box_middle[box], extent = box_extent[box];
         const triple at = {middle.x, middle.y, middle.z};
@@ -51,7 +51,8 @@ __kernel void meetings(double tolerance, double thickness, __global const double
         if (side[wall] * height(plane[wall], ball) < -radius) continue;
         int wanted = receiver_count == 0;
         for (int i = 0; i < receiver_count && !wanted; i++) {
-            const int first = first_seen[i * wall_count + wall], sides = first_seen[i * wall_count + wall + 1] - first;
+            __global const int* here = first_seen + i * (long)wall_count + wall;
+            const int first = here[0], sides = here[1] - first;
             const triple ear = {receivers[i].x, receivers[i].y, receivers[i].z};
             wanted = sides > 0 && touches(mine, half_space_count, mirrored(plane[wall], ear), receivers[i].w) &&
                      touches(seen + first, sides, mirrored(plane[wall], ball), radius);

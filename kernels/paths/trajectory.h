@@ -6,16 +6,25 @@ typedef struct {
     double first;                  // time of the first knot, s
     double rate;                   // knots per second
     double slowness;               // 1 / speed of sound
+#if WIND
+    triple wind;                   // m/s
+    double room, inverse_room;     // square of the speed of sound less that of the wind, m^2/s^2
+#endif
 } trajectory;
 
-// Value of the cubics whose coefficients stand at `c` as [power][3].
-static triple cubic(__global const double* c, double u)
+static trajectory trajectory_of(__global const double* knots, int count, double first, double rate, double speed_of_sound,
+                                __global const double* wind)
 {
-    const triple out = {c[0] + u * (c[3] + u * (c[6] + u * c[9])), c[1] + u * (c[4] + u * (c[7] + u * c[10])),
-                        c[2] + u * (c[5] + u * (c[8] + u * c[11]))};
+    trajectory out = {knots, count, first, rate, 1.0 / speed_of_sound};
+#if WIND
+    out.wind = at_row(wind);
+    out.room = speed_of_sound * speed_of_sound - inner(out.wind, out.wind);
+    out.inverse_room = 1.0 / out.room;
+#endif
     return out;
 }
-// The same at nodes side by side, and the derivative.
+
+// Value of cubics at nodes side by side (see `cubic`), and the derivative.
 #define COLUMN(i) SIDE_BY_SIDE(c, [i])
 static triples cubics(__global const double* const* c, reals u)
 {

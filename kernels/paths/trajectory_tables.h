@@ -35,12 +35,13 @@ static double speed_over(const end_of_path* end, double begin, double until)
 
 static end_of_path trajectory_at(__global const table_place* places, __global const table_scale* scales,
                                  __global const double* knots, __global const double* speeds,
-                                 __global const double4* mounts, double speed_of_sound, int row)
+                                 __global const double4* mounts, double speed_of_sound,
+                                 __global const double* wind, int row)
 {
     const table_place at = places[row];
     const table_scale scale = scales[row];
-    const trajectory path = {knots + at.first_knot * KNOT_COLUMNS, (int)at.knots, scale.first_knot, scale.knot_rate,
-                             1.0 / speed_of_sound};
+    const trajectory path = trajectory_of(knots + at.first_knot * KNOT_COLUMNS, (int)at.knots, scale.first_knot,
+                                          scale.knot_rate, speed_of_sound, wind);
     const end_of_path out = {path, speeds + at.first_speed, scale.fastest, mounts[row]};
     return out;
 }

@@ -6,7 +6,7 @@
 #define CHANNEL (VECTORS * LANES)
 
 __kernel void branches(__global const float* emitted,
-                       int first_emitted,              // tap_count - 1 - centre samples before the first row's
+                       long first_emitted,             // tap_count - 1 - centre samples before the first row's
                        __constant float* taps,         // [rows][tap_count]
                        int tap_count, int width, int stride, int first_row, __global float* rows,
                        int sparse,
@@ -24,7 +24,7 @@ __kernel void branches(__global const float* emitted,
 #pragma unroll
         for (int j = 0; j < VECTORS; j++) sum[j] += tap * LOAD(at + j * LANES);
     }
-    __global float* out = rows + (long)(first_row + row) * stride;
+    __global float* out = rows + (first_row + row) * (long)stride;
 #if OVERSAMPLING == 1
     for (int j = 0; j < VECTORS; j++) *(__global loose_vec*)(out + first + j * LANES) = sum[j];
 #else

@@ -34,7 +34,7 @@ __kernel void fades(__global const float* branches,  // [rows][stride]
         if (both == 0.0f) continue;
         const float delayed = CUBIC(c[0], c[apart], c[2 * apart], c[3 * apart], t);
         const float rest = floor(delayed + 0.5f), mu = delayed - rest;
-        const int whole = delay[node * slots + slot] + (int)rest;
+        const int whole = delay[node * (long)slots + slot] + (int)rest;
         for (int k = 0; k < functions; k++) {
             __global const float* g = c + (DELAY_TERMS + k) * apart;
             __global const float* branch = branches + (first_row[k + 1] - 1) * (long)stride + lead + at + PLACE(-whole, stride);
@@ -46,5 +46,5 @@ __kernel void fades(__global const float* branches,  // [rows][stride]
             sum += both * CUBIC(g[0], g[power], g[2 * power], g[3 * power], t) * value;
         }
     }
-    pressure[(long)row[place] * pressure_stride + first_sample + at] += sum;
+    pressure[row[place] * (long)pressure_stride + first_sample + at] += sum;
 }

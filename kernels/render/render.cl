@@ -60,13 +60,13 @@ void render(__global const float* branches,     // [rows][stride], those of one 
 #if SPARSE
             for (int i = 0; i < count[g - first_subblock]; i++) {
                 const int slot = tile + active[g - first_subblock][i];
-                expand(delay[row * slots + slot], polynomials + place_of(row, slot, functions, slots), functions,
+                expand(delay[row * (long)slots + slot], polynomials + place_of(row, slot, functions, slots), functions,
                        first_function, t, per_sample, &paths);
                 add_path(rows + g * SUBBLOCK, stride, first_row + first_function, functions_here, &paths, 0, worker, subblock_sum);
             }
 #else
             for (int slot = tile; slot < tile_end; slot += BATCH) {
-                expand(delay + row * slots + slot, polynomials + place_of(row, slot, functions, slots), functions,
+                expand(delay + row * (long)slots + slot, polynomials + place_of(row, slot, functions, slots), functions,
                        first_function, t, per_sample, worker, &paths);
                 SYNCHRONISE;
                 for (int p = 0; p < BATCH; p++) {
@@ -81,7 +81,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
         }
     }
     for (int g = first_subblock; g < last_subblock; g++) {
-        __global float* out = pressure + (long)pressure_row[receiver] * pressure_stride + first_sample + g * SUBBLOCK;
+        __global float* out = pressure + pressure_row[receiver] * (long)pressure_stride + first_sample + g * SUBBLOCK;
         for (int j = 0; j < VECTORS; j++) {
             __global loose_vec* at = (__global loose_vec*)(out + (worker * VECTORS + j) * LANES);
             for (int k = 0; k < FUNCTIONS; k++) *at = *at + sum[g - first_subblock][k][j];

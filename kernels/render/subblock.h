@@ -40,7 +40,7 @@ static void find_active(__global const int* activity, int slots, int tile, int t
 {
     for (int g = first_subblock + worker; g < last_subblock; g += WORKERS) count[g - first_subblock] = 0;
     for (int block = first_subblock / block_subblocks; block * block_subblocks < last_subblock; block++) {
-        __global const int* row = activity + (long)(first_block + block) * slots;
+        __global const int* row = activity + (first_block + block) * (long)slots;
         for (int slot = tile; slot < tile_end; slot++) {
             const int mask = row[slot];
             if (!mask) continue;

@@ -20,7 +20,9 @@ from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 
 import clsim
 from clsim.opencl import compiler as compiler_module
+from clsim.opencl import device as device_module
 from clsim.paths.path_set import PathSet
+from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import Plan
@@ -180,6 +182,25 @@ def baseband_pulses(device: str) -> Plan:
     return envelopes(device, partly(world(pulse), 0.03), duration=0.035)
 
 
+@scene
+def pairs(device: str) -> Plan:
+    """Without float64: beams, and ends that move, with clocks."""
+    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=(clsim.Piston(0.004), Lopsided(True))), device, 0)
+
+
+@scene
+def pairs_pulses(device: str) -> Plan:
+    """Without float64: silence between pulses."""
+    pulse = clsim.Signal.pulses(clsim.Signal.chirp(38e3, 42e3, 0.2e-3, RATE, window="hann"), 1.5e-3, 2)
+    return plan(world(pulse, still=True), device, 0, responses="centre", duration=0.003)
+
+
+def without_float64(wanted: str | None) -> tuple[device_module.DeviceInfo, Any]:
+    """Find a device that says that it has no float64."""
+    info, handle = device_module.find_device(wanted)
+    return dataclasses.replace(info, fp64=False), handle
+
+
 # Where signals pause, eight gains of neighbouring functions are read at once, whether or not there are as many.
 EIGHT_GAINS = "g[i] = *(__global const loose_gains*)(c + DELAY_TERMS + i * functions + first);"
 EACH_GAIN = """{
@@ -238,6 +259,7 @@ def main(device: str, folder: str, *names: str) -> None:
         scene_name, layout = name.split(".")
         notes.clear()
         made = SCENES[scene_name](device)
+        engine_module.find_device = without_float64 if scene_name.startswith("pairs") else device_module.find_device
         engine = OpenclEngine if made.baseband is None else BasebandEngine
         heard = engine(made, LAYOUTS[layout]).render(0, made.samples)
         np.savez(Path(folder, f"{name}.npz"), launched=sorted(set(notes)), heard=heard)

@@ -14,8 +14,12 @@ import importlib, json, os, signal, sys, threading
 
 for name in sys.argv[1:]:
     importlib.import_module(name)
+import clsim
 import clsim.workflow.checkpoint
 from clsim.cli import main
+
+for name in clsim.__all__:
+    getattr(clsim, name)
 
 clsim.workflow.checkpoint._PERIOD = 0.0  # every chunk is noted
 EVENTS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate", "os.listdir", "os.scandir"}
@@ -51,7 +55,7 @@ for line in sys.stdin:
     print(-os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status), flush=True)
 """
 _LOADED = (
-    "clsim.commands.run", "clsim.commands.rir", "clsim.commands.paths", "clsim.commands.view", "soundfile", "zarr",
+    "clsim.commands.run", "clsim.workflow.pictures", "clsim.commands.rir", "clsim.commands.paths", "clsim.commands.view", "soundfile", "zarr",
     "xarray", "h5netcdf", "h5py", "scipy.signal", "pydantic", "tomli_w",
 )  # fmt: skip
 

@@ -7,9 +7,9 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.output.view import viewed
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
+from clsim.paths.view import viewed
 from clsim.scene_file.scene import completed_scene
 
 SCENE = """

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.output.view import view_scene
-from clsim.output.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+from clsim.paths.view import view_scene
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
 
 WALL = clsim.Material.from_reflection(0.9)
 L = [(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.output.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
 
 L = np.array([(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)], dtype=float)
 FAN = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)])

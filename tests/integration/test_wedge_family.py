@@ -19,11 +19,11 @@ from scipy.optimize import minimize_scalar
 
 import clsim
 from clsim.arrays import Floats
-from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
+from clsim.paths.arrivals import Arrivals
 from clsim.paths.family import DIFFRACTION, PathFamily, Rows
 from clsim.paths.find_paths import registered_family
 from clsim.paths.path_set import PathSet
-from clsim.paths.propagation import Leg, refine_delay
+from clsim.paths.propagation import arrivals_by, straight
 from clsim.paths.response import SceneResponse
 from clsim.paths.search import PathSearch
 
@@ -56,30 +56,11 @@ class WedgePaths(PathFamily):
     ) -> Arrivals:
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
-        heard_at, shape = receiver.position(times), (len(self.source[rows]), len(times))
-
-        def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
-            first, second = self._legs(source.position(emission_time), heard_at[t])
-            return first.time + second.time, first.mach_at_departure(source.velocity(emission_time))
-
-        first, second = self._legs(source.position(times), heard_at)
-        delay = np.broadcast_to(first.time + second.time, shape)
-        emission_time = np.broadcast_to(times, shape)
-        if motion == "retarded":
-            delay = refine_delay(travel, delay, times)
-            emission_time = times - delay
-        emitted_at, velocity = (f(emission_time.ravel()).reshape(*shape, 3) for f in (source.position, source.velocity))
-        first, second = self._legs(emitted_at, np.broadcast_to(heard_at, (*shape, 3)))
-        mach, receding = first.mach_at_departure(velocity), second.mach_at_arrival(receiver.velocity(times))
-        rate, factor = receding - mach, np.ones(shape)
-        if motion == "retarded":
-            rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
-        return Arrivals(
-            delay, rate, first.departure, -second.arrival, first.length + second.length, emission_time, factor
-        )
+        ways = WaysOver(self, len(self.source[rows]), receiver.position(times))
+        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Any:
-        response = self.gain * at.air(found.length) * (found.mach_factor / found.length)[..., None]
+        response = self.gain * at.air(found.through) * (found.mach_factor / found.length)[..., None]
         at.apply_directivities(response, self.ends(rows), found, times)
         return response
 
@@ -91,8 +72,8 @@ class WedgePaths(PathFamily):
         return np.stack([emitted_at, self.apex(emitted_at, heard_at), heard_at], axis=1)
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        first, second = self._legs(source, receiver)
-        return first.length + second.length
+        apex = self.apex(source, receiver)
+        return straight(source, apex)[0] + straight(apex, receiver)[0]
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         return np.full((len(self.source[rows]), len(at.frequencies)), self.gain)
@@ -101,9 +82,25 @@ class WedgePaths(PathFamily):
         z = (place - self.point) @ self.along
         return z, np.linalg.norm(place - self.point - z[..., None] * self.along, axis=-1)
 
-    def _legs(self, source: Floats, receiver: Floats) -> tuple[Leg, Leg]:
-        apex = self.apex(source, receiver)
-        return self.medium.leg(source, apex), self.medium.leg(apex, receiver)
+
+@dataclass(frozen=True, slots=True)
+class WaysOver:
+    """Ways over the edge to a receiver at places (T, 3), the same for all paths."""
+
+    paths: WedgePaths
+    count: int
+    heard_at: Floats
+
+    def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        heard_at = np.broadcast_to(self.heard_at, (self.count, *self.heard_at.shape))[p, t]
+        start = np.broadcast_to(start, heard_at.shape)
+        apex = self.paths.apex(start, heard_at)
+        (first, direction), (second, _) = straight(start, apex), straight(apex, heard_at)
+        return first + second, direction
+
+    def arrive(self, start: Floats) -> Floats:
+        heard_at = np.broadcast_to(self.heard_at, start.shape)
+        return straight(self.paths.apex(start, heard_at), heard_at)[1]
 
 
 def find_wedge(scene: clsim.Scene, search: PathSearch) -> WedgePaths:
@@ -225,7 +222,7 @@ def test_delays_are_those_of_the_shortest_way(paths: PathSet) -> None:
 
 def test_tables_pictures_and_files_know_it(paths: PathSet, tmp_path: Path) -> None:
     from clsim.output.table import read_table, write_table
-    from clsim.output.view import view_scene, viewed
+    from clsim.paths.view import view_scene, viewed
 
     table = paths.table(np.array([0.2, 0.3]))
     assert table.name_way(15) == "ridge"

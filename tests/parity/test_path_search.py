@@ -6,6 +6,7 @@ from made_meshes import box, joined, l_room, pillar_room, screen
 from mutants import Mutants
 
 import clsim
+from clsim.paths.propagation import UniformAir
 from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.intervals import Intervals, VisibilityQuery, find_intervals
@@ -51,9 +52,19 @@ def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Tra
     }
 
 
-def query(room, source, receivers, _order) -> VisibilityQuery:
+GALES = {"L": (9.0, -4.0, 1.0), "slats": (-20.0, 5.0, 0.0)}  # m/s: what is heard when comes earlier or later
+
+
+def query(name, room, source, receivers, _order) -> VisibilityQuery:
     last = np.array([min(source.end + 0.1, r.end) for r in receivers])
-    return VisibilityQuery(room.walls, trajectory_tables(source, receivers), 343.0, np.zeros(len(last)), last, STEP)
+    return VisibilityQuery(
+        room.walls,
+        trajectory_tables(source, receivers),
+        UniformAir(343.0, GALES.get(name)),
+        np.zeros(len(last)),
+        last,
+        STEP,
+    )
 
 
 def candidates(room, source, receivers, order) -> list[Candidates]:
@@ -70,11 +81,11 @@ CASES = scenes()
 @pytest.fixture(scope="module")
 def wanted(once) -> dict[str, list[tuple[Candidates, Intervals]]]:
     """Return what the NumPy twin finds."""
-    return once("path search", lambda: {name: found_on_host(case) for name, case in CASES.items()})
+    return once("path search", lambda: {name: found_on_host(name, case) for name, case in CASES.items()})
 
 
-def found_on_host(case) -> list[tuple[Candidates, Intervals]]:
-    asked = query(*case)
+def found_on_host(name, case) -> list[tuple[Candidates, Intervals]]:
+    asked = query(name, *case)
     return [(c, find_intervals(asked, c.sequence[c.row], c.receiver)) for c in candidates(*case)]
 
 
@@ -93,7 +104,7 @@ def same(got: Intervals, twin: Intervals) -> bool:
 
 def agree(wanted: dict[str, list[tuple[Candidates, Intervals]]]) -> bool:
     for name, parts in wanted.items():
-        search = DeviceSearch(query(*CASES[name]))
+        search = DeviceSearch(query(name, *CASES[name]))
         for c, twin in parts:
             if not same(search.find(c.sequence[c.row], c.receiver), twin):
                 return False

@@ -6,6 +6,7 @@ import pytest
 from proven import proven
 
 import clsim
+from clsim.paths.propagation import UniformAir
 from clsim.paths.specular import ray_shooting as shooting
 from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
@@ -163,7 +164,7 @@ def test_a_flush_end_that_slides_costs_no_more_than_another(device) -> None:
         )
         mounts = [find_mount(CORNER, end) for end in (*scene.sources, *scene.receivers)]
         ends = trajectory_tables(way, [WAY], mounts)
-        query = VisibilityQuery(CORNER.walls, ends, 343.0, np.zeros(1), np.ones(1), 1.0 / 48e3)
+        query = VisibilityQuery(CORNER.walls, ends, UniformAir(343.0), np.zeros(1), np.ones(1), 1.0 / 48e3)
         tree = BeamTree(CORNER.walls, *ends.sphere(0), ends.receiver_spheres(), 10**6)
         parts = [c for c in tree.candidates(2) if len(c.row) and c.sequence.shape[1] == 2]
         both = Candidates.joined(parts)

@@ -80,8 +80,9 @@ def parameters(section: str) -> dict[str, tuple[str, str]]:
 
 def public_callables() -> Iterator[tuple[str, Any, bool]]:
     """Yield a name, what it is, and whether it is a class, for all that clsim exports and the methods of its classes."""
-    for name in clsim.__all__:
-        value = getattr(clsim, name)
+    exported = [(name, getattr(clsim, name)) for name in clsim.__all__]
+    exported += [(f"score.{name}", getattr(clsim.score, name)) for name in clsim.score.__all__]
+    for name, value in exported:
         yield name, value, inspect.isclass(value)
         for method, raw in _methods(value) if inspect.isclass(value) else ():
             yield f"{name}.{method}", raw, False

@@ -1,6 +1,7 @@
 """Structure: imports point down, there is no cycle, heavy packages come late, files and functions stay small."""
 
 import ast
+import importlib
 import io
 import re
 import subprocess
@@ -9,6 +10,7 @@ import tokenize
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -17,16 +19,19 @@ import clsim
 PACKAGE = Path(clsim.__file__).parent
 ROOT = PACKAGE.parent
 LAYERS = [
-    ("errors", "arrays", "version"),
+    ("errors", "arrays", "packages", "version"),
     ("files", "numerics"),
+    ("pictures",),
     ("acoustics",),
     ("scene",),
     ("opencl",),
     ("paths",),
     ("tracks",),
     ("recording", "impulse_responses"),
+    ("room_measures", "score"),
     ("render",),
     ("output",),
+    ("exchange",),
     ("scene_file",),
     ("cluster",),
     ("workflow",),
@@ -92,7 +97,10 @@ def imported(path: Path) -> set[str]:
     return {name for name in found if name in MODULES and name != module_name(path)}
 
 
-GRAPH = {name: imported(path) for name, path in MODULES.items()}
+@cache
+def graph() -> dict[str, set[str]]:
+    """Return what each module imports; made when a test asks, for every process collects this file."""
+    return {name: imported(path) for name, path in MODULES.items()}
 
 
 def test_every_module_has_a_layer() -> None:
@@ -100,7 +108,7 @@ def test_every_module_has_a_layer() -> None:
 
 
 def test_imports_point_down() -> None:
-    upward = {(name, other) for name, others in GRAPH.items() for other in others if rank(other) > rank(name)}
+    upward = {(name, other) for name, others in graph().items() for other in others if rank(other) > rank(name)}
     assert len(UPWARD) <= 5
     none(f"{a} imports {b}" for a, b in upward - set(UPWARD))
     assert set(UPWARD) <= upward, "what is allowed and not needed"
@@ -110,22 +118,75 @@ def reaches(module: str) -> set[str]:
     """Return all that a module imports, and what that imports."""
     found, left = set(), [module]
     while left:
-        new = GRAPH[left.pop()] - found
+        new = graph()[left.pop()] - found
         found |= new
         left += new
     return found
 
 
 def test_no_module_imports_itself_by_others() -> None:
-    every = {name: reaches(name) for name in GRAPH}
-    cycles = {tuple(sorted(m for m in every[name] if name in every[m])) for name in GRAPH if name in every[name]}
+    every = {name: reaches(name) for name in graph()}
+    cycles = {tuple(sorted(m for m in every[name] if name in every[m])) for name in graph() if name in every[name]}
     none(" <-> ".join(cycle) for cycle in cycles)
 
 
-def test_import_loads_nothing_heavy() -> None:
-    code = "import sys, clsim; print([m for m in ('pyopencl', 'matplotlib', 'pydantic', 'soundfile', 'xarray', 'distributed') if m in sys.modules])"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "[]"
+def loaded_by(code: str) -> set[str]:
+    """Return the modules that a process holds which has run a code and does not come with Python."""
+    shown = f"{code}\nimport sys; print(*sys.modules, file=sys.stderr)"
+    out = subprocess.run(
+        [sys.executable, "-I", "-c", f"import sys; sys.path[:0] = {sys.path!r}\n{shown}"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return {name for name in out.stderr.split() if name.partition(".")[0] not in sys.stdlib_module_names}
+
+
+def test_import_loads_nothing_but_itself() -> None:
+    before = loaded_by("")  # what the environment imports into every process
+    assert loaded_by("import clsim") - before == {"clsim", "clsim.version"}
+
+
+def test_help_loads_no_command() -> None:
+    loaded = loaded_by("from clsim.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass") - loaded_by("")
+    assert loaded == {"clsim", "clsim.version", "clsim.errors", "clsim.cli", "clsim.workflow", "clsim.workflow.console"}
+
+
+def test_a_run_without_pictures_loads_nothing_that_draws(tmp_path: Path) -> None:
+    arguments = [
+        "run",
+        str(ROOT / "examples/circle.toml"),
+        "-o",
+        str(tmp_path / "out"),
+        "--duration",
+        "0.01",
+        "--no-plots",
+    ]
+    loaded = loaded_by(f"from clsim.cli import main\nassert main({[*arguments, '--engine', 'reference']!r}) == 0")
+    late = {
+        "matplotlib",
+        "plotly",
+        "trimesh",
+        "xarray",
+        "zarr",
+        "h5py",
+        "dask",
+        "scipy.signal",
+        "scipy.interpolate",
+        "pyopencl",
+    }
+    assert "clsim.render.reference" in loaded
+    none(f"{name} is loaded" for name in late & loaded)
+
+
+def test_public_names_are_those_of_the_stub() -> None:
+    stub = next(n for n in ast.parse((PACKAGE / "__init__.pyi").read_text("utf-8")).body if isinstance(n, ast.Assign))
+    assert clsim.__all__ == ast.literal_eval(stub.value)
+    importlib.import_module("clsim.render.options")  # of a package that a public function is called as
+    assert all(not isinstance(getattr(clsim, name), ModuleType) for name in clsim.__all__)
+    assert set(clsim.__all__) <= set(dir(clsim))
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        clsim.nothing  # noqa: B018
 
 
 @cache

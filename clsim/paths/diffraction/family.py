@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angles, transition, wedge_terms
-from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.family import DIFFRACTION, SPECULAR, PathFamily
-from clsim.paths.propagation import refine_delay
+from clsim.paths.propagation import arrivals_by, straight
 from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals
     from clsim.paths.family import Rows
-    from clsim.paths.propagation import Leg
     from clsim.paths.response import SceneResponse
 
     Integers = NDArray[np.signedinteger[Any]]
@@ -88,38 +87,13 @@ class EdgePaths(PathFamily):
 
         Notes
         -----
-        The delay solves ``delay = L(x_s(t - delay), x_r(t)) / c`` with the length of the shortest way over the edge. As
-        this is the shortest, the change of the apex does not change it: rates are those of two legs to a place at rest.
+        The way over the edge is the shortest one, so the change of the apex does not change its length: rates are those
+        of two legs to a place at rest.
         """
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
-        index = np.arange(len(self))[rows]
-        heard_at = self._image("after", index, receiver.position(times)[None])
-        shape = heard_at.shape[:2]
-
-        def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
-            emitted_at = self._image("before", index[p], source.position(emission_time))
-            first, second = self._legs(index[p], emitted_at, heard_at[p, t])
-            velocity = self._turned("before", index[p], source.velocity(emission_time))
-            return first.time + second.time, first.mach_at_departure(velocity)
-
-        first, second = self._legs(index[:, None], self._image("before", index, source.position(times)[None]), heard_at)
-        delay, emission_time = first.time + second.time, np.broadcast_to(times, shape)
-        if motion == "retarded":
-            delay = refine_delay(travel, delay, times)
-            emission_time = times - delay
-        flat = emission_time.ravel()
-        emitted_at = self._image("before", index, source.position(flat).reshape(*shape, 3))
-        velocity = self._turned("before", index, source.velocity(flat).reshape(*shape, 3))
-        first, second = self._legs(index[:, None], emitted_at, heard_at)
-        mach = first.mach_at_departure(velocity)
-        receding = second.mach_at_arrival(self._turned("after", index, receiver.velocity(times)[None]))
-        rate, factor = receding - mach, np.ones(shape)
-        if motion == "retarded":
-            rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
-        departure = np.einsum("pji,ptj->pti", self.before_matrix[index], first.departure)
-        arrival = -np.einsum("pji,ptj->pti", self.after_matrix[index], second.arrival)
-        return Arrivals(delay, rate, departure, arrival, first.length + second.length, emission_time, factor)
+        ways = _WaysOver(self, np.arange(len(self))[rows], receiver.position(times))
+        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, spreading, air, walls, directivities.
@@ -134,15 +108,15 @@ class EdgePaths(PathFamily):
         shape = found.delay.shape
         emitted_at = source.trajectory.position(found.emission_time.ravel()).reshape(*shape, 3)
         velocity = source.trajectory.velocity(found.emission_time.ravel()).reshape(*shape, 3)
-        speed = self.medium.slowest
+        speed = self.scene.air.speed_of_sound
         mach = np.sum(found.departure * velocity, axis=-1) / speed
         late = found.emission_time != times  # as received; quasi-static sound is emitted at once
         wave = 2.0 * np.pi * at.frequencies / speed / (1.0 - np.where(late, mach, 0.0))[..., None]
         response: Complexes = self._edge_field(
-            index, self._image("before", index, emitted_at),
-            self._image("after", index, receiver.trajectory.position(times)[None]), wave, at,
+            index, self.image("before", index, emitted_at),
+            self.image("after", index, receiver.trajectory.position(times)[None]), wave, at,
         )  # fmt: skip
-        response *= at.air(found.length) * found.mach_factor[..., None]
+        response *= at.air(found.through) * found.mach_factor[..., None]
         for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
             for bounce, normals in at.angular_bounces(walls):
@@ -161,7 +135,7 @@ class EdgePaths(PathFamily):
         now = np.array([time])
         emitted_at = source.position(self.arrivals(index, now, motion).emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        apex = self._apex(index, *(self._image(s, index, x) for s, x in (("before", emitted_at), ("after", heard_at))))
+        apex = self._apex(index, *(self.image(s, index, x) for s, x in (("before", emitted_at), ("after", heard_at))))
         planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
         before, after = self._walls_of_sides(index)
         there, back = (path_vertices(planes, w, x, apex) for w, x in ((before, emitted_at), (after, heard_at)))
@@ -175,14 +149,16 @@ class EdgePaths(PathFamily):
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return the lengths (P,) of the shortest ways between places (P, 3) and others, m."""
         index = np.arange(len(self))[rows]
-        first, second = self._legs(index, self._image("before", index, source), self._image("after", index, receiver))
-        return np.asarray(first.length + second.length)
+        (first, _), (second, _) = self.legs(
+            index, self.image("before", index, source), self.image("after", index, receiver)
+        )
+        return np.asarray(first + second)
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field at an edge."""
         return _LOUDEST * at.largest_reflection(self.walls[rows])
 
-    def _image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
+    def image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
         """Return where places (P, [T,] 3) are seen by the edge of each path."""
         offset = (self.before_offset if side == "before" else self.after_offset)[index]
         return self._turned(side, index, places) + offset.reshape(len(index), *[1] * (places.ndim - 2), 3)
@@ -208,9 +184,12 @@ class EdgePaths(PathFamily):
         place = np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
         return np.asarray(self.frame[index][..., 0, :] + place[..., None] * self.frame[index][..., 3, :])
 
-    def _legs(self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats) -> tuple[Leg, Leg]:
+    def legs(
+        self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats
+    ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        """Return lengths (...) and directions (..., 3) of the ways to the edges of paths (...) and on from there."""
         apex = self._apex(index, emitted_at, heard_at)
-        return self.medium.leg(emitted_at, apex), self.medium.leg(apex, heard_at)
+        return straight(emitted_at, apex), straight(apex, heard_at)
 
     def _walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
         """Return the walls (P, N) before the edge from the source's side, and after it from the receiver's."""
@@ -271,3 +250,25 @@ class EdgePaths(PathFamily):
         inside = np.where(end > 0.0, end - some.apex, some.apex)
         root = side * (np.sign(inside) * np.sqrt(detour))
         return -0.5 * side[..., None] * transition(root[..., None] * np.sqrt(wave[rows]))
+
+
+class _WaysOver:
+    """Ways over the edges of paths `index` (P,) to a receiver at places (T, 3)."""
+
+    def __init__(self, paths: EdgePaths, index: NDArray[np.int64], heard_at: Floats) -> None:
+        self._paths, self._index = paths, index
+        self._heard_at = paths.image("after", index, heard_at[None])
+
+    def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        (first, direction), (second, _) = self._legs(p, t, start)
+        return first + second, np.einsum("pji,p...j->p...i", self._paths.before_matrix[self._index[p]], direction)
+
+    def arrive(self, start: Floats) -> Floats:
+        _, (_, direction) = self._legs(slice(None), slice(None), start)
+        return np.asarray(np.einsum("pji,ptj->pti", self._paths.after_matrix[self._index], direction))
+
+    def _legs(self, p: Any, t: Any, start: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        index, heard_at = self._index[p], self._heard_at[p, t]
+        start = np.broadcast_to(start, heard_at.shape)
+        edges = index[:, None] if heard_at.ndim == 3 else index  # all times of a path, or one each
+        return self._paths.legs(edges, self._paths.image("before", index, start), heard_at)

@@ -123,7 +123,7 @@ class EdgeVisibility:
             emitted_at = tables.lifted(source, tables.position(source, time - delay) + PERTURBATIONS[0])
             r_s, t_s, z_s = edges.cylindrical(edge, _imaged(query.walls, asked.before[which], emitted_at))
             way = edge_way(r_s, z_s, r_r, z_r)
-            later = way.length / query.speed_of_sound - delay
+            later = query.medium.passage(way.length, at - emitted_at).time - delay
             delay += later
             if not np.any(np.abs(later) > _CONTRACTED):
                 break

@@ -10,7 +10,8 @@ from clsim.errors import DeviceError, InputError
 from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import upload, work
-from clsim.paths.specular.device_walls import room_arguments
+from clsim.opencl.limits import check_buffers, operations_in_launch
+from clsim.paths.specular.device_walls import ELSEWHERE, GROUP, OPERATIONS_PER_BOX, room_arguments
 from clsim.paths.specular.intervals import (
     CERTAIN,
     GRAZE,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.opencl.device import DeviceInfo
 
 _PATHS = 16_384  # searched at a time
 _EVALUATIONS = 2**19  # evaluations in one launch
@@ -53,44 +55,62 @@ class DeviceSearch:
     ----------
     query : VisibilityQuery
         Room, ends and resolution.
-    device : pyopencl.Device, optional
-        Where; the best one when left out.
+    device : (DeviceInfo, pyopencl.Device), optional
+        Where, as from `find_device`; the best one when left out.
 
     Raises
     ------
     DeviceError
-        If there is no device, or it fails.
+        If there is no device, it is too small, or it fails.
     """
 
-    def __init__(self, query: VisibilityQuery, device: Any = None) -> None:
+    def __init__(self, query: VisibilityQuery, device: tuple[DeviceInfo, Any] | None = None) -> None:
         import pyopencl as cl
 
         self._query = query
-        self._compiler = compiler_of(device or find_device(None)[1])
+        self._info, handle = device or find_device(None)
+        self._compiler = compiler_of(handle)
         self._queue = cl.CommandQueue(self._compiler.context)
         walls, ends = query.walls, query.trajectory_tables
         tables = ("places", "scales", "knots", "speeds", "mounts")
-        self._arguments = room_arguments(self._queue.context, walls)
+        self._arguments = room_arguments(self._queue.context, walls, self._info)
+        sizes = {f"the {name} of trajectories": float(getattr(ends, name).nbytes) for name in tables}
+        check_buffers(
+            self._info, sizes, "source and receivers", f"look for the paths of fewer receivers at a time, {ELSEWHERE}"
+        )
         self._arguments |= {name: self._upload(getattr(ends, name)) for name in tables}
         self._arguments |= {
             "smallest_move": SMALLEST_MOVE * walls.size, "graze": GRAZE * walls.size, "resolution": query.resolution,
-            "speed_of_sound": query.speed_of_sound,
+            "speed_of_sound": query.medium.speed_of_sound, "slowest": query.medium.slowest, "wind": None,
         }  # fmt: skip
+        if query.medium.wind is not None:
+            self._arguments["wind"] = self._upload(np.array(query.medium.wind))
 
     def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
         """Return the intervals in which paths are valid; arguments as in `find_intervals`."""
         import pyopencl as cl
 
         parts = []
+        paths = min(_PATHS, self._evaluations(sequence.shape[1]), self._room_for(progress(_DEPTH).itemsize))
         try:
-            for first in range(0, len(sequence), _PATHS):
-                here = slice(first, first + _PATHS)
+            for first in range(0, len(sequence), paths):
+                here = slice(first, first + paths)
                 parts.append((first, *self._search(sequence[here], receiver[here])))
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(f"the device failed while paths were validated: {error}") from error
         path = np.concatenate([p["path"].astype(np.int64) + first for first, p, _ in parts])
         begin, end = (np.concatenate([p[name] for _, p, _ in parts]) for name in ("begin", "end"))
         return merged(path, begin, end, sum(evaluations for _, _, evaluations in parts))
+
+    def _evaluations(self, order: int) -> int:
+        """Return how many evaluations of paths of an order a launch may have: legs are near all boxes, twice."""
+        each = 2.0 * (order + 1) * OPERATIONS_PER_BOX * (1.0 + float(self._arguments["box_count"]))
+        most = min(_EVALUATIONS, self._room_for(2 * INTERVAL.itemsize))
+        return max(1, int(min(most, operations_in_launch(self._info) / each)))
+
+    def _room_for(self, size: int) -> int:
+        """Return how many structures of a size are kept in a buffer, which is an eighth of the memory at most."""
+        return max(1, int(min(self._info.largest_buffer_bytes, self._info.memory_bytes / 8)) // size)
 
     def _search(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> tuple[NDArray[Any], int]:
         """Search some paths in launches of bounded length; return their intervals and the evaluations."""
@@ -100,7 +120,8 @@ class DeviceSearch:
         states = self._beginning(query.first[receiver], query.last[receiver])
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
-            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
+            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(query.medium.wind is not None),
+            "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
             "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
             "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
             "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),
@@ -112,12 +133,12 @@ class DeviceSearch:
         active = np.flatnonzero(states["depth"]).astype(np.int32)
         parts = []
         while len(active):
-            budget = max(16, _EVALUATIONS // len(active))
+            budget = max(1, self._evaluations(sequence.shape[1]) // len(active))
             room = (budget + 1) * len(active)
             found = cl.Buffer(context, flags.READ_WRITE, INTERVAL.itemsize * room)
             count = self._upload(np.zeros(1, dtype=np.int32))
             kernel(
-                self._queue, work(len(active), group=16), **self._arguments, **paths, active=active,
+                self._queue, work(len(active), group=GROUP), **self._arguments, **paths, active=active,
                 active_count=len(active), budget=budget, states=on_device, found=found, found_count=count,
             )  # fmt: skip
             made = np.empty(1, dtype=np.int32)

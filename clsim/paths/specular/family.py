@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from clsim.arrays import read_only
-from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.family import NONE, SPECULAR, PathFamily
-from clsim.paths.propagation import StillAir, solve_delay
+from clsim.paths.propagation import UniformAir, arrivals_by, straight
 from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals
     from clsim.paths.family import Rows
     from clsim.paths.response import SceneResponse
     from clsim.scene.scene import Scene
@@ -56,8 +56,8 @@ class SpecularPaths(PathFamily):
 
     @property
     def device(self) -> str | None:
-        """The program for images; none that knows a medium other than still air."""
-        return "images" if isinstance(self.medium, StillAir) else None
+        """The program for images; none that knows a medium other than air of one speed."""
+        return "images" if isinstance(self.medium, UniformAir) else None
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:
@@ -67,40 +67,16 @@ class SpecularPaths(PathFamily):
     def arrivals(
         self, rows: Rows, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
     ) -> Arrivals:
-        """Return delays, directions and lengths of paths between one source and one receiver.
-
-        Notes
-        -----
-        The delay solves ``delay = |x_r(t) - A x_s(t - delay) - b| / c``. A point source of the linear wave equation is
-        received as ``s(t - delay) / (d (1 - M))``, M the Mach number of the image towards the receiver at emission
-        (Morse and Ingard, Theoretical Acoustics, 1968, section 11.2).
-        """
-        matrix, offset = self.image_matrix[rows], self.image_offset[rows]
+        """Return delays, directions and lengths of paths between one source and one receiver."""
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
-        # Seen from the image's room the receiver stands at A^T (x_r - b): one mirrored receiver per path.
-        mirrored = np.einsum("pji,ptj->pti", matrix, receiver.position(times)[None] - offset[:, None, :])
-        if motion == "quasi-static":
-            emission_time = np.broadcast_to(times, mirrored.shape[:2])
-            delay = self.medium.travel_time(source.position(times), mirrored)
-        else:
-            delay = solve_delay(self.medium, source, mirrored, times)
-            emission_time = times - delay
-        flat, shape = emission_time.ravel(), mirrored.shape
-        leg = self.medium.leg(source.position(flat).reshape(shape), mirrored)
-        mach = leg.mach_at_departure(source.velocity(flat).reshape(shape))
-        receding = leg.mach_at_arrival(np.einsum("pji,tj->pti", matrix, receiver.velocity(times)))
-        arrival = -np.einsum("pij,ptj->pti", matrix, leg.arrival)
-        if motion == "quasi-static":
-            rate, mach_factor = receding - mach, np.ones_like(mach)
-        else:
-            rate, mach_factor = (receding - mach) / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
-        return Arrivals(delay, rate, leg.departure, arrival, leg.length, emission_time, mach_factor)
+        ways = _Images(self.image_matrix[rows], self.image_offset[rows], receiver.position(times))
+        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): spreading, air, walls and directivities."""
         walls = self.objects[rows]
-        response = at.air(found.length) * at.reflection(walls)[:, None, :]
+        response = at.air(found.through) * at.reflection(walls)[:, None, :]
         response *= (found.mach_factor / found.length)[..., None]
         for bounce, normals in at.angular_bounces(walls):
             met = walls[:, bounce]
@@ -128,3 +104,17 @@ class SpecularPaths(PathFamily):
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F), 1 where they depend on the angle."""
         return at.largest_reflection(self.objects[rows])
+
+
+class _Images:
+    """Straight ways from a source to mirrored receivers: seen from an image's room one stands at A^T (x_r - b)."""
+
+    def __init__(self, matrix: Floats, offset: Floats, heard_at: Floats) -> None:
+        self._matrix = matrix
+        self._mirrored = np.einsum("pji,ptj->pti", matrix, heard_at[None] - offset[:, None, :])
+
+    def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        return straight(start, self._mirrored[p, t])
+
+    def arrive(self, start: Floats) -> Floats:
+        return np.asarray(np.einsum("pij,ptj->pti", self._matrix, straight(start, self._mirrored)[1]))

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.paths.propagation import StillAir
 from clsim.paths.specular.visibility import Reach, mirrored, path_status
 from clsim.paths.trajectory_tables import PERTURBATIONS, TrajectoryTables
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.propagation import UniformAir
     from clsim.scene.room.walls import Walls
 
     Evaluation = Callable[
@@ -47,8 +47,8 @@ class VisibilityQuery:
         The room.
     trajectory_tables : TrajectoryTables
         The source and the receivers.
-    speed_of_sound : float
-        m/s.
+    medium : UniformAir
+        What sound travels in.
     first, last : ndarray (receivers,)
         Times from and up to which each receiver's paths are looked at, s; nowhere if not first < last.
     resolution : float
@@ -57,7 +57,7 @@ class VisibilityQuery:
 
     walls: Walls
     trajectory_tables: TrajectoryTables
-    speed_of_sound: float
+    medium: UniformAir
     first: Floats
     last: Floats
     resolution: float
@@ -70,7 +70,7 @@ class VisibilityQuery:
     @property
     def time_dilation(self) -> Floats:
         """How much faster emission times can pass than times of reception, (receivers,)."""
-        mach = self.trajectory_tables.scales[:, 2] / self.speed_of_sound
+        mach = self.trajectory_tables.scales[:, 2] / self.medium.slowest
         return np.asarray((1.0 + mach[1:]) / (1.0 - mach[0]))
 
 
@@ -157,13 +157,13 @@ def evaluate(
     query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64], time: Floats, half: Floats
 ) -> tuple[NDArray[np.bool_], Floats, Floats]:
     """Return validity, clearance and how far the ends can move within `half` of a time, each (n,)."""
-    walls, ends, c = query.walls, query.trajectory_tables, query.speed_of_sound
+    walls, ends = query.walls, query.trajectory_tables
     row, source = receiver + 1, np.zeros(len(receiver), dtype=np.int64)
     at = ends.position(row, time)
     image = at
     for k in range(sequence.shape[1] - 1, -1, -1):
         image = mirrored(walls, sequence[:, k], image)
-    emission_time = time - ends.delay(image, time, StillAir(c))
+    emission_time = time - ends.delay(image, at, time, query.medium)
     late = query.time_dilation[receiver]
     reach = Reach(
         half * late * ends.speed_over(source, emission_time - late * half, emission_time + late * half),

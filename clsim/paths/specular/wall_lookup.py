@@ -48,6 +48,10 @@ class Beams:
     last: NDArray[np.int32]
     slack: float
 
+    def part(self, which: slice) -> Beams:
+        """Return some of them."""
+        return Beams(self.planes[which], self.centre[which], self.radius, self.last[which], self.slack)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ears:

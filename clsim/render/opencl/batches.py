@@ -40,6 +40,14 @@ class ActivePaths:
         heard = (pair.start[self.rows] - ramp <= end) & (pair.end[self.rows] + ramp >= begin)
         return ActivePaths(self.index, self.rows[heard], self.low[heard], self.high[heard])
 
+    def parts(self, most: int) -> list[ActivePaths]:
+        """Return them in parts of at most so many, neighbours by delay; none of none."""
+        if len(self.rows) <= most:
+            return [self] if len(self.rows) else []
+        order = np.argsort(self.low + self.high, kind="stable")
+        pieces = (order[first : first + most] for first in range(0, len(order), most))
+        return [ActivePaths(self.index, self.rows[i], self.low[i], self.high[i]) for i in pieces]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathBatch:

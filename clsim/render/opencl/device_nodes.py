@@ -54,7 +54,7 @@ class DeviceNodes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Chunk:
+class DeviceChunk:
     """What one source and a batch of receivers need over a chunk, on the device."""
 
     source: int
@@ -81,6 +81,11 @@ class DeviceTracks:
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
+        wind = scene.air.wind
+        self._medium = {
+            "speed_of_sound": scene.air.speed_of_sound,
+            "wind": None if wind is None else self._upload(np.array(wind)),
+        }
         self._knot_rates = []
         for source, filters in zip(scene.sources, plan.source_filters, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
@@ -113,7 +118,7 @@ class DeviceTracks:
         length: int,
         activity: Activity | None,
         first: int,
-    ) -> _Chunk:
+    ) -> DeviceChunk:
         """Upload images and motion for one source and a batch of receivers over a stretch of samples.
 
         Where `activity` is given, what is silent is left out; `first` is the sample at which branch signals begin.
@@ -133,12 +138,11 @@ class DeviceTracks:
             (start + length) / rate - shortest + spare,
             self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
         )  # fmt: skip
-        images = self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T, receiver_of=receiver_of)
+        images = self._images(matrix.reshape(-1, 9).T, offset.T) | self._uploaded(receiver_of=receiver_of)
         wall_of, normal = around.bounces(walls)
         columns = self._uploaded(reflection=reflection, wall_of=wall_of, normal=normal)
-        trajectory = {
-            "knots": self._upload(knots), "knot_count": len(knots), "first_knot": knot_first,
-            "knot_rate": self._knot_rates[source],
+        trajectory = self._trajectory(knots) | {
+            "knot_count": len(knots), "first_knot": knot_first, "knot_rate": self._knot_rates[source],
         }  # fmt: skip
         coarse = self._coarse_delays(source, batch, images | trajectory, start, -(-length // plan.segment) + 3)
         cells = None
@@ -148,7 +152,15 @@ class DeviceTracks:
         turn = 0.0
         if around.source_kind != OMNI:
             turn = self._knot_rates[source] * _largest_turn(knots[:, CUBIC_COLUMNS : CUBIC_COLUMNS + 3])
-        return _Chunk(source, batch, start, images, columns, bounds, coarse, trajectory, cells, first, turn)
+        return DeviceChunk(source, batch, start, images, columns, bounds, coarse, trajectory, cells, first, turn)
+
+    def _images(self, matrix: Floats, offset: Floats) -> dict[str, Any]:
+        """Return images (9, slots) and (3, slots) as the program takes them."""
+        return self._uploaded(image_matrix=matrix, image_offset=offset)
+
+    def _trajectory(self, knots: Floats) -> dict[str, Any]:
+        """Return the knots of motion as the program takes them."""
+        return self._uploaded(knots=knots)
 
     def _coarse_delays(self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int) -> Any:
         """Solve the delays at the ends of segments, from which those between are predicted."""
@@ -160,22 +172,23 @@ class DeviceTracks:
         out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * batch.count)
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
         constants = {"RECEIVER_DIRECTIVITY": OMNI, "OMNI": OMNI, "SPHERICAL": SPHERICAL}  # no beams: delays only
-        kernel = self._compiler.kernel("coarse_delays", self._motion_constants(source) | constants)
+        constants |= self._motion_constants(source) | self._exact_constants
+        del constants["SMOOTH_ERROR"]
+        kernel = self._compiler.kernel("coarse_delays", constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, speed_of_sound=self._tracks.scene.air.speed_of_sound,
-            delays=out,
+            start=start / rate, walk_time=segment / rate, **self._medium, delays=out,
         )  # fmt: skip
         return out
 
     def nodes(
-        self, chunk: _Chunk, start: int, block: int, blocks: int, meanwhile: Callable[[], None] | None = None
+        self, chunk: DeviceChunk, start: int, block: int, blocks: int, meanwhile: Callable[[], None] | None = None
     ) -> DeviceNodes:
         """Make the polynomials of `blocks` blocks from a sample on; something else can be done meanwhile."""
         import pyopencl as cl
 
         plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
-        filters, c = plan.source_filters[chunk.source], self._tracks.scene.air.speed_of_sound
+        filters = plan.source_filters[chunk.source]
         walks = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
@@ -186,34 +199,56 @@ class DeviceTracks:
         receivers = self._receivers_at(batch, node_times(start, block, walks * (plan.segment // block) + 4, rate))
         heard_from, heard_until = chunk.bounds.samples_from(start)
         around = self._surroundings[chunk.source]
-        spread = filters.filter_half / rate  # by which the functions' filters are longer than what is emitted
         activity: Any = None
         cells: dict[str, Any] = {"following": None, "preceding": None, "cells": 0}
         if chunk.cells is not None:
             activity, cells = self._scratch.take(("activity", block), 4 * blocks * batch.count), chunk.cells
             cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * batch.count)
-        constants = self._constants(chunk.source, block) | {"SPARSE": int(activity is not None)}
-        kernel = self._compiler.kernel("tracks", constants)
-        kernel(
-            self._queue, work(batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **cells,
-            **around.basis, **around.tables, directivity_of=around.directivity_of[batch.receiver],
-            receivers=receivers, nodes=receivers.shape[1],
-            heard_from=heard_from, heard_until=heard_until,
-            coarse_delays=chunk.coarse_delays, first_walk=(start - chunk.start) // plan.segment,
-            start=start / rate, sampling_rate=rate, speed_of_sound=c, delay_samples=filters.delay_samples,
-            emitted_first=filters.start - spread, emitted_last=filters.start + filters.signal.duration + spread,
-            angular_frequency=2.0 * math.pi * filters.swiftness,
-            smooth=self._smooth(chunk, receivers, block), origin=start - chunk.first,
-            max_rate=self._max_rates[chunk.source], blocks=blocks, delay=delay, polynomials=polynomials,
-            found=found_there, unheld=unheld_there, activity=activity,
-        )  # fmt: skip
+        made = {
+            "delay": delay, "polynomials": polynomials, "found": found_there, "unheld": unheld_there, "blocks": blocks,
+            "directivity_of": around.directivity_of[batch.receiver], "nodes": receivers.shape[1],
+            "heard_from": heard_from, "heard_until": heard_until, "activity": activity,
+            "angular_frequency": 2.0 * math.pi * filters.swiftness, "max_rate": self._max_rates[chunk.source],
+            "origin": start - chunk.first,
+        }  # fmt: skip
+        shape = self._shape(chunk.source, block)
+        self._launch(chunk, start, walks, receivers, made | around.basis | around.tables | cells | shape)
         if meanwhile is not None:
             meanwhile()
         cl.enqueue_copy(self._queue, found, found_there)
         cl.enqueue_copy(self._queue, unheld, unheld_there)
         return _nodes_made(batch.first_slot[:-1], (delay, polynomials, activity), found, unheld)
 
-    def _smooth(self, chunk: _Chunk, receivers: NDArray[Any], block: int) -> float:
+    def _launch(
+        self, chunk: DeviceChunk, start: int, walks: int, receivers: NDArray[Any], more: dict[str, Any]
+    ) -> None:
+        """Make the nodes of some walks from a sample on."""
+        rate, source, segment = self._plan.sampling_rate, chunk.source, self._plan.segment
+        first, last = self._sounding(source)
+        constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
+        kernel = self._compiler.kernel("tracks", constants | self._exact_constants)
+        kernel(
+            self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
+            **self._medium, receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
+            first_walk=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
+            delay_samples=self._plan.source_filters[source].delay_samples,
+            oversampling=self._plan.source_filters[source].oversampling,
+            smooth=self._smooth(chunk, receivers, more["block_samples"]),
+        )  # fmt: skip
+
+    @property
+    def _exact_constants(self) -> dict[str, Any]:
+        """Constants of the program in float64."""
+        wind = int(self._medium["wind"] is not None)
+        return {"SMOOTH_ERROR": np.float32(SMOOTH_ERROR), "NODES_AT_ONCE": self._together, "WIND": wind}
+
+    def _sounding(self, source: int) -> tuple[float, float]:
+        """Return when anything sounds of a source, s: functions' filters are longer than what is emitted."""
+        filters = self._plan.source_filters[source]
+        spread = filters.filter_half / self._plan.sampling_rate
+        return filters.start - spread, filters.start + filters.signal.duration + spread
+
+    def _smooth(self, chunk: DeviceChunk, receivers: NDArray[Any], block: int) -> float:
         """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 if all are looked at.
 
         They are where beams turn fast or lack symmetry: tables over a sphere have bends between such nodes.
@@ -231,20 +266,27 @@ class DeviceTracks:
             "KNOT_COLUMNS": CUBIC_COLUMNS * (3 if sideways else 2),
             "RETARDED": int(self._tracks.motion == "retarded"),
             "STATIC_RECEIVERS": int(self._all_static),
-            "NODES_AT_ONCE": self._together,
         }
 
-    def _constants(self, source: int, block: int) -> dict[str, Any]:
+    def _shape(self, source: int, block: int) -> dict[str, float]:
+        """Return what differs from block to block and from scene to scene at no cost: arguments, not constants."""
+        subblock = self._plan.subblock(source, block)
+        return {
+            "block_samples": block,
+            "walk_blocks": self._plan.segment // block,
+            "subblock_samples": subblock,
+            "subblock_share": 0.0 if self._plan.is_fine(block) else subblock / block,
+            "function_count": len(self._plan.source_filters[source].basis),
+            "angular": self._surroundings[source].angular,
+        }
+
+    def _constants(self, source: int) -> dict[str, Any]:
         retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
+        functions = len(self._plan.source_filters[source].basis)
         return self._motion_constants(source) | {
-            "BLOCK": block,
-            "SUBBLOCK": self._plan.subblock(source, block),
-            "FINE": int(self._plan.is_fine(block)),
-            "OVERSAMPLING": self._plan.source_filters[source].oversampling,
             "CELL": CELL,
-            "WALK": self._plan.segment // block,
             "DELAY_TERMS": self._plan.delay_terms,
-            "FUNCTIONS": len(self._plan.source_filters[source].basis),
+            "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
             "FREQUENCIES": around.count,
             "PARTS": around.parts,
             "CELLS": CELLS,
@@ -258,8 +300,6 @@ class DeviceTracks:
             "AXIAL": AXIAL,
             "SPHERICAL": SPHERICAL,
             "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
-            "SMOOTH_ERROR": np.float32(SMOOTH_ERROR),
-            "ANGULAR": around.angular,
         }
 
     def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:
@@ -312,4 +352,5 @@ def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
     return out
 
 
-NODE_PROGRAMS = {"images": DeviceTracks}  # what makes the nodes of kinds of paths, by `PathFamily.device`
+# What makes the nodes of kinds of paths, by `PathFamily.device`; `pair_nodes.py` has those without float64.
+NODE_PROGRAMS = {"images": DeviceTracks}

@@ -12,12 +12,15 @@ from clsim.errors import ClsimError, DeviceError, warn
 from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, upload, work
+from clsim.opencl.limits import check_group
 from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
 from clsim.render.opencl.device_nodes import NODE_PROGRAMS, DeviceTracks
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
-from clsim.render.opencl.limits import Limits, check_group
+from clsim.render.opencl.limits import Limits
+from clsim.render.opencl.pair_nodes import PAIR_PROGRAMS
+from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,7 +33,6 @@ if TYPE_CHECKING:
 
     NodeMaker = DeviceTracks | HostTracks
 
-BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TILE = 128  # paths whose branch signals stay in cache together
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
@@ -153,10 +155,15 @@ class OpenclEngine:
         self._coarse[source] = max(self._coarse[source], (wrong, time))
 
     def maker(self, pair: int) -> NodeMaker:
-        """Return what makes the nodes of a pair: the device, where it has float64 and a program for such paths."""
+        """Return what makes the nodes of a pair: the device, where it has a program for such paths.
+
+        Without float64 there is none for envelopes, whose delays are septics, and for wind.
+        """
         plan, of_scene = self._plan, self._plan.tracks.of_scene
-        family = None if of_scene is None or not self._info.fp64 else of_scene.pair_paths[pair].family
-        program = None if family is None else NODE_PROGRAMS.get(family.device or "")
+        family = None if of_scene is None else of_scene.pair_paths[pair].family
+        in_pairs = of_scene is not None and plan.baseband is None and of_scene.scene.air.wind is None
+        programs = NODE_PROGRAMS if self._info.fp64 else PAIR_PROGRAMS if in_pairs else {}
+        program = None if family is None else programs.get(family.device or "")
         kind = None if program is None else family
         if kind not in self._makers:
             self._makers[kind] = (
@@ -189,9 +196,9 @@ class OpenclEngine:
             for first in range(0, segments, step):
                 last = min(first + step, segments)
                 here = [pair.during(plan, start + first * plan.segment, start + last * plan.segment) for pair in active]
-                per_segment = bytes_per_node(plan, source) * (plan.segment // plan.shortest_block)
+                per_segment = plan.bytes_per_node(source) * (plan.segment // plan.shortest_block)
                 slots = self.limits.node_budget // per_segment
-                heard = [pair for pair in here if len(pair.rows)]
+                heard = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
                 for some in _batches(heard, slots, [self.maker(pair.index) for pair in heard]):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
@@ -263,7 +270,7 @@ class Run:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
         plan, segment = self._plan, self._plan.segment
         block = plan.blocks[level]
-        node = bytes_per_node(plan, self._source)
+        node = plan.bytes_per_node(self._source)
         limits, count = self._engine.limits, self._batch.count
         step = max(1, limits.node_budget // (node * count * (segment // block)))
         step = min(step, limits.segments_in_launch(count, block))
@@ -290,7 +297,7 @@ class Run:
 
     def _fits(self, block: int) -> bool:
         """Return whether the polynomials of one segment in blocks of a length can be held."""
-        needed = bytes_per_node(self._plan, self._source) * self._batch.count * (self._plan.segment // block)
+        needed = self._plan.bytes_per_node(self._source) * self._batch.count * (self._plan.segment // block)
         return not self._plan.is_fine(block) or needed <= 4 * self._engine.limits.node_budget
 
     def _check(self, shortest: float, longest: float) -> None:
@@ -385,11 +392,6 @@ def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the maximal ranges of equal values."""
     changes = (np.flatnonzero(np.diff(values)) + 1).tolist()
     return list(zip([0, *changes], [*changes, len(values)], strict=True))
-
-
-def bytes_per_node(plan: Plan, source: int) -> int:
-    """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain."""
-    return 4 + 4 * plan.delay_terms + 16 * len(plan.source_filters[source].basis)
 
 
 def _batches(active: list[ActivePaths], most: int, makers: Sequence[NodeMaker]) -> list[list[ActivePaths]]:

@@ -1,21 +1,19 @@
-"""What a device takes: how much memory at a time, how large work-groups, and how long it may compute at a stretch."""
+"""What a device takes of a plan at a time: how many samples, and for how long it may compute at a stretch."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clsim.errors import DeviceError
-from clsim.render.plan import NODE_BUDGET, Plan
+from clsim.errors import InputError
+from clsim.opencl.limits import FLOAT64, MOST_INDEX, SHARE, check_buffers, operations_in_launch
+from clsim.render.plan import BATCH, NODE_BUDGET, Plan
 
 if TYPE_CHECKING:
     from clsim.opencl.device import DeviceInfo
 
-_SHARE = 0.75  # of the device's memory: the rest is for tables, motion and whatever else uses it
 _LEVELS = 3  # block lengths whose polynomials are kept at the same time
-LONGEST_LAUNCH = 0.2  # s, estimated: graphics drivers end what computes for longer than some seconds
-_OPERATIONS_PER_CYCLE = 4.0  # of a unit, low: 8 lanes, a product and a sum each, a quarter of the time
 _OPERATIONS_PER_SAMPLE = 10.0  # of a path, beside two for every branch
-_OPERATIONS_PER_NODE = 32_000.0  # of a path: 2000 in float64, a sixteenth of the rate or less
+_OPERATIONS_PER_NODE = 2000.0 * FLOAT64  # of a path
 
 
 class Limits:
@@ -34,6 +32,8 @@ class Limits:
     ------
     DeviceError
         If not even a segment fits; the message says what to do.
+    InputError
+        If delays have more samples than kernels can count.
     """
 
     def __init__(self, plan: Plan, info: DeviceInfo, parts: int) -> None:
@@ -48,10 +48,20 @@ class Limits:
         self._per_sample["pressure of all receivers"] = 4.0 * parts * plan.receiver_count
         span = plan.tracks.longest_delay(0.0, plan.duration) * plan.sampling_rate + 256.0  # margins
         self._fixed = {"branch signals": rows * span, "emitted signals": emitted * span}
+        self._longest = MOST_INDEX / 1.1 / max(f.oversampling for f in filters) - span  # kernels count them in 32 bits
         most = int(min(plan.chunk, self._most_samples()))
         if most < plan.segment:
-            raise DeviceError(self._refusal())
+            self._refuse()
         self.most_samples = most // plan.segment * plan.segment  # rendered at a time
+
+    @property
+    def paths_in_launch(self) -> int:
+        """How many paths may be computed by one launch: so many that a segment of them is `LONGEST_LAUNCH` at most.
+
+        By estimate, in the shortest blocks for which room is made beforehand; at least a batch of 64.
+        """
+        paths = operations_in_launch(self._info) / self._operations(self._plan.shortest_block)
+        return max(1, int(min(paths, MOST_INDEX)) // BATCH) * BATCH
 
     def segments_in_launch(self, paths: int, block: int) -> int:
         """Return how many segments of some paths may be computed by one launch.
@@ -68,52 +78,35 @@ class Limits:
         int
             So many that GPUs are estimated to need `LONGEST_LAUNCH` at most; at least one.
         """
-        if self._info.kind != "GPU":
-            return 2**31
-        segment = self._plan.segment
-        rendering = segment * (2.0 * self._rows + _OPERATIONS_PER_SAMPLE)
-        nodes = segment // block * _OPERATIONS_PER_NODE
-        rate = _OPERATIONS_PER_CYCLE * self._info.compute_units * self._info.clock_hz
-        return max(1, int(LONGEST_LAUNCH * rate / (paths * max(rendering, nodes))))
+        segments = operations_in_launch(self._info) / (paths * self._operations(block))
+        return max(1, int(min(segments, MOST_INDEX)))
+
+    def _operations(self, block: int) -> float:
+        """Return those of a path and a segment in blocks of a length, in whichever launch has more of them."""
+        rendering = self._plan.segment * (2.0 * self._rows + _OPERATIONS_PER_SAMPLE)
+        return max(rendering, self._plan.segment // block * _OPERATIONS_PER_NODE)
 
     def _most_samples(self) -> float:
         """Return how many samples fit at a time, each buffer by itself and all of them together."""
-        whole = _SHARE * self._info.memory_bytes - _LEVELS * self.node_budget - sum(self._fixed.values())
+        widest = max(bank.taps.size for f in self._plan.source_filters for bank in f.banks)
+        launched = max(operations_in_launch(self._info) / (2.0 * widest), self._plan.segment)
+        whole = SHARE * self._info.memory_bytes - _LEVELS * self.node_budget - sum(self._fixed.values())
         each = [
             (self._info.largest_buffer_bytes - self._fixed.get(name, 0.0)) / size
             for name, size in self._per_sample.items()
         ]
-        return min(whole / sum(self._per_sample.values()), *each)
+        return min(whole / sum(self._per_sample.values()), self._longest, launched, *each)
 
-    def _refusal(self) -> str:
-        needed = {n: s * self._plan.segment + self._fixed.get(n, 0.0) for n, s in self._per_sample.items()}
+    def _refuse(self) -> None:
+        segment = self._plan.segment
+        if self._longest < segment:
+            raise InputError(
+                "max_order",
+                f"must leave delays that are counted in 32 bits, but the longest take {MOST_INDEX - self._longest:.3g} "
+                "samples; lower it, or the sampling rate",
+            )
+        needed = {n: s * segment + self._fixed.get(n, 0.0) for n, s in self._per_sample.items()}
         name = max(needed, key=needed.__getitem__)
         less = "fewer receivers" if name.startswith("pressure") else "a lower max_order"
-        return (
-            f"{self._info.name} has {self._info.memory_bytes / 2**20:.0f} MiB, at most "
-            f"{self._info.largest_buffer_bytes / 2**20:.0f} MiB in a buffer, but {self._plan.segment} samples "
-            f"need {sum(needed.values()) / 2**20:.0f} MiB, most of it, {needed[name] / 2**20:.0f} MiB, for "
-            f"{name}: render {less} at a time, or on another device (see `clsim devices`)"
-        )
-
-
-def check_group(info: DeviceInfo, workers: int) -> None:
-    """Refuse a device whose work-groups are too small.
-
-    Parameters
-    ----------
-    info : DeviceInfo
-        Where.
-    workers : int
-        Items of the largest group.
-
-    Raises
-    ------
-    DeviceError
-        If its groups hold fewer.
-    """
-    if info.largest_group < workers:
-        raise DeviceError(
-            f"{info.name} has work-groups of at most {info.largest_group} items, but {workers} are needed; choose "
-            'another device (see `clsim devices`), or use engine="reference"'
-        )
+        advice = f"render {less} at a time, or on another device (see `clsim devices`)"
+        check_buffers(self._info, needed | {"polynomials": _LEVELS * self.node_budget}, f"{segment} samples", advice)

@@ -11,6 +11,7 @@ import numpy as np
 from clsim.arrays import Floats, as_count
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_BINARY, check_file
+from clsim.packages import check_packages
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -52,10 +53,9 @@ def read_sofa_table(path: str | PathLike[str], measurement: int) -> tuple[Floats
 
 
 def _opened(path: Path) -> Any:
-    try:
-        import sofar
-    except ImportError as error:
-        raise InputError("path", f"needs the package sofar, pip install 'clsim[sofa]', to be read: {path}") from error
+    check_packages("path", f"reading {path}", "sofa", "sofar")
+    import sofar
+
     if path.suffix != ".sofa":
         raise InputError("path", f"must end in .sofa, but is {path}")
     try:

@@ -57,6 +57,13 @@ class Signal:
         centre = self.waveform.centre_frequency
         return 0.25 * self.sampling_rate if centre is None else centre
 
+    @property
+    def pulse_times(self) -> Floats:
+        """When the pulses of a train begin (n,), s; 0 for any other signal."""
+        if not isinstance(self.waveform, Pulses):
+            return np.zeros(1)
+        return np.asarray(np.arange(self.waveform.repetitions) * self.waveform.period)
+
     def read(self, start: int, stop: int) -> Floats:
         """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from clsim.errors import InputError
+from clsim.numerics.kaiser import band_pass
 from clsim.numerics.resampling import Resampler
 from clsim.scene.signal.sequences import shaped_sequence
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 _TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
 _NOISE_HALF = 256  # taps on either side of the noise's band filter
+_NOISE_SHAPE = 8.0  # of the window
 
 
 class Waveform(Protocol):
@@ -316,11 +318,9 @@ def _block_angles(frequency: float, sampling_rate: float) -> tuple[Floats, Float
 def _band_response(low: float, high: float, sampling_rate: float) -> NDArray[np.complex128]:
     """Return the spectrum, over one block, of a linear-phase band filter of unit noise gain."""
     from scipy.fft import rfft
-    from scipy.signal import firwin
 
-    count = 2 * _NOISE_HALF + 1
-    cutoffs, pass_zero = ([low, high], False) if low > 0.0 else ([high], True)
-    taps = firwin(count, cutoffs, window=("kaiser", 8.0), pass_zero=pass_zero, fs=sampling_rate)
+    half_rate = 0.5 * sampling_rate
+    taps = band_pass(max(low, 0.0) / half_rate, high / half_rate, 2 * _NOISE_HALF + 1, _NOISE_SHAPE)
     return np.asarray(rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
 
 

@@ -12,13 +12,16 @@ from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, upload
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
-from clsim.render.opencl.device_nodes import RECEIVER_NODE, VECTOR
+from clsim.render.opencl.device_nodes import RECEIVER_NODE
+from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
+from clsim.render.opencl.surroundings import VECTOR
 
-KNOWN = {"CLK_LOCAL_MEM_FENCE"}  # of OpenCL C itself
+KNOWN = {"CLK_LOCAL_MEM_FENCE", "OPENCL", "FP_CONTRACT", "OFF"}  # of OpenCL C itself
 TYPEDEFS = {"bins", "gains"}  # vectors of float, as wide as constants say
 DEPTH = 5
 STRUCTURES = {
     "receiver_node": ("tracks", RECEIVER_NODE),
+    "pair_receiver": ("pair_tracks", PAIR_RECEIVER),
     "span": ("intervals", SPAN),
     "progress": ("intervals", progress(DEPTH)),
     "interval": ("intervals", INTERVAL),
@@ -87,11 +90,12 @@ def test_every_file_belongs_to_a_program_and_says_what_it_is() -> None:
 def test_functions_of_opencl_are_declared() -> None:
     called = re.compile(r"\b([a-z]\w+)\s*\(")
     told = set(called.findall(declarations())) - {"overloadable"}
-    used = set()
+    used, own = set(), set()  # files that programs share may name what only one of them has
     for program in PROGRAMS:
         text = re.sub(r'__attribute__\(\(.*?\)\)|"[^"]*"', "", without_comments(kernel_source(program)))
-        own = set(re.findall(r"\b\w+\s+(\w+)\([^()]*\)\s*{", text))
-        used |= set(called.findall(text)) - own - {"if", "for", "while", "switch", "return", "sizeof", "define"}
+        own |= set(re.findall(r"\b\w+\s+(\w+)\([^()]*\)\s*{", text))
+        used |= set(called.findall(text)) - {"if", "for", "while", "switch", "return", "sizeof", "define"}
+    used -= own
     assert {name for name in used if not name.startswith("as_")} == told  # those are macros of another header
 
 
@@ -110,6 +114,15 @@ def test_files_are_small() -> None:
             assert sum(bool(line.strip()) for line in text.splitlines()) <= 150, name
 
 
+def test_what_needs_no_float64_has_none() -> None:
+    """Nor constants of it: a device without it may round them, or refuse them."""
+    for program in ("pair_tracks", "render", "branches", "emit", "fades", "clear_gains", "baseband", "baseband_fades"):
+        text = without_comments(kernel_source(program))
+        text = re.sub(r"#define ROUNDING_DOUBLE .*", "", text)
+        assert "double" not in text, program
+        assert not re.findall(r"(?<![\w.])\d+\.\d*(?:e[-+]?\d+)?(?![\w.])", text), program
+
+
 def fields_of(dtype: np.dtype, at: int = 0) -> list[tuple[str, int]]:
     return [(name, at + dtype.fields[name][1]) for name in dtype.names]
 
@@ -124,6 +137,7 @@ def test_structures_are_laid_out_alike(name: str, device: None) -> None:
         f"out[{i + 1}] = (__global char*)&p->{field} - (__global char*)p;"
         for i, (field, _) in enumerate(fields_of(dtype))
     )
+    before += "typedef float2 pair;" if name == "pair_receiver" else ""
     source = f"{before}\n{definition[0]}\n__kernel void layout(__global {name}* p, __global long* out) {{ out[0] = sizeof({name}); {told} }}"
     context = compiler_of(find_device(None)[1]).context
     queue = cl.CommandQueue(context)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsim.output.spectrogram import spectrogram
+from clsim.pictures.spectrogram import spectrogram
 
 RATE = 192e3
 

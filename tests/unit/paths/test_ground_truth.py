@@ -9,7 +9,7 @@ import pytest
 import clsim
 from clsim.cli import main
 from clsim.output.table import read_table, write_ground_truth, write_table
-from clsim.output.view import viewed
+from clsim.paths.view import viewed
 from clsim.study.content import _add_ground_truth, _add_paths
 
 TIMES = np.array([0.0, 0.04, 0.1])
@@ -80,8 +80,8 @@ def test_parquet_has_the_names_of_the_table(table, tmp_path: Path) -> None:
 
 def test_every_door_has_the_ground_truth_under_its_own_names(paths: clsim.PathSet, table, tmp_path: Path) -> None:
     exact = clsim.direct_path(paths, TIMES)
-    assert {f.name for f in fields(exact)} == {"times", *OF_DIRECT_PATH}
-    write_ground_truth(exact, paths.scene, tmp_path / "ground_truth.npz")
+    assert {f.name for f in fields(exact)} == {"times", *OF_DIRECT_PATH, "source_names", "receiver_names"}
+    write_ground_truth(exact, tmp_path / "ground_truth.npz")
     xarray = pytest.importorskip("xarray")
     member = xarray.Dataset()
     _add_ground_truth(member, exact, paths.scene)

@@ -1,56 +1,104 @@
-"""The delay equation: both solvers, and the bounds that engines and pruning rest on."""
+"""The delay equation: both solvers, and the bounds that engines and pruning rest on, in air that rests and that moves."""
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
 
 import clsim
-from clsim.paths.propagation import StillAir, contract_delay, delay_bounds, max_delay_rate, refine_delay, solve_delay
+from clsim.paths.arrivals import Arrivals
+from clsim.paths.propagation import UniformAir, arrivals_by, contract_delay, delay_bounds, max_delay_rate, straight
 
-C = 340.0
-AIR = StillAir(C)
+C, WIND = 340.0, (30.0, -8.0, 5.0)
 FLYING = clsim.Trajectory.circle((0.0, 0.0, 1.0), 2.0, 0.25, 1.0)  # 50 m/s
+FALLING = clsim.Trajectory.line((9.0, 8.0, 6.0), (9.5, 8.0, 1.0), 1.0)
 
 
-def test_both_solvers_meet_where_the_equation_holds(rng: np.random.Generator) -> None:
-    stop, times = rng.uniform(5.0, 40.0, (6, 9, 3)), np.linspace(0.3, 0.9, 9)
-    delay = solve_delay(AIR, FLYING, stop, times)
-    emitted_at = FLYING.position((times - delay).ravel()).reshape(stop.shape)
-    np.testing.assert_allclose(AIR.travel_time(emitted_at, stop), delay, atol=4e-16)
-    flat = contract_delay(AIR, FLYING.position, stop.reshape(-1, 3), np.tile(times, 6))
-    np.testing.assert_allclose(flat, delay.ravel(), atol=1e-12)
+@pytest.fixture(params=[None, WIND], ids=["still", "windy"])
+def air(request: pytest.FixtureRequest) -> UniformAir:
+    return UniformAir(C, request.param)
 
 
-def test_a_way_of_two_legs_is_solved_alike(rng: np.random.Generator) -> None:
-    """By a place at rest: the second leg only makes the sound late."""
-    by, stop, times = np.array([9.0, 1.0, 2.0]), np.array([3.0, 8.0, 1.0]), np.linspace(0.3, 0.9, 5)
+@dataclass(frozen=True)
+class To:
+    """Straight ways to places (P, T, 3)."""
 
-    def travel(p: np.ndarray, t: np.ndarray, emission_time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        first = AIR.leg(FLYING.position(emission_time), by)
-        return first.time + AIR.travel_time(by, stop), first.mach_at_departure(FLYING.velocity(emission_time))
+    stop: np.ndarray
 
-    delay = refine_delay(travel, np.zeros((1, 5)), times)[0]
-    later = AIR.travel_time(by, stop)
-    single = solve_delay(AIR, FLYING, np.broadcast_to(by, (1, 5, 3)), times - later)[0]
-    np.testing.assert_allclose(delay, single + later, atol=1e-15)
+    def leave(self, p: Any, t: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return straight(start, self.stop[p, t])
 
-
-def test_derivatives_of_a_leg_are_those_of_its_time(rng: np.random.Generator) -> None:
-    start, stop, velocity = (rng.normal(size=(20, 3)) for _ in range(3))
-    leg, h = AIR.leg(start, stop), 1e-6
-    by_start = (AIR.travel_time(start + h * velocity, stop) - AIR.travel_time(start - h * velocity, stop)) / (2 * h)
-    by_stop = (AIR.travel_time(start, stop + h * velocity) - AIR.travel_time(start, stop - h * velocity)) / (2 * h)
-    np.testing.assert_allclose(leg.mach_at_departure(velocity), -by_start, atol=1e-10)
-    np.testing.assert_allclose(leg.mach_at_arrival(velocity), by_stop, atol=1e-10)
+    def arrive(self, start: np.ndarray) -> np.ndarray:
+        return straight(start, self.stop)[1]
 
 
-def test_bounds_hold_and_are_close(rng: np.random.Generator) -> None:
-    place, times = rng.uniform(5.0, 40.0, 3), np.linspace(0.4, 0.6, 201)
-    delay = solve_delay(AIR, FLYING, np.broadcast_to(place, (1, 201, 3)), times)[0]
+def brought(air: UniformAir, receiver: clsim.Trajectory, times: np.ndarray) -> Arrivals:
+    ways = To(receiver.position(times)[None])
+    return arrivals_by(ways, air, (FLYING, receiver), times, "retarded", "wave-equation")
+
+
+def test_both_solvers_meet_where_the_equation_holds(air: UniformAir) -> None:
+    """In the air's own frame sound goes at c from where it was emitted, whatever the wind."""
+    times = np.linspace(0.3, 0.9, 9)
+    delay = brought(air, FALLING, times).delay[0]
+    heard_at = FALLING.position(times)
+    flown = heard_at - FLYING.position(times - delay) - delay[:, None] * np.array(air.wind or (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(np.linalg.norm(flown, axis=1), C * delay, rtol=1e-14)
+    np.testing.assert_allclose(contract_delay(air, FLYING.position, heard_at, heard_at, times), delay, atol=1e-12)
+
+
+def test_what_is_brought_is_that_of_still_air_in_which_all_moves() -> None:
+    """Delay, Doppler factor, directions and gain of the direct sound, to rounding; ends seen from the wind."""
+    times, wind = np.linspace(0.3, 0.9, 9), np.array(WIND)
+
+    class Seen:
+        def __init__(self, motion: clsim.Trajectory) -> None:
+            self.motion, self.end = motion, 1.0
+
+        def position(self, time: np.ndarray) -> np.ndarray:
+            return self.motion.position(time) - time[:, None] * wind
+
+        def velocity(self, time: np.ndarray) -> np.ndarray:
+            return self.motion.velocity(time) - wind
+
+    source, receiver = Seen(FLYING), Seen(FALLING)
+    ways = To(receiver.position(times)[None])
+    still = arrivals_by(ways, UniformAir(C), (source, receiver), times, "retarded", "wave-equation")
+    windy = brought(UniformAir(C, WIND), FALLING, times)
+    for name in ("delay", "departure", "arrival", "through"):
+        np.testing.assert_allclose(getattr(windy, name), getattr(still, name), rtol=1e-12, err_msg=name)
+    np.testing.assert_allclose(1.0 - windy.delay_rate, 1.0 - still.delay_rate, rtol=1e-12)
+    np.testing.assert_allclose(windy.mach_factor / windy.length, still.mach_factor / still.length, rtol=1e-12)
+
+
+def test_rates_are_the_derivatives_of_delays(air: UniformAir) -> None:
+    times, step = np.linspace(0.3, 0.9, 9), 1e-5
+    before, now, after = (brought(air, FALLING, times + h) for h in (-step, 0.0, step))
+    np.testing.assert_allclose(now.delay_rate, (after.delay - before.delay) / (2.0 * step), atol=3e-9)
+
+
+def test_bounds_hold_and_are_close(air: UniformAir) -> None:
+    times = np.linspace(0.4, 0.6, 201)
+    place = clsim.Trajectory.fixed((12.0, 30.0, 5.0))
+    delay = brought(air, place, times).delay[0]
     speed = 16.0 * np.pi
     assert np.linalg.norm(FLYING.velocity(times), axis=1).max() == pytest.approx(speed)
-    length = np.linalg.norm(FLYING.position(np.array([0.5])) - place, axis=1)
-    low, high = delay_bounds(AIR, length, 0.1 * speed, speed)
+    length = np.linalg.norm(FLYING.position(np.array([0.5])) - place.position(np.zeros(1)), axis=1)
+    low, high = delay_bounds(air, length, 0.1 * speed, speed)
     assert low[0] <= delay.min()
     assert delay.max() <= high[0]
-    assert high[0] - low[0] < 0.2 * speed / C + 0.4 * length[0] / C
-    assert np.abs(np.diff(delay)).max() / 1e-3 <= max_delay_rate(AIR, speed, 0.0)
+    wind = 0.0 if air.wind is None else np.linalg.norm(WIND)
+    assert high[0] - low[0] < 0.2 * speed / (C - wind) + 2.5 * length[0] * (speed + wind) / (C - wind - speed) ** 2 * 2
+    assert np.abs(np.diff(delay)).max() / 1e-3 <= max_delay_rate(air, speed, 0.0)
+
+
+def test_two_ways_cancel_a_wind_to_first_order() -> None:
+    """There and back is late by d w² / c³ along the wind, of what one way is by d w / c²."""
+    a, b, air = np.zeros((1, 3)), np.array([[5.0, 0.0, 0.0]]), UniformAir(343.0, (0.3, 0.0, 0.0))
+    there, back, still = (
+        m.passage(np.array([5.0]), apart).time[0] for m, apart in ((air, b - a), (air, a - b), (UniformAir(343.0), b))
+    )
+    assert there == pytest.approx(5.0 / 343.3, rel=1e-15)
+    assert 343.0 * (there - still) == pytest.approx(-4.37e-3, abs=5e-6)
+    assert 343.0 * (there + back - 2.0 * still) == pytest.approx(10.0 * (0.3 / 343.0) ** 2, rel=1e-5)

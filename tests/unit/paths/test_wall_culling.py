@@ -159,7 +159,7 @@ def test_sides_of_what_is_no_closed_shell_are_not_told() -> None:
 def test_the_device_looks_up_the_same_walls(make, rng) -> None:
     room = make(rng)
     walls = room.walls
-    host, device = WallLookup(walls), DeviceLookup(walls, find_device(None)[1])
+    host, device = WallLookup(walls), DeviceLookup(walls, find_device(None))
     start, stop = rng.uniform(*room.extent, (2, 400, 3))
     wanted, got = (set(zip(*(x.tolist() for x in look.crossings(start, stop)), strict=True)) for look in (host, device))
     count = np.bincount([row for row, _, _ in wanted], minlength=len(start))

@@ -1,6 +1,7 @@
 """Limits of devices, by a description that is set: each holds, or it is said what to do."""
 
 import dataclasses
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 
 import clsim
 from clsim.opencl import device as device_module
+from clsim.opencl.limits import LONGEST_LAUNCH, check_group
 from clsim.render.opencl import engine as engine_module
-from clsim.render.opencl.engine import BATCH, CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
-from clsim.render.opencl.limits import LONGEST_LAUNCH, Limits, check_group
-from clsim.render.plan import SEGMENT, Plan
+from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
+from clsim.render.opencl.limits import Limits
+from clsim.render.plan import BATCH, NODE_BUDGET, SEGMENT, Plan
 from clsim.render.planning import plan_render
 
 RATE = 192e3
@@ -79,6 +81,65 @@ def test_launches_are_short_by_estimate() -> None:
     assert operations <= LONGEST_LAUNCH * 4 * 8 * 0.5e9
     assert limits.segments_in_launch(10**7, 768) == 1
     assert Limits(made, dataclasses.replace(LAPTOP, kind="CPU"), 1).segments_in_launch(paths, 8) > 10**6
+
+
+def test_paths_are_parted_where_one_launch_of_all_is_too_long(device: None, described: Callable) -> None:
+    made = plan(duration=0.1, order=5)
+    whole = OpenclEngine(made, CPU_LAYOUT).render(0, made.samples)
+    described(kind="GPU", compute_units=1, clock_hz=1e6)
+    engine = OpenclEngine(made, CPU_LAYOUT)
+    assert engine.limits.paths_in_launch == BATCH < made.path_count // 4
+    parts = engine.render(0, made.samples)
+    assert np.linalg.norm(parts - whole) < 1e-6 * np.linalg.norm(whole)
+    few = Limits(made, LAPTOP, 1)
+    for paths in (few.paths_in_launch, few.paths_in_launch + BATCH):
+        operations = paths * SEGMENT // made.shortest_block * 32_000
+        assert (operations <= LONGEST_LAUNCH * 4 * 8 * 0.5e9) == (paths == few.paths_in_launch)
+
+
+def test_samples_of_a_chunk_are_counted_in_32_bits() -> None:
+    large = dataclasses.replace(LAPTOP, kind="CPU", memory_bytes=2**42, largest_buffer_bytes=2**42)
+    made = plan(64)
+    long = dataclasses.replace(made, chunk=2**36, builders=())
+    limits = Limits(long, large, 1)
+    span = made.tracks.longest_delay(0.0, made.duration) * RATE
+    assert 0.8 * 2**31 < 1.07 * (limits.most_samples + span) < 2**31, "width of branch signals, rounded up by 1/16"
+    # Places in rows of these pass 2^31, and are counted in 64 bits: see tests/unit/opencl/test_large_indices.py.
+    assert limits.most_samples * int(made.source_filters[0].rows[-1]) > 2**33
+    assert limits.most_samples * 64 > 2**36
+
+
+def test_memory_of_a_plan_is_what_is_taken(device: None) -> None:
+    sweep = clsim.Signal.chirp(36e3, 44e3, 0.9, RATE, window="tukey")
+    absorbing = clsim.Material.from_absorption([20e3, 40e3, 60e3], [0.1, 0.4, 0.5])
+    way = clsim.Trajectory.circle((3.0, 2.5, 1.5), 1.0, 1.047, 1.2)
+    moving = clsim.Scene(clsim.Shoebox((6, 5, 3), absorbing), clsim.Air(), [clsim.Source("s", sweep, way)],
+                         clsim.receiver_array("r", clsim.grid_positions((1.0, 5.0, 6), 3.0, 2.0)))  # fmt: skip
+    plans = {
+        "small": plan(1 + 1, 2, 0.7), "chunks": plan(4, 1, 1.2), "paths": plan(2, 9, 0.3), "many ears": plan(40, 1, 0.8),
+        "functions": plan_render(clsim.find_paths(moving, 3), RATE, duration=0.9),
+    }  # fmt: skip
+    for name, made in plans.items():
+        most = min(made.chunk, made.samples)
+        OpenclEngine(made).render(0, most)  # builds
+        engine = OpenclEngine(made)
+        tracemalloc.start()
+        for first in range(0, made.samples, most):
+            engine.render(first, min(first + most, made.samples))
+        taken = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        for scratch in (engine._scratch, *(maker._scratch for maker in engine._makers.values())):
+            taken += sum(buffer.size for buffer in scratch._kept.values())
+        # Nodes are counted in blocks of 768 and of 384 samples, three times those that this motion needs.
+        assert 0.9 * taken < made.memory_bytes < 3.1 * taken, (name, taken, made.memory_bytes, made._memory())
+    assert plans["small"].memory_bytes < NODE_BUDGET
+
+
+def test_delays_that_cannot_be_counted_say_what_to_do() -> None:
+    made = plan()
+    endless = dataclasses.replace(made, sampling_rate=1e12, builders=())
+    with pytest.raises(clsim.InputError, match=r"max_order: must leave delays that are counted in 32 bits, but the"):
+        Limits(endless, dataclasses.replace(LAPTOP, memory_bytes=2**60, largest_buffer_bytes=2**60), 1)
 
 
 def test_short_launches_change_nothing(device: None, described: Callable) -> None:

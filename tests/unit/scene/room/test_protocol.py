@@ -7,12 +7,12 @@ import pytest
 
 import clsim
 from clsim.output.response_files import _is_box
-from clsim.output.view import _walls
 from clsim.scene.flush import find_mount
 from clsim.scene.room.convex import ConvexRoom
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
 from clsim.scene.room.protocol import ROOM_MEMBERS, Room, is_room
+from clsim.scene.view import viewed_walls
 
 WALL = clsim.Material.from_reflection(0.9)
 TONE = clsim.Signal.tone(40e3, 0.01, 192e3)
@@ -112,7 +112,7 @@ def test_a_room_of_ones_own_is_a_room_of_a_scene(room: Room) -> None:
     assert is_room(room)
     held = scene(room, clsim.Trajectory.line((0, 0, 0.5), (0, 1, 0.5), 1.0))
     assert held.describe() == room.describe()
-    walls = _walls(held)
+    walls = viewed_walls(held)
     assert len(walls) == len(room.faces)
     assert sum(len(wall.triangles) for wall in walls) == len(room.as_mesh().triangles)
     assert not _is_box(room)

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from clsim.output.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+from clsim.files.atomic import atomic_path
 from clsim.paths.family import DIFFRACTION
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
 from clsim.scene.room.edges import Edges
+from clsim.scene.view import frame_times, viewed_ends, viewed_walls
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from clsim.arrays import Floats
-    from clsim.paths.path_set import PathSet
+    from clsim.paths.path_table import PathTable
     from clsim.scene.scene import Scene
 
-_TRAIL = 400  # points of a drawn trajectory
 _SEEN = 1e-4  # m, to which the page rounds
 
 
@@ -38,7 +41,29 @@ class View:
     edges: Floats
 
 
-def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: Any) -> None:
+class Viewable(Protocol):
+    """What a page asks of a `PathSet`, which shows itself by this file."""
+
+    @property
+    def scene(self) -> Scene:
+        """Where the paths are."""
+        ...
+
+    @property
+    def interactions(self) -> NDArray[np.signedinteger[Any]]:
+        """What happens on each path's way (paths, N)."""
+        ...
+
+    def table(self, times: Floats, motion: str, amplitude: str) -> PathTable:
+        """Return what every path does."""
+        ...
+
+    def vertices(self, time: float, motion: str) -> Floats:
+        """Return the corners of every path (paths, N + 2, 3), m."""
+        ...
+
+
+def view_scene(paths: Viewable, page: Path, *, title: str = "scene", **options: Any) -> None:
     """Write a page that shows the room, the trajectories and the paths over time.
 
     Parameters
@@ -52,15 +77,22 @@ def view_scene(paths: PathSet, page: Path, *, title: str = "scene", **options: A
     **options
         As in `viewed`.
     """
+    text = paths_page(paths, title=title, **options)
+    with atomic_path(page) as temporary:
+        temporary.write_text(text, "utf-8")
+
+
+def paths_page(paths: Viewable, *, title: str, **options: Any) -> str:
+    """Return the text of that page; what is given is as in `view_scene`."""
     view = viewed(paths, **options)
-    write_page(
-        page, title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes,
+    return page_text(
+        title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes,
         edges=view.edges,
     )  # fmt: skip
 
 
 def viewed(
-    paths: PathSet,
+    paths: Viewable,
     *,
     duration: float,
     frames: int = 120,
@@ -89,9 +121,8 @@ def viewed(
         Called with 1 for every frame.
     """
     scene = paths.scene
-    moves = any(np.isfinite(item.trajectory.end) for _, item in scene.named_ends())
-    times = np.linspace(0.0, duration, frames) if moves and frames > 1 else np.zeros(1)
-    ends = _ends(scene, times)
+    times = frame_times(scene.named_ends(), duration, frames)
+    ends = viewed_ends(scene.named_ends(), times)
     shown: list[ViewedPaths] = []
     kept: list[int] = []
     for i, time in enumerate(times):
@@ -107,7 +138,12 @@ def viewed(
     notes = (f"Only the {limit} strongest paths are drawn and counted.",) if most == limit else ()
     edges = scene.room.edges() if np.any(paths.interactions == DIFFRACTION) else Edges.none()
     return View(
-        tuple(_walls(scene)), still, times[kept], tuple(shown), notes, np.stack([edges.start, edges.stop], axis=1)
+        tuple(viewed_walls(scene.room)),
+        still,
+        times[kept],
+        tuple(shown),
+        notes,
+        np.stack([edges.start, edges.stop], axis=1),
     )
 
 
@@ -121,7 +157,7 @@ def _same(one: ViewedPaths, other: ViewedPaths) -> bool:
     return one.labels == other.labels and all(map(_alike, one.corners, other.corners))
 
 
-def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
+def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
     """Return the strongest paths that are heard at a time."""
     table = paths.table(np.array([time]), motion, amplitude)
     heard = np.flatnonzero(table.heard[:, 0])
@@ -138,24 +174,3 @@ def _paths_at(paths: PathSet, time: float, limit: int, motion: str, amplitude: s
     ]
     order = table.order[heard]
     return ViewedPaths(tuple(c[: n + 2] for c, n in zip(corners, order, strict=True)), order, tuple(names))
-
-
-def _walls(scene: Scene) -> list[ViewedWall]:
-    mesh = scene.room.as_mesh()
-    names = {id(m): m.name or m.describe() for m in mesh.faces.materials}
-    corners = mesh.vertices[mesh.triangles]
-    walls = []
-    for w, name in enumerate(mesh.faces.names):
-        mine = corners[mesh.walls.of_triangle == w]
-        walls.append(ViewedWall(name, names[id(mesh.faces.materials[w])], mine, mesh.walls.edges_of(w)))
-    return walls
-
-
-def _ends(scene: Scene, times: Floats) -> list[ViewedEnd]:
-    found = []
-    for field, item in scene.named_ends():
-        first, last = item.time_range
-        trail = item.trajectory.position(np.linspace(first, max(last, first), _TRAIL if last > first else 1))
-        at = item.trajectory.position(np.clip(times, first, last) if np.isfinite(item.trajectory.end) else times)
-        found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail)))
-    return found

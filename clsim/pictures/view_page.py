@@ -63,8 +63,27 @@ class ViewedPaths:
     labels: tuple[str, ...]
 
 
-def write_page(
-    path: str | os.PathLike[str],
+def write_page(path: str | os.PathLike[str], **what: Any) -> None:
+    """Write one HTML file that holds everything, the drawing library included.
+
+    Parameters
+    ----------
+    path : path-like
+        Of the page.
+    **what
+        As in `page_text`.
+
+    Raises
+    ------
+    InputError
+        As `page_text` does.
+    """
+    text = page_text(**what)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, "utf-8")
+
+
+def page_text(
     *,
     title: str,
     walls: Sequence[ViewedWall],
@@ -73,13 +92,11 @@ def write_page(
     frames: Sequence[ViewedPaths],
     notes: Sequence[str] = (),
     edges: Floats | None = None,
-) -> None:
-    """Write one HTML file that holds everything, the drawing library included.
+) -> str:
+    """Return the text of one HTML page that holds everything, the drawing library included.
 
     Parameters
     ----------
-    path : path-like
-        Of the page.
     title : str
         Above the picture.
     walls, ends : sequence
@@ -111,9 +128,7 @@ def write_page(
         "plotly": get_plotlyjs(),
     }
     # In one go: what is put in is not searched again, whatever the names in it are.
-    page = re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _PAGE)
-    with atomic_path(path) as temporary:
-        temporary.write_text(page, "utf-8")
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _PAGE)
 
 
 def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[ViewedPaths]) -> None:

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.files.atomic import atomic_path
+from clsim.pictures.plots import RANGE_DB, new_figure, save_figure
 
 if TYPE_CHECKING:
     import os
 
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-_RANGE_DB = 75.0  # shown below the loudest
 _COLUMNS = 1600  # of the picture at most
 _REFERENCE = 20e-6  # Pa, of the envelope's rms
 
@@ -46,8 +47,24 @@ def envelope_spectrogram(
     shown : float, optional
         Frequencies off the carrier that are shown, Hz; all when left out.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    figure, axes = new_figure(5.0)
+    axes.grid(visible=False)
+    draw_envelope_spectrogram(figure, axes, envelope, sampling_rate, carrier, title=title, segment=segment, shown=shown)
+    save_figure(figure, path)
+
+
+def draw_envelope_spectrogram(
+    figure: Figure,
+    axes: Axes,
+    envelope: NDArray[np.complex64],
+    sampling_rate: float,
+    carrier: float,
+    *,
+    title: str,
+    segment: int | None = None,
+    shown: float | None = None,
+) -> None:
+    """Draw the level of a complex envelope into axes; what is given is as in `envelope_spectrogram`."""
     from scipy.signal import ShortTimeFFT
     from scipy.signal.windows import hann
 
@@ -62,18 +79,13 @@ def envelope_spectrogram(
     level = 20.0 * np.log10(np.maximum(spectrum / math.sqrt(2.0), 1e-30) / _REFERENCE)
     peak = float(level.max())
     half, end = 0.5 * sampling_rate, len(envelope) / sampling_rate
-    figure = Figure(figsize=(10.0, 5.0), layout="constrained")
-    axes = figure.add_subplot()
     axes.title.set_parse_math(False)  # names may hold what looks like a formula
     image = axes.imshow(
-        level, origin="lower", aspect="auto", cmap="magma", vmin=peak - _RANGE_DB, vmax=peak,
+        level, origin="lower", aspect="auto", cmap="magma", vmin=peak - RANGE_DB, vmax=peak,
         extent=(float(transform.t(len(padded))[0]), float(transform.t(len(padded))[-1]), -half, half),
     )  # fmt: skip
     axes.set(
         xlabel="time (s)", ylabel=f"frequency - {carrier / 1e3:g} kHz (Hz)", title=title, xlim=(0.0, end),
         ylim=(-(shown or half), shown or half),
     )  # fmt: skip
-    figure.colorbar(image, pad=0.015, aspect=30).set_label("level (dB re 20 µPa)", fontsize=12)
-    FigureCanvasAgg(figure)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=130, format="png")
+    figure.colorbar(image, ax=axes, pad=0.015, aspect=30).set_label("level (dB re 20 µPa)", fontsize=12)

@@ -1,0 +1,95 @@
+from clsim import score as score
+from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.exchange.mcap_files import write_mcap
+from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.opencl.device import list_devices
+from clsim.output.open_store import open_store
+from clsim.paths.find_paths import find_paths
+from clsim.paths.ground_truth import direct_path
+from clsim.paths.path_set import PathSet
+from clsim.paths.path_table import PathTable
+from clsim.recording import Recording
+from clsim.render.baseband import Baseband
+from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
+from clsim.render.options import RenderOptions
+from clsim.render.plan import Plan
+from clsim.render.planning import plan_render
+from clsim.render.render import render, render_chunks, render_tracks
+from clsim.render.rendering import Rendering
+from clsim.room_measures import RoomMeasures, room_measures
+from clsim.scene.air import Air
+from clsim.scene.directivity.axial_table import AxialDirectivity
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
+from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
+from clsim.scene.directivity.spherical_table import SphericalDirectivity
+from clsim.scene.ends import Receiver, Source
+from clsim.scene.material.material import Material
+from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.shoebox import Shoebox
+from clsim.scene.scene import Scene
+from clsim.scene.signal.signal import Signal
+from clsim.scene.transducer.electronics import Electronics
+from clsim.scene.transducer.transducer import Transducer
+from clsim.scene_file import load_scene
+from clsim.study.run import run_study
+from clsim.tracks.tracks import Tracks, track
+from clsim.version import __version__ as __version__
+from clsim.workflow.load_recording import load_recording
+
+__all__ = [
+    "Air",
+    "AxialDirectivity",
+    "AxisymmetricDirectivity",
+    "Bandlimited",
+    "Baseband",
+    "ClsimError",
+    "ClsimWarning",
+    "DeviceError",
+    "Directivity",
+    "Electronics",
+    "FirstOrder",
+    "ImpulseResponses",
+    "InputError",
+    "Lagrange",
+    "Material",
+    "MeshRoom",
+    "Omni",
+    "PathSet",
+    "PathTable",
+    "Piston",
+    "Plan",
+    "Receiver",
+    "Recording",
+    "RenderOptions",
+    "Rendering",
+    "RoomMeasures",
+    "Scene",
+    "Shoebox",
+    "Signal",
+    "Source",
+    "SphericalDirectivity",
+    "Tracks",
+    "Trajectory",
+    "Transducer",
+    "TruncatedLagrange",
+    "direct_path",
+    "find_paths",
+    "grid_positions",
+    "impulse_responses",
+    "list_devices",
+    "load_recording",
+    "load_scene",
+    "open_store",
+    "plan_render",
+    "positions_from_file",
+    "receiver_array",
+    "render",
+    "render_chunks",
+    "render_tracks",
+    "room_measures",
+    "run_study",
+    "track",
+    "write_mcap",
+]

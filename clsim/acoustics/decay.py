@@ -1,0 +1,181 @@
+"""What impulse responses tell of rooms: decay, clarity, and reverberation by Sabine and Eyring."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+
+
+def decay_curve(samples: Floats) -> Floats:
+    """Return the level of the energy that is still to come (n,), dB re all of it.
+
+    Parameters
+    ----------
+    samples : ndarray (n,)
+        An impulse response, in any unit.
+
+    Returns
+    -------
+    ndarray (n,)
+        dB; -inf where nothing is to come.
+
+    Notes
+    -----
+    The backward integral of the squared response (ISO 3382-1:2009, section 5.3.3; M. R. Schroeder, "New method of
+    measuring reverberation time", J. Acoust. Soc. Am. 37, 1965, eq. 2).
+
+    Examples
+    --------
+    >>> decay_curve(np.array([1.0, 0.0, 1.0])).round(2).tolist()
+    [0.0, -3.01, -3.01]
+    """
+    energy = np.cumsum(np.square(samples)[::-1])[::-1]
+    with np.errstate(divide="ignore"):
+        return np.asarray(10.0 * np.log10(energy / max(float(energy[0]), np.finfo(float).tiny)))
+
+
+def reverberation_time(curve: Floats, sampling_rate: float, first_db: float, last_db: float) -> float:
+    """Return the time in which a decay falls by 60 dB, from a part of it.
+
+    Parameters
+    ----------
+    curve : ndarray (n,)
+        As `decay_curve` returns it, dB.
+    sampling_rate : float
+        Hz.
+    first_db, last_db : float
+        Where the part begins and ends, below 0: -5 and -25 dB for T20, -5 and -35 dB for T30.
+
+    Returns
+    -------
+    float
+        s; NaN where the curve does not reach so far.
+
+    Notes
+    -----
+    By a line of least squares through the part (ISO 3382-1:2009, section 5.3.3).
+
+    Examples
+    --------
+    >>> round(reverberation_time(-30.0 * np.arange(2000) / 1e3, 1e3, -5.0, -35.0), 9)
+    2.0
+    """
+    reached = np.flatnonzero(curve <= last_db)
+    if not len(reached):
+        return math.nan
+    part = np.flatnonzero((curve[: reached[0]] <= first_db) & np.isfinite(curve[: reached[0]]))
+    if len(part) < 2:
+        return math.nan
+    slope = float(np.polyfit(part / sampling_rate, curve[part], 1)[0])
+    return -60.0 / slope if slope < 0.0 else math.nan
+
+
+def clarity(samples: Floats, split: int) -> float:
+    """Return the level of early energy over late energy, dB.
+
+    Parameters
+    ----------
+    samples : ndarray (n,)
+        An impulse response from the arrival of the direct sound on, in any unit.
+    split : int
+        Sample at which late begins: after 50 ms for C50, 80 ms for C80.
+
+    Returns
+    -------
+    float
+        dB; inf without late energy.
+
+    Notes
+    -----
+    ISO 3382-1:2009, annex A.2.3.
+    """
+    early, late = float(np.sum(np.square(samples[:split]))), float(np.sum(np.square(samples[split:])))
+    if late == 0.0:
+        return math.inf
+    return 10.0 * math.log10(early / late) if early > 0.0 else -math.inf
+
+
+def definition(samples: Floats, split: int) -> float:
+    """Return the share of early energy in all energy.
+
+    Parameters
+    ----------
+    samples : ndarray (n,)
+        As in `clarity`.
+    split : int
+        Sample at which late begins: after 50 ms for D50.
+
+    Returns
+    -------
+    float
+        From 0 to 1.
+
+    Notes
+    -----
+    ISO 3382-1:2009, annex A.2.3.
+    """
+    whole = float(np.sum(np.square(samples)))
+    return float(np.sum(np.square(samples[:split]))) / whole if whole > 0.0 else math.nan
+
+
+def sabine_time(volume: float, absorption_area: Floats, air: Floats, speed_of_sound: float) -> Floats:
+    """Return the reverberation time of a diffuse field by Sabine, s.
+
+    Parameters
+    ----------
+    volume : float
+        m³.
+    absorption_area : ndarray (F,)
+        Sum over the walls of area times absorption coefficient, m².
+    air : ndarray (F,)
+        Absorption of energy by the air, ratio per m.
+    speed_of_sound : float
+        m/s.
+
+    Returns
+    -------
+    ndarray (F,)
+        s.
+
+    Notes
+    -----
+    ``24 ln(10) V / (c (A + 4 m V))`` (H. Kuttruff, "Room Acoustics", 6th edition, 2016, eq. 5.25).
+    """
+    loss = speed_of_sound * (absorption_area + 4.0 * air * volume)
+    with np.errstate(divide="ignore"):
+        return np.asarray(24.0 * math.log(10.0) * volume / loss)
+
+
+def eyring_time(volume: float, surface: float, absorption_area: Floats, air: Floats, speed_of_sound: float) -> Floats:
+    """Return the reverberation time of a diffuse field by Eyring, s.
+
+    Parameters
+    ----------
+    volume : float
+        m³.
+    surface : float
+        Of all walls, m².
+    absorption_area : ndarray (F,)
+        As in `sabine_time`, m².
+    air : ndarray (F,)
+        As in `sabine_time`, ratio per m.
+    speed_of_sound : float
+        m/s.
+
+    Returns
+    -------
+    ndarray (F,)
+        s.
+
+    Notes
+    -----
+    Sabine's with ``-S ln(1 - A / S)`` in place of A (H. Kuttruff, "Room Acoustics", 6th edition, 2016, eq. 5.24).
+    """
+    with np.errstate(divide="ignore"):
+        area = -surface * np.log1p(-np.minimum(absorption_area / surface, 1.0))
+    return sabine_time(volume, area, air, speed_of_sound)

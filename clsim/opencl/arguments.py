@@ -1,0 +1,143 @@
+"""The arguments of kernels, and those that programs have in common: the first half of the manifest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """An argument of a kernel.
+
+    Attributes
+    ----------
+    type : str
+        In OpenCL C: of the number, or of the elements of the buffer.
+    shape : str
+        Of a buffer, outermost first, in constants and in the names of other arguments or of words; empty for a number.
+    access : {"", "in", "out", "in out"}
+        How a buffer is used; empty for a number.
+    """
+
+    type: str
+    shape: str = ""
+    access: str = ""
+
+
+def taken(kind: str, shape: str) -> Argument:
+    """Return the argument of a buffer that is read."""
+    return Argument(kind, shape, "in")
+
+
+def made(kind: str, shape: str) -> Argument:
+    """Return the argument of a buffer that is written."""
+    return Argument(kind, shape, "out")
+
+
+def changed(kind: str, shape: str) -> Argument:
+    """Return the argument of a buffer that is read and written."""
+    return Argument(kind, shape, "in out")
+
+
+INT, FLOAT, DOUBLE = Argument("int"), Argument("float"), Argument("double")
+
+IMAGES = {
+    "image_matrix": taken("double", "9, slots"),
+    "image_offset": taken("double", "3, slots"),
+    "receiver_of": taken("int", "slots"),
+}
+TRAJECTORY = {
+    "knots": taken("double", "knot_count, KNOT_COLUMNS"),
+    "knot_count": INT, "first_knot": DOUBLE, "knot_rate": DOUBLE,
+}  # fmt: skip
+MEDIUM = {"speed_of_sound": DOUBLE, "wind": taken("double", "3")}
+PATHS_HEARD = {
+    "reflection": taken("bins", "slots, PARTS, BIN_VECTORS"),
+    "wall_of": taken("int", "angular, slots"),
+    "normal": taken("float", "angular, 3, slots"),
+    "heard_from": taken("int", "slots"),
+    "heard_until": taken("int", "slots"),
+}  # fmt: skip
+BASIS = {
+    "nepers": taken("bins", "BIN_VECTORS"),
+    "projection": taken("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
+    "functions": taken("bins", "function_count, PARTS, BIN_VECTORS"),
+    "weight": taken("bins", "BIN_VECTORS"),
+    "strengths": taken("gains", "GAIN_VECTORS"),
+    "function_count": INT, "angular": INT,
+}  # fmt: skip
+TABLES = {
+    "wall_tables": taken("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
+    "source_directivity": taken("bins", "a table"),
+    "receiver_directivities": taken("bins", "tables"),
+    "directivity_of": taken("int", "receivers"),
+    "blocks": INT, "block_samples": INT, "walk_blocks": INT,
+    "subblock_samples": INT, "subblock_share": FLOAT,
+}  # fmt: skip
+NODES_MADE = {
+    "delay": made("int", "blocks, slots"),
+    "polynomials": made("float", "blocks, slots, terms"),
+    "found": made("float4", "walks, slots"),
+    "unheld": made("float", "walks, slots"),
+    "following": taken("int", "cells"),
+    "preceding": taken("int", "cells"),
+    "cells": INT,
+}  # fmt: skip
+BRANCHES = {"branches": taken("float", "rows, stride"), "stride": INT, "lead": INT}
+BLOCKS = {
+    "delay": taken("int", "blocks, slots"),
+    "polynomials": taken("float", "blocks, slots, terms"),
+    "activity": taken("int", "blocks, slots"),
+    "slots": INT,
+    "first_block": INT,
+}
+PRESSURE = {
+    "pressure": changed("float", "receivers, pressure_stride"), "pressure_stride": INT, "first_sample": INT,
+}  # fmt: skip
+ENVELOPE = {
+    "envelope": changed("float", "receivers, 2, envelope_stride"),
+    "envelope_stride": INT,
+    "first_sample": INT,
+    "turn_per_sample": Argument("ulong"),
+    "half_turns_per_sample": FLOAT,
+}
+FADES = {
+    "slot_of": taken("int", "fades"),
+    "start": taken("float", "fades"),
+    "end": taken("float", "fades"),
+    "first": taken("int", "places + 1"),
+    "row": taken("int", "places"),
+    "block": taken("int", "places"),
+    "per_ramp": FLOAT,
+    "block_samples": INT,
+    "samples": INT,
+}
+ROOM = {
+    "tolerance": DOUBLE, "thickness": DOUBLE, "plane": taken("double4", "walls"), "sphere": taken("double4", "walls"),
+    "same": taken("int", "walls"), "first_edge": taken("int", "walls + 1"), "first_piece": taken("int", "walls + 1"),
+    "first_line": taken("int", "pieces + 1"), "first_twin": taken("int", "walls + 1"),
+    "edge": taken("edge_ends", "edges"),
+    "line": taken("double4", "lines"), "twin": taken("int", "twins"), "box_count": INT,
+    "box_middle": taken("double4", "box_count"), "box_extent": taken("double4", "box_count"),
+    "box_wall": taken("int", "box_count"), "box_skip": taken("int", "box_count"),
+}  # fmt: skip
+MEETINGS = {
+    **ROOM, "half_spaces": taken("double4", "beams, half_space_count"), "half_space_count": INT, "beams": INT,
+    "centre": taken("double", "beams, 3"), "radius": DOUBLE, "slack": DOUBLE, "last_wall": taken("int", "beams"),
+    "side": taken("int", "wall_count"), "receivers": taken("double4", "receiver_count"),
+    "seen": taken("double4", "sides"),
+    "first_seen": taken("int", "receiver_count * wall_count + 1"), "receiver_count": INT, "wall_count": INT,
+    "capacity": INT, "found": made("int2", "capacity"), "found_count": changed("int", "1"),
+}  # fmt: skip
+CROSSINGS = {
+    **ROOM, "start": taken("double", "segments, 3"), "stop": taken("double", "segments, 3"), "segments": INT,
+    "found": made("int", "segments, MOST"),
+}  # fmt: skip
+INTERVALS = {
+    **ROOM, "places": taken("table_place", "1 + receivers"), "scales": taken("table_scale", "1 + receivers"),
+    "knots": taken("double", "knots, KNOT_COLUMNS"), "speeds": taken("double", "speeds"),
+    "mounts": taken("double4", "1 + receivers"), **MEDIUM, "slowest": DOUBLE, "sequences": taken("int", "paths, ORDER"),
+    "receiver_of": taken("int", "paths"), "active": taken("int", "active_count"), "active_count": INT,
+    "resolution": DOUBLE, "smallest_move": DOUBLE, "graze": DOUBLE, "budget": INT,
+    "states": changed("progress", "paths"), "found": made("interval", "found"), "found_count": changed("int", "1"),
+}  # fmt: skip

@@ -1,0 +1,114 @@
+"""Pictures of paths: echogram, and their history."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
+
+from clsim.pictures.plots import DIRECT, RANGE_DB, new_figure, save_figure
+
+if TYPE_CHECKING:
+    import os
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.path_table import PathTable
+
+# Of many paths the first orders matter most: dark, and the last light but still seen on white.
+_ORDERS = LinearSegmentedColormap.from_list("orders", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 64)))
+
+
+def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os.PathLike[str]) -> None:
+    """Draw the gain of every path to a receiver over its delay, at one of the table's times.
+
+    Parameters
+    ----------
+    table : PathTable
+        The paths.
+    receiver, index : int
+        Which receiver, and which of the table's times.
+    path : path-like
+        Of the PNG.
+    """
+    heard = np.flatnonzero((table.receiver == receiver) & table.heard[:, index])
+    level = 20.0 * np.log10(np.abs(table.gain[heard, index]))
+    top = float(level.max(initial=-300.0))
+    shown = level > top - RANGE_DB
+    rows, level = heard[shown], level[shown]
+    figure, axes = new_figure(4.5)
+    if len(rows):
+        floor = float(level.min()) - 4.0
+        _stems(figure, axes, table.delay[rows, index] * 1e3, level, table.order[rows], floor)
+        direct = table.direct[rows]
+        axes.plot(
+            table.delay[rows[direct], index] * 1e3, level[direct], "D", color=DIRECT, markersize=7, zorder=5,
+            label="direct path",
+        )  # fmt: skip
+        axes.set(xlim=(0.0, None), ylim=(floor, top + 4.0))
+        if direct.any():
+            axes.legend(loc="upper right")
+    left_out = len(heard) - len(rows)
+    note = f" ({left_out} more than {RANGE_DB:.0f} dB below the loudest not shown)" if left_out else ""
+    axes.set(
+        xlabel="delay (ms)", ylabel="gain (dB re 1 m from the source)",
+        title=f"{table.receiver_names[receiver]}: {len(heard)} paths at {table.times[index]:.4g} s{note}",
+    )  # fmt: skip
+    save_figure(figure, path)
+
+
+def history_picture(table: PathTable, receiver: int, path: str | os.PathLike[str], *, title: str | None = None) -> None:
+    """Draw the delay of every path to a receiver over time: lines begin and end where paths do.
+
+    Parameters
+    ----------
+    table : PathTable
+        The ground truth.
+    receiver : int
+        Whose paths.
+    path : path-like
+        Of the PNG.
+    title : str, optional
+        Above the picture; the receiver's name and its number of paths when left out.
+    """
+    rows = np.flatnonzero((table.receiver == receiver) & np.isfinite(table.delay).any(axis=1))
+    level = 20.0 * np.log10(np.maximum(np.abs(np.nan_to_num(table.gain[rows])), 1e-15))
+    top = float(level.max(initial=-300.0))
+    rows = rows[(level > top - RANGE_DB).any(axis=1)]
+    figure, axes = new_figure(5.5)
+    last = int(table.order[rows].max(initial=0))
+    norm = BoundaryNorm(np.arange(last + 2) - 0.5, _ORDERS.N)
+    for p in rows[np.argsort(-table.order[rows], kind="stable")]:
+        direct = bool(table.direct[p])
+        axes.plot(
+            table.times, table.delay[p] * 1e3, color=DIRECT if direct else _ORDERS(norm(table.order[p])),
+            linewidth=2.4 if direct else 1.2 if table.order[p] < 2 else 0.6, zorder=3 if direct else 2,
+        )  # fmt: skip
+    if last > 0:
+        figure.colorbar(
+            ScalarMappable(norm, _ORDERS), ax=axes, ticks=np.arange(0, last + 1), pad=0.015, aspect=30
+        ).set_label("order (reflections); the direct path is red", fontsize=12)
+    axes.set(
+        xlabel="time (s)", ylabel="delay (ms)", xlim=(table.times[0], table.times[-1]),
+        title=title or f"{table.receiver_names[receiver]}: {len(rows)} intervals in which a path is heard",
+    )  # fmt: skip
+    save_figure(figure, path)
+
+
+def _stems(figure: Figure, axes: Axes, delay: Floats, level: Floats, order: NDArray[np.int32], floor: float) -> None:
+    """Draw a stem per path, low orders in front, with a key of the orders."""
+    draw = np.argsort(-order, kind="stable")
+    last = int(order.max())
+    norm = BoundaryNorm(np.arange(last + 2) - 0.5, _ORDERS.N)
+    delay, level, order = delay[draw], level[draw], order[draw]
+    axes.vlines(delay, floor, level, colors=_ORDERS(norm(order)), linewidth=0.7, alpha=0.6)
+    dots = axes.scatter(delay, level, c=order, cmap=_ORDERS, norm=norm, s=16, zorder=3)
+    if last > 0:
+        ticks = np.arange(0, last + 1, max(1, -(-last // 12)))
+        figure.colorbar(dots, ticks=ticks, pad=0.015, aspect=30).set_label("order (reflections)", fontsize=12)

@@ -1,0 +1,38 @@
+"""Packages that only some uses need: how one that is missing is told."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from clsim.errors import InputError
+
+
+def check_packages(field: str, what: str, extra: str, *packages: str) -> None:
+    """See that packages are installed that a use needs.
+
+    Parameters
+    ----------
+    field : str
+        What asks for it.
+    what : str
+        What needs them: stands at the beginning of the message.
+    extra : str
+        Under which they are installed: ``clsim[extra]``.
+    *packages : str
+        Their names as they are imported.
+
+    Raises
+    ------
+    InputError
+        If one is missing; the message ends with the line that installs it.
+
+    Examples
+    --------
+    >>> check_packages("path", "a table", "tables", "pandas_of_nobody")
+    Traceback (most recent call last):
+        ...
+    clsim.errors.InputError: path: a table needs pandas_of_nobody: pip install 'clsim[tables]'
+    """
+    missing = [name for name in packages if find_spec(name) is None]
+    if missing:
+        raise InputError(field, f"{what} needs {' and '.join(missing)}: pip install 'clsim[{extra}]'")

@@ -1,0 +1,1 @@
+"""Pictures and pages of plain values: what they show comes from above."""

@@ -1,0 +1,42 @@
+"""What notebooks show: tables as HTML, pages inline, sound."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING, Any
+
+from clsim.packages import check_packages
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+
+def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]], notes: Sequence[str] = ()) -> str:
+    """Return a table as HTML, with a title above it and lines below."""
+
+    def row(cells: Sequence[object], kind: str) -> str:
+        return "<tr>" + "".join(f"<{kind}>{html.escape(str(cell))}</{kind}>" for cell in cells) + "</tr>"
+
+    body = row(head, "th") + "".join(row(cells, "td") for cells in rows)
+    below = "".join(f"<div>{html.escape(note)}</div>" for note in notes)
+    return f"<div><b>{html.escape(title)}</b><table>{body}</table>{below}</div>"
+
+
+def inline_page(field: str, page: str, height: int) -> Any:
+    """Return what shows a whole HTML page in a notebook, so many pixels high; `field` asks for it."""
+    check_packages(field, "a notebook", "notebook", "IPython")
+    from IPython.display import HTML
+
+    return HTML(
+        f'<div><iframe srcdoc="{html.escape(page)}" width="100%" height="{height}" style="border: 0"></iframe></div>'
+    )
+
+
+def inline_sound(field: str, samples: NDArray[Any], rate: int) -> Any:
+    """Return what plays samples (n,) in a notebook at a rate, Hz; `field` asks for it."""
+    check_packages(field, "a notebook", "notebook", "IPython")
+    from IPython.display import Audio
+
+    return Audio(data=samples, rate=rate)

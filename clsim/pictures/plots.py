@@ -1,0 +1,201 @@
+"""Pictures of sound: waveform, spectrogram, envelope."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+
+from clsim.files.atomic import atomic_path
+from clsim.pictures.spectrogram import spectrogram
+
+if TYPE_CHECKING:
+    import os
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.pictures.spectrogram import Readable
+
+RANGE_DB = 75.0  # shown below the loudest
+_DPI = 130
+_PIECES = 4000  # of a waveform that are drawn
+_REFERENCES = {"Pa": ("20 µPa", 0.0), "V": ("1 V", -93.9794)}  # levels come re 20e-6
+DIRECT = "#c1272d"
+_REFLECTED = "#1f77b4"
+_OVERLAYS = ("#ffffff", "#4dd0e1", "#a5e887", "#8ab4ff", "#ffe680")  # seen on magma, black below them
+
+
+def spectrogram_picture(
+    pressure: Readable,
+    sampling_rate: float,
+    path: str | os.PathLike[str],
+    *,
+    title: str,
+    band: tuple[float, float] | None = None,
+    overlay: list[tuple[Floats, Floats, str]] | None = None,
+    segment: int | None = None,
+    unit: str = "Pa",
+) -> None:
+    """Draw level over time and frequency.
+
+    Parameters
+    ----------
+    pressure : array (n,)
+        Anything that can be cut, Pa; it is read piece by piece.
+    sampling_rate : float
+        Hz.
+    path : path-like
+        Of the PNG.
+    title : str
+        Above the picture.
+    band : (low, high), optional
+        Frequencies shown, Hz; all when left out.
+    overlay : list of (times, frequencies, label), optional
+        Curves drawn over it, s and Hz.
+    segment : int, optional
+        Samples of a window; chosen from the band when left out.
+    unit : {"Pa", "V"}
+        Of the samples; levels are re 20 µPa or 1 V.
+    """
+    figure, axes = new_figure(5.0)
+    draw_spectrogram(
+        figure, axes, pressure, sampling_rate, title=title, band=band, overlay=overlay, segment=segment, unit=unit
+    )
+    save_figure(figure, path)
+
+
+def draw_spectrogram(
+    figure: Figure,
+    axes: Axes,
+    pressure: Readable,
+    sampling_rate: float,
+    *,
+    title: str,
+    band: tuple[float, float] | None = None,
+    overlay: list[tuple[Floats, Floats, str]] | None = None,
+    segment: int | None = None,
+    unit: str = "Pa",
+) -> None:
+    """Draw level over time and frequency into axes; what is given is as in `spectrogram_picture`."""
+    low, high = band or (0.0, 0.5 * sampling_rate)
+    raster = spectrogram(pressure, sampling_rate, (low, high), segment)
+    against, offset = _REFERENCES[unit]
+    level = raster.level + np.float32(offset)
+    peak = float(level.max())
+    axes.grid(visible=False)
+    kilo = 1e3 if high >= 2e3 else 1.0
+    milli = 1e3 if raster.duration < 0.5 else 1.0
+    shown = axes.imshow(
+        level, origin="lower", aspect="auto", cmap="magma", vmin=peak - RANGE_DB, vmax=peak,
+        extent=(0.0, raster.duration * milli, raster.low / kilo, raster.high / kilo),
+    )  # fmt: skip
+    for k, (times, frequencies, label) in enumerate(overlay or []):
+        axes.plot(
+            np.asarray(times) * milli, np.asarray(frequencies) / kilo, "--", linewidth=1.4, label=label,
+            color=_OVERLAYS[k % len(_OVERLAYS)], path_effects=[withStroke(linewidth=3.0, foreground="black")],
+        )  # fmt: skip
+    if overlay:
+        figure.legend(loc="outside lower center", ncols=8, framealpha=1.0, facecolor="#222222", labelcolor="white")
+    axes.set(
+        xlabel="time (ms)" if milli > 1.0 else "time (s)", ylabel="frequency (kHz)" if kilo > 1.0 else "frequency (Hz)",
+        title=title, xlim=(0.0, raster.duration * milli), ylim=(low / kilo, high / kilo),
+    )  # fmt: skip
+    figure.colorbar(shown, ax=axes, pad=0.015, aspect=30).set_label(f"level (dB re {against})", fontsize=12)
+
+
+def draw_waveform(axes: Axes, samples: Readable, sampling_rate: float, *, title: str, unit: str) -> None:
+    """Draw samples (n,) over time into axes: of many, least and largest of each of some thousand pieces."""
+    count = len(samples)
+    step = max(1, -(-count // _PIECES))
+    if step == 1:
+        times, ends = np.arange(count) / sampling_rate, np.asarray(samples[0:count])
+    else:
+        parts = [samples[i : min(i + step, count)] for i in range(0, count, step)]
+        times = np.repeat(np.arange(len(parts)) * step / sampling_rate, 2)
+        ends = np.array([end for part in parts for end in (part.min(), part.max())])
+    milli = count / sampling_rate < 0.5
+    axes.plot(times * (1e3 if milli else 1.0), ends, linewidth=0.6, color=_REFLECTED)
+    axes.set(xlabel="time (ms)" if milli else "time (s)", ylabel=unit, title=title)
+    axes.title.set_parse_math(False)
+    axes.margins(x=0.0)
+
+
+def envelope_picture(
+    pressure: NDArray[Any],
+    sampling_rate: float,
+    path: str | os.PathLike[str],
+    *,
+    title: str,
+    arrivals: list[tuple[float, str, bool]],
+    unit: str = "Pa",
+    beside: tuple[str, NDArray[Any]] | None = None,
+) -> None:
+    """Draw the Hilbert envelope over time, with the predicted arrivals.
+
+    Parameters
+    ----------
+    pressure : ndarray (n,)
+        Pa.
+    sampling_rate : float
+        Hz.
+    path : path-like
+        Of the PNG.
+    title : str
+        Above the picture.
+    arrivals : list of (time, label, direct)
+        Predicted times, s.
+    unit : str
+        Of the samples.
+    beside : (label, ndarray (n,)), optional
+        Another signal, whose envelope is filled behind.
+    """
+    figure, axes = new_figure(4.5)
+    times = np.arange(len(pressure)) / sampling_rate * 1e3
+    axes.plot(times, _magnitude(pressure), color="black", linewidth=1.0, zorder=3)
+    if beside is not None:
+        axes.fill_between(times, _magnitude(beside[1]), color="#c6c6c6", linewidth=0.0, zorder=1, label=beside[0])
+    seen = set()
+    for time, label, direct in arrivals:
+        axes.axvline(
+            time * 1e3, color=DIRECT if direct else _REFLECTED, linewidth=1.3, zorder=2,
+            linestyle="-" if direct else "--", label=label if label not in seen else None,
+        )  # fmt: skip
+        seen.add(label)
+    axes.set(xlabel="time (ms)", ylabel=f"envelope ({unit})", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
+    if arrivals or beside:
+        axes.legend(loc="upper right", framealpha=0.9)
+    save_figure(figure, path)
+
+
+def _magnitude(samples: NDArray[Any]) -> Floats:
+    """Return the Hilbert envelope of samples (n,)."""
+    from scipy.fft import next_fast_len
+    from scipy.signal import hilbert
+
+    analytic: Any = hilbert(np.asarray(samples, dtype=np.float64), next_fast_len(2 * len(samples)))  # far from its end
+    return np.asarray(np.abs(analytic[: len(samples)]))
+
+
+def new_figure(height: float) -> tuple[Figure, Axes]:
+    """Return a figure of its own, 10 inches wide, and its axes."""
+    figure = Figure(figsize=(10.0, height), layout="constrained")
+    axes = figure.add_subplot()
+    axes.title.set_fontsize(13)
+    axes.title.set_parse_math(False)  # names may hold what looks like a formula
+    axes.xaxis.label.set_fontsize(12)
+    axes.yaxis.label.set_fontsize(12)
+    axes.grid(alpha=0.25, linewidth=0.6)
+    axes.set_axisbelow(True)
+    return figure, axes
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure as PNG, whole or not at all."""
+    FigureCanvasAgg(figure)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=_DPI, format="png")

@@ -1,0 +1,62 @@
+"""From a scene to what a page shows of it: walls, and the ways of sources and receivers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+    from clsim.scene.ends import End
+    from clsim.scene.room.protocol import Room
+
+    Ends = list[tuple[str, End]]  # as `Scene.named_ends` gives them
+
+_TRAIL = 400  # points of a drawn trajectory
+
+
+def scene_page(room: Room, ends: Ends, frames: int, title: str) -> str:
+    """Return the page of a room and of what moves in it: frames from 0 s until the first trajectory ends."""
+    times = frame_times(ends, known_until(ends), frames)
+    nothing = ViewedPaths((), np.zeros(0, dtype=np.int32), ())
+    return page_text(
+        title=title, walls=viewed_walls(room), ends=viewed_ends(ends, times), times=times, frames=[nothing] * len(times)
+    )
+
+
+def known_until(ends: Ends) -> float:
+    """Return until when all trajectories are known, s; 0 where nothing moves."""
+    finite = [item.trajectory.end for _, item in ends if np.isfinite(item.trajectory.end)]
+    return float(min(finite, default=0.0))
+
+
+def frame_times(ends: Ends, duration: float, frames: int) -> Floats:
+    """Return the instants (F,) of a page, s: one where nothing moves."""
+    moves = any(np.isfinite(item.trajectory.end) for _, item in ends)
+    return np.linspace(0.0, duration, frames) if moves and frames > 1 else np.zeros(1)
+
+
+def viewed_walls(room: Room) -> list[ViewedWall]:
+    """Return the walls of a room as they are drawn."""
+    mesh = room.as_mesh()
+    names = {id(m): m.name or m.describe() for m in mesh.faces.materials}
+    corners = mesh.vertices[mesh.triangles]
+    walls = []
+    for w, name in enumerate(mesh.faces.names):
+        mine = corners[mesh.walls.of_triangle == w]
+        walls.append(ViewedWall(name, names[id(mesh.faces.materials[w])], mine, mesh.walls.edges_of(w)))
+    return walls
+
+
+def viewed_ends(ends: Ends, times: Floats) -> list[ViewedEnd]:
+    """Return sources and receivers with their positions at times (F,), s, as they are drawn."""
+    found = []
+    for field, item in ends:
+        first, last = item.time_range
+        trail = item.trajectory.position(np.linspace(first, max(last, first), _TRAIL if last > first else 1))
+        at = item.trajectory.position(np.clip(times, first, last) if np.isfinite(item.trajectory.end) else times)
+        found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail)))
+    return found

@@ -1,0 +1,16 @@
+"""How well ranges and positions are found in a recording, against what is true."""
+
+from clsim.score.position import PositionScore, gdop, gdop_map, position
+from clsim.score.range_doppler import RangeDopplerMap, range_doppler
+from clsim.score.ranging import RangingScore, ranging
+
+__all__ = [
+    "PositionScore",
+    "RangeDopplerMap",
+    "RangingScore",
+    "gdop",
+    "gdop_map",
+    "position",
+    "range_doppler",
+    "ranging",
+]

@@ -1,0 +1,331 @@
+"""Positions by ranges to several anchors, against the truth; and what the anchors' geometry makes of errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
+from clsim.errors import InputError
+from clsim.packages import check_packages
+from clsim.pictures.notebook import html_table
+from clsim.score.ranging import RangingScore
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+
+    from clsim.scene.room.protocol import Room
+
+Multilateration = Literal["toa", "tdoa"]
+METHODS: tuple[str, ...] = get_args(Multilateration)
+_FLATTEST = 1e-9  # least singular value of a geometry that says something
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionScore:
+    """Positions that were found, and what is true of them.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of who was located, along the first axis.
+    times : ndarray (positions,)
+        Of the emissions, s; of a round of several sources that of the first.
+    estimated : ndarray (located, positions, 3)
+        m; NaN where too few ranges were found.
+    exact : ndarray (located, positions, 3)
+        m.
+    anchors : ndarray (anchors, 3)
+        At 0 s, m.
+    gdop : ndarray (located, positions)
+        Dilution of precision at the true position by the anchors whose ranges were found, a ratio: standard deviation
+        of the position over that of a range.
+    """
+
+    names: tuple[str, ...]
+    times: Floats
+    estimated: Floats
+    exact: Floats
+    anchors: Floats
+    gdop: Floats
+
+    @property
+    def error(self) -> Floats:
+        """Distance of estimated from true positions (located, positions), m; NaN where there is none."""
+        return np.asarray(np.linalg.norm(self.estimated - self.exact, axis=-1))
+
+    @property
+    def bias(self) -> Floats:
+        """Mean of estimated less true positions (3,), m."""
+        found = (self.estimated - self.exact)[np.isfinite(self.error)]
+        return np.asarray(found.mean(axis=0) if len(found) else np.full(3, math.nan))
+
+    @property
+    def deviation(self) -> Floats:
+        """Standard deviation of estimated less true positions (3,), m."""
+        found = (self.estimated - self.exact)[np.isfinite(self.error)]
+        return np.asarray(found.std(axis=0) if len(found) else np.full(3, math.nan))
+
+    @property
+    def availability(self) -> float:
+        """Share of positions for which there were ranges enough."""
+        return float(np.mean(np.isfinite(self.error)))
+
+    def percentile(self, percent: float) -> float:
+        """Return the error that so many per cent of the positions found do not exceed.
+
+        Parameters
+        ----------
+        percent : float
+            From 0 to 100, %.
+
+        Returns
+        -------
+        float
+            m; NaN if none was found.
+
+        Raises
+        ------
+        InputError
+            If the share is out of bounds.
+        """
+        percent = as_number("percent", percent, at_least=0.0, at_most=100.0, unit="%")
+        found = self.error[np.isfinite(self.error)]
+        return float(np.percentile(found, percent)) if len(found) else math.nan
+
+    def to_dataframe(self) -> Any:
+        """Return a row for each position as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns ``name``, ``time``, ``x``, ``y``, ``z``, ``x_exact``, ``y_exact``, ``z_exact``, ``error`` and
+            ``gdop``, in s and m.
+
+        Raises
+        ------
+        InputError
+            If pandas is missing.
+        """
+        check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
+        import pandas
+
+        count = len(self.times)
+        columns: dict[str, Any] = {
+            "name": np.repeat(np.array(self.names, dtype=object), count),
+            "time": np.tile(self.times, len(self.names)),
+        }
+        for suffix, places in (("", self.estimated), ("_exact", self.exact)):
+            columns |= {f"{axis}{suffix}": places[..., i].ravel() for i, axis in enumerate("xyz")}
+        return pandas.DataFrame(columns | {"error": self.error.ravel(), "gdop": self.gdop.ravel()})
+
+    def plot(self) -> list[Axes]:
+        """Draw estimated and true positions seen from above, and how errors are distributed.
+
+        Returns
+        -------
+        list of matplotlib.axes.Axes
+            Two, of a new figure of pyplot.
+        """
+        from matplotlib import pyplot
+
+        figure, (plan, spread) = pyplot.subplots(1, 2, figsize=(11.0, 4.6), layout="constrained")
+        plan.plot(*self.anchors[:, :2].T, "k^", label="anchors")
+        for name, true, found in zip(self.names, self.exact, self.estimated, strict=True):
+            plan.plot(*true[:, :2].T, "-", linewidth=1.0, label=name)
+            plan.plot(*found[:, :2].T, ".", markersize=3.0, color=plan.lines[-1].get_color())
+        plan.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+        plan.legend()
+        size = np.sort(1e3 * self.error[np.isfinite(self.error)])
+        spread.plot(size, 100.0 * (np.arange(len(size)) + 1.0) / max(len(size), 1), color="#1f77b4")
+        spread.set(xlabel="error of the position (mm)", ylabel="share of the positions (%)", ylim=(0.0, 100.0))
+        for axes in (plan, spread):
+            axes.grid(alpha=0.25, linewidth=0.6)
+        return list(figure.axes)
+
+    def _repr_html_(self) -> str:
+        rows = [(f"{p} % within", f"{1e3 * self.percentile(p):.3f} mm") for p in (50, 95)]
+        rows.append(("bias (x, y, z)", ", ".join(f"{1e3 * b:.3f}" for b in self.bias) + " mm"))
+        rows.append(("located", f"{100 * self.availability:.1f} %"))
+        return html_table(f"PositionScore: {len(self.names)} located, {len(self.times)} times", ("", ""), rows)
+
+
+def position(scores: RangingScore | Sequence[RangingScore], method: str = "toa") -> PositionScore:
+    """Return positions by multilateration of measured ranges, and their errors.
+
+    Parameters
+    ----------
+    scores : RangingScore or sequence of RangingScore
+        Of one source: it is located by the receivers. Of several sources of one recording: every receiver is located by
+        the sources, from emission k of all of them.
+    method : {"toa", "tdoa"}
+        Whether the times of emission are known, or are found, too, from differences of times of arrival.
+
+    Returns
+    -------
+    PositionScore
+        Estimates within the room's extent, NaN where fewer than 3 (of differences, 4) ranges were found.
+
+    Raises
+    ------
+    InputError
+        If the scores are none, of several recordings, or give too few anchors.
+
+    Notes
+    -----
+    Least squares of the ranges' errors, by trust regions from the middle of the room (scipy). Anchors in one plane
+    leave two solutions; the room's extent decides. A source's true position is that at the beginning of its pulse, a
+    receiver's that at reception of the first source's; anchors are where they are then.
+    """
+    as_choice("method", method, METHODS)
+    several = [scores] if isinstance(scores, RangingScore) else list(scores)
+    if not several or not all(isinstance(score, RangingScore) for score in several):
+        raise InputError("scores", f"must be one RangingScore at least, but is {scores!r:.80}")
+    if any(score.scene is not several[0].scene for score in several):
+        raise InputError("scores", "must be of one recording, but are of several")
+    delay, exact, anchors, names = _by_source(several[0]) if len(several) == 1 else _by_receivers(several)
+    least = 3 if method == "toa" else 4
+    if delay.shape[2] < least:
+        raise InputError("scores", f"must give {least} anchors at least for {method}, but give {delay.shape[2]}")
+    room, c = several[0].scene.room, several[0].scene.air.speed_of_sound
+    estimated, dilution = np.full(exact.shape, math.nan), np.full(exact.shape[:2], math.nan)
+    for i, k in np.ndindex(*dilution.shape):
+        found = np.isfinite(delay[i, k])
+        if np.count_nonzero(found) >= least:
+            estimated[i, k] = _located(anchors[i, k, found], c * delay[i, k, found], method, room)
+            dilution[i, k] = gdop(anchors[i, k, found], exact[i, k], method)
+    return PositionScore(
+        names, several[0].emission_times[: exact.shape[1]], read_only(estimated), read_only(exact),
+        read_only(anchors[0, 0]), read_only(dilution),
+    )  # fmt: skip
+
+
+def gdop(anchors: Floats, place: Floats, method: str = "toa") -> float:
+    """Return the dilution of precision at a place.
+
+    Parameters
+    ----------
+    anchors : array_like (n, 3)
+        m.
+    place : array_like (3,)
+        m.
+    method : {"toa", "tdoa"}
+        As in `position`.
+
+    Returns
+    -------
+    float
+        Standard deviation of the position over that of every range, a ratio; inf where the anchors leave it open.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite, or the method is none.
+
+    Notes
+    -----
+    The root of the trace, over the three coordinates, of ``(H' H)^-1``, with a row of H for each anchor: the unit
+    vector from it to the place and, for differences, 1 (E. D. Kaplan, C. J. Hegarty, "Understanding GPS", 2nd edition,
+    2006, section 7.3.1).
+    """
+    anchors, place = as_floats("anchors", anchors, (None, 3)), as_floats("place", place, (3,))
+    as_choice("method", method, METHODS)
+    away = place - anchors
+    rows = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), _FLATTEST)
+    if method == "tdoa":
+        rows = np.hstack([rows, np.ones((len(rows), 1))])
+    if len(rows) < rows.shape[1]:
+        return math.inf
+    _, sizes, turned = np.linalg.svd(rows, full_matrices=False)
+    if sizes[-1] < _FLATTEST:
+        return math.inf
+    return float(np.linalg.norm(turned[:, :3] / sizes[:, None]))
+
+
+def gdop_map(anchors: Floats, x: Floats, y: Floats, z: float, method: str = "toa") -> Floats:
+    """Return the dilution of precision over a plane.
+
+    Parameters
+    ----------
+    anchors : array_like (n, 3)
+        m.
+    x : array_like (X,)
+        m.
+    y : array_like (Y,)
+        m.
+    z : float
+        Height, m.
+    method : {"toa", "tdoa"}
+        As in `position`.
+
+    Returns
+    -------
+    ndarray (Y, X)
+        Ratios, as `gdop` returns them.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite, or the method is none.
+    """
+    x, y = as_floats("x", x, (None,)), as_floats("y", y, (None,))
+    height = as_number("z", z, unit="m")
+    return np.array([[gdop(anchors, np.array([a, b, height]), method) for a in x] for b in y])
+
+
+_Given = tuple[Floats, Floats, Floats, tuple[str, ...]]
+
+
+def _by_source(score: RangingScore) -> _Given:
+    """Return delays (1, K, anchors), true places (1, K, 3), anchors (1, K, anchors, 3) and the source's name."""
+    source = score.scene.sources[score.source]
+    received = score.emission_times + np.nan_to_num(score.exact)  # (anchors, K)
+    places = [end.trajectory.position(t) for end, t in zip(score.scene.receivers, received, strict=True)]
+    exact = source.trajectory.position(score.emission_times)
+    return score.delay.T[None], exact[None], np.stack(places, axis=1)[None], (source.name,)
+
+
+def _by_receivers(scores: list[RangingScore]) -> _Given:
+    """Return delays (receivers, K, anchors), true places (receivers, K, 3), anchors and the receivers' names."""
+    rounds = min(len(score.emission_times) for score in scores)
+    first = scores[0]
+    received = (first.emission_times + np.nan_to_num(first.exact))[:, :rounds]
+    exact = [end.trajectory.position(t) for end, t in zip(first.scene.receivers, received, strict=True)]
+    sources = [first.scene.sources[score.source] for score in scores]
+    places = [s.trajectory.position(r.emission_times[:rounds]) for s, r in zip(sources, scores, strict=True)]
+    anchors = np.broadcast_to(np.stack(places, axis=1), (len(exact), rounds, len(scores), 3))
+    return (
+        np.stack([score.delay[:, :rounds] for score in scores], axis=2),
+        np.stack(exact),
+        anchors,
+        first.receiver_names,
+    )
+
+
+def _located(anchors: Floats, ranges: Floats, method: str, room: Room) -> Floats:
+    """Return the place (3,) within a room that fits ranges (n,) to anchors (n, 3) best, m."""
+    from scipy.optimize import least_squares
+
+    low, high = room.extent
+    middle = 0.5 * (low + high)
+    free = method == "tdoa"  # what all ranges have in common
+    start, reach = np.append(middle, 0.0), 10.0 * float(np.abs(ranges).max() + np.linalg.norm(high - low))
+
+    def errors(unknown: Floats) -> Floats:
+        away = np.linalg.norm(unknown[:3] - anchors, axis=1)
+        return np.asarray(away + (unknown[3] if free else 0.0) - ranges)
+
+    def slopes(unknown: Floats) -> Floats:
+        away = unknown[:3] - anchors
+        rows = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), _FLATTEST)
+        return np.hstack([rows, np.ones((len(rows), 1))]) if free else rows
+
+    count = 4 if free else 3
+    bounds = np.append(low, -reach)[:count], np.append(high, reach)[:count]
+    found: Any = least_squares(errors, start[:count], slopes, bounds, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    return np.asarray(found.x[:3])

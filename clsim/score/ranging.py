@@ -1,0 +1,347 @@
+"""Ranges by the time of flight of pulses, against the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from clsim.arrays import Floats, as_choice, as_number, read_only
+from clsim.errors import InputError
+from clsim.packages import check_packages
+from clsim.pictures.notebook import html_table
+from clsim.score.emissions import direct_delays, heard_scene, source_index
+from clsim.score.matched_filter import MatchedFilter, envelope_peak, phase_peak
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes
+    from clsim.recording import Recording
+    from clsim.scene.ends import Receiver
+    from clsim.scene.scene import Scene
+    from clsim.scene.signal.signal import Signal
+
+Method = Literal["matched-filter", "first-peak", "phase"]
+METHODS: tuple[str, ...] = get_args(Method)
+_AT_A_TIME = 64  # emissions whose outputs are held
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangingScore:
+    """Ranges that were measured, and what is true of them.
+
+    Attributes
+    ----------
+    delay : ndarray (receivers, emissions)
+        Measured times of flight by the receivers' clocks, s; NaN where nothing was detected.
+    exact : ndarray (receivers, emissions)
+        True ones of the direct sound, s, also where a wall is in the way.
+    line_of_sight : ndarray (receivers, emissions) of bool
+        Whether the direct sound is heard.
+    crlb : ndarray (receivers, emissions)
+        Least standard deviation that noise allows, m (Cramér and Rao); 0 without noise, NaN where nothing was detected.
+    emission_times : ndarray (emissions,)
+        When the pulses began, s.
+    source : int
+        Which source of the scene.
+    receiver_names : tuple of str
+        Along the first axis.
+    scene : Scene
+        Of the recording.
+    outlier : float
+        Error from which on a range counts as an outlier, m.
+    """
+
+    delay: Floats
+    exact: Floats
+    line_of_sight: NDArray[np.bool_]
+    crlb: Floats
+    emission_times: Floats
+    source: int
+    receiver_names: tuple[str, ...]
+    scene: Scene
+    outlier: float
+
+    @property
+    def error(self) -> Floats:
+        """Measured less true ranges (receivers, emissions), m; NaN where nothing was detected."""
+        return self.scene.air.speed_of_sound * (self.delay - self.exact)
+
+    @property
+    def detected(self) -> NDArray[np.bool_]:
+        """Where a pulse was found (receivers, emissions)."""
+        return np.isfinite(self.delay)
+
+    @property
+    def detection_rate(self) -> float:
+        """Share of the emissions at receivers of which a pulse was found."""
+        return float(np.mean(self.detected))
+
+    @property
+    def outlier_rate(self) -> float:
+        """Share of the ranges that were found whose error is at least `outlier`; NaN if none was found."""
+        found = np.abs(self.error[self.detected])
+        return float(np.mean(found >= self.outlier)) if len(found) else math.nan
+
+    @property
+    def bias(self) -> float:
+        """Mean error without outliers, m; NaN if there is none."""
+        return float(np.mean(self._inliers())) if len(self._inliers()) else math.nan
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the error without outliers, m; NaN if there is none."""
+        return float(np.std(self._inliers())) if len(self._inliers()) else math.nan
+
+    def percentile(self, percent: float) -> float:
+        """Return the magnitude of the error that so many per cent of the ranges found do not exceed, outliers too.
+
+        Parameters
+        ----------
+        percent : float
+            From 0 to 100, %.
+
+        Returns
+        -------
+        float
+            m; NaN if none was found.
+
+        Raises
+        ------
+        InputError
+            If the share is out of bounds.
+        """
+        percent = as_number("percent", percent, at_least=0.0, at_most=100.0, unit="%")
+        found = np.abs(self.error[self.detected])
+        return float(np.percentile(found, percent)) if len(found) else math.nan
+
+    def to_dataframe(self) -> Any:
+        """Return a row for each receiver and emission as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns ``receiver``, ``emission``, ``emission_time``, ``delay``, ``exact``, ``error``, ``crlb`` and
+            ``line_of_sight``, in s and m.
+
+        Raises
+        ------
+        InputError
+            If pandas is missing.
+        """
+        check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
+        import pandas
+
+        receivers, emissions = self.delay.shape
+        columns = {
+            "receiver": np.repeat(np.array(self.receiver_names, dtype=object), emissions),
+            "emission": np.tile(np.arange(emissions), receivers),
+            "emission_time": np.tile(self.emission_times, receivers),
+        }
+        over = ("delay", "exact", "error", "crlb", "line_of_sight")
+        return pandas.DataFrame(columns | {name: getattr(self, name).ravel() for name in over})
+
+    def plot(self) -> list[Axes]:
+        """Draw errors over time, by line of sight, and how their magnitudes are distributed.
+
+        Returns
+        -------
+        list of matplotlib.axes.Axes
+            Two, of a new figure of pyplot.
+        """
+        from matplotlib import pyplot
+
+        figure, (over_time, spread) = pyplot.subplots(1, 2, figsize=(11.0, 4.3), layout="constrained")
+        times = np.broadcast_to(self.emission_times, self.error.shape)
+        for seen, colour, label in ((True, "#1f77b4", "in sight"), (False, "#c1272d", "not in sight")):
+            shown = self.detected & (self.line_of_sight == seen)
+            if shown.any():
+                error = 1e3 * self.error[shown]
+                over_time.plot(times[shown], error, ".", markersize=3.0, color=colour, label=label)
+                size = np.sort(np.abs(error))
+                spread.semilogx(size, 100.0 * (np.arange(len(size)) + 1.0) / len(size), color=colour, label=label)
+        over_time.set(xlabel="time of emission (s)", ylabel="error of the range (mm)")
+        spread.set(xlabel="|error| (mm)", ylabel="share of the ranges (%)", ylim=(0.0, 100.0))
+        for axes in (over_time, spread):
+            axes.grid(alpha=0.25, linewidth=0.6)
+            if axes.get_legend_handles_labels()[0]:
+                axes.legend()
+        return list(figure.axes)
+
+    def _inliers(self) -> Floats:
+        found = self.error[self.detected]
+        return found[np.abs(found) < self.outlier]
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("bias", f"{1e3 * self.bias:.3f} mm"), ("deviation", f"{1e3 * self.deviation:.3f} mm"),
+            ("75 % within", f"{1e3 * self.percentile(75):.3f} mm"), ("detected", f"{100 * self.detection_rate:.1f} %"),
+            (f"outliers, {self.outlier:g} m and more", f"{100 * self.outlier_rate:.1f} %"),
+        ]  # fmt: skip
+        receivers, emissions = self.delay.shape
+        return html_table(f"RangingScore: {receivers} receivers, {emissions} emissions", ("", ""), rows)
+
+
+def ranging(
+    recording: Recording,
+    pulse: Signal,
+    method: str = "matched-filter",
+    *,
+    source: int | str = 0,
+    max_range: float | None = None,
+    detection_db: float = 14.0,
+    first_peak_db: float = -10.0,
+    outlier: float = 0.5,
+    motion: str = "retarded",
+) -> RangingScore:
+    """Return the ranges that a receiver would measure by pulses of a source, and their errors.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of sound, with its paths.
+    pulse : Signal
+        The pulse that the source repeats (see `Signal.pulses`), for which receivers look.
+    method : {"matched-filter", "first-peak", "phase"}
+        Where a pulse is said to begin: at the peak of the matched filter's envelope; at the first of its peaks that is
+        at most `first_peak_db` below that; or at the crest of the correlation itself next to the envelope's peak.
+    source : int or str
+        Index or name.
+    max_range : float, optional
+        Up to which a pulse is looked for after each emission, m; until the next emission when left out.
+    detection_db : float
+        How far the peak must stand above the median of the envelope in that time to be a detection, 0 to 100 dB. Of ten
+        thousand samples of noise alone, the largest stands above 14 dB once in some thousand tries.
+    first_peak_db : float
+        See `method`; from -60 to 0 dB.
+    outlier : float
+        Error from which on a range counts as an outlier, m.
+    motion : {"retarded", "quasi-static"}
+        As the recording was rendered.
+
+    Returns
+    -------
+    RangingScore
+        For all receivers.
+
+    Raises
+    ------
+    InputError
+        If a value is out of bounds, the recording has no paths or is a complex envelope, or it ends before the first
+        pulse does.
+
+    Notes
+    -----
+    The true time of flight is that of the sound that left when the pulse began. Of a chirp from ``f_c - B / 2`` up to
+    ``f_c + B / 2`` within T, whose source recedes at v, the matched filter's peak is late by ``f_c v T / B + v T / 2``.
+    The bound is ``c / (2 pi beta sqrt(2 E / N_0))`` (S. M. Kay, "Fundamentals of Statistical Signal Processing:
+    Estimation Theory", 1993, section 3.11), beta the root mean square of the pulse's frequency about its mean, or about
+    0 Hz for "phase", which knows the carrier; E is the energy of what was found, N_0 the density of the noise of the
+    receiver's electronics at the pulse's mean frequency.
+    """
+    paths = heard_scene(recording, "ranging")
+    as_choice("method", method, METHODS)
+    detection = 10.0 ** (as_number("detection_db", detection_db, at_least=0.0, at_most=100.0, unit="dB") / 20.0)
+    first = 10.0 ** (as_number("first_peak_db", first_peak_db, at_least=-60.0, at_most=0.0, unit="dB") / 20.0)
+    outlier = as_number("outlier", outlier, above=0.0, unit="m")
+    index = source_index(paths, source)
+    rate, c = recording.sampling_rate, paths.scene.air.speed_of_sound
+    matched = MatchedFilter.of(pulse, rate)
+    emitted = emissions_of(recording, index, len(matched.pulse))
+    span = span_of(emitted, recording, max_range, c)
+    shape = (len(recording.samples), len(emitted))
+    delay, level = np.full(shape, math.nan), np.zeros(shape)
+    for r, samples in enumerate(recording.samples):
+        for k, (begin, output) in enumerate(outputs_of(samples, matched, emitted, span)):
+            place = _found(output, method, detection, first)
+            if place is not None:
+                delay[r, k] = (begin + place) / rate - emitted[k]
+                level[r, k] = abs(output[round(min(max(place, 0), len(output) - 1))])
+    exact, seen = direct_delays(paths, index, emitted, motion)
+    bound = [_bound(end, matched, level[r], method, c) for r, end in enumerate(paths.scene.receivers)]
+    crlb = np.where(np.isfinite(delay), np.array(bound), math.nan)
+    return RangingScore(
+        read_only(delay), read_only(exact), seen, read_only(crlb), read_only(emitted), index,
+        recording.receiver_names, paths.scene, outlier,
+    )  # fmt: skip
+
+
+def emissions_of(recording: Recording, source: int, length: int) -> Floats:
+    """Return when the pulses of a source begin that end within the recording (K,), s."""
+    assert recording.paths is not None
+    end = recording.paths.scene.sources[source]
+    begins = end.start + end.signal.pulse_times
+    rate, count = recording.sampling_rate, recording.samples.shape[1]
+    kept: Floats = begins[np.floor(begins * rate) + length <= count]
+    if not len(kept):
+        raise InputError("recording", f"must hold a whole pulse of {length / rate:g} s, but is {count / rate:g} s long")
+    return kept
+
+
+def span_of(emitted: Floats, recording: Recording, max_range: float | None, speed_of_sound: float) -> int:
+    """Return in how many samples after an emission a pulse is looked for."""
+    rate = recording.sampling_rate
+    gap = float(np.diff(emitted).min(initial=recording.samples.shape[1] / rate))
+    if max_range is not None:
+        gap = min(gap, as_number("max_range", max_range, above=0.0, unit="m") / speed_of_sound)
+    return max(1, math.floor(gap * rate))
+
+
+def outputs_of(
+    samples: NDArray[Any], matched: MatchedFilter, emitted: Floats, span: int
+) -> Iterator[tuple[int, Complexes]]:
+    """Yield, for each emission, the sample from which on a pulse is looked for, and the filter's output (n,)."""
+    begins = np.floor(emitted * matched.sampling_rate).astype(np.int64)
+    length = span + len(matched.pulse) - 1
+    for i in range(0, len(begins), _AT_A_TIME):
+        rows = np.zeros((len(begins[i : i + _AT_A_TIME]), length), dtype=np.float32)
+        for row, begin in zip(rows, begins[i:], strict=False):
+            part = samples[begin : begin + length]
+            row[: len(part)] = part
+        for begin, output in zip(begins[i:].tolist(), matched.outputs(rows), strict=False):
+            yield begin, output[: len(samples) - begin]
+
+
+def _found(output: Complexes, method: str, detection: float, first: float) -> float | None:
+    """Return where a pulse begins in a filter's output (n,), in samples, or None if there is none."""
+    level = np.abs(output)
+    top = int(np.argmax(level))
+    if not level[top] > detection * float(np.median(level)):
+        return None
+    if method == "first-peak":
+        least = max(first * level[top], detection * float(np.median(level)))
+        rising = (level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:]) & (level[1:-1] >= least)
+        top = int(np.flatnonzero(rising)[0]) + 1 if rising[:top].any() else top
+    return phase_peak(output, top) if method == "phase" else envelope_peak(output, top)
+
+
+def _bound(end: Receiver, matched: MatchedFilter, level: Floats, method: str, speed_of_sound: float) -> Floats:
+    """Return the least standard deviation (K,) of ranges by pulses received at levels (K,), m."""
+    density = _noise_density(end, matched.sampling_rate, matched.centre)
+    spread = math.hypot(matched.bandwidth, matched.centre) if method == "phase" else matched.bandwidth
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(0.5 * density / (np.square(level) * matched.energy))
+    return np.asarray(speed_of_sound * root / (2.0 * math.pi * spread))
+
+
+def _noise_density(end: Receiver, sampling_rate: float, frequency: float) -> float:
+    """Return the one-sided density of a receiver's noise at a frequency, Pa²/Hz or V²/Hz."""
+    electronics, half = end.electronics, 0.5 * sampling_rate
+    if electronics is None:
+        return 0.0
+    heard = sensitivity = 1.0
+    if end.transducer is not None:
+        heard = float(np.abs(end.transducer.response(np.array([frequency]), sampling_rate)[0]))
+        sensitivity = end.transducer.sensitivity
+    noise = (electronics.ambient_rms(sampling_rate) * heard) ** 2
+    noise += (electronics.self_rms(sampling_rate) * sensitivity) ** 2
+    for cut, sign in ((electronics.low_cut, -1), (electronics.high_cut, 1)):
+        if cut is not None:
+            noise /= 1.0 + (frequency / cut) ** (2 * sign * electronics.order)
+    return float(noise * 10.0 ** (electronics.gain_db / 10.0) + electronics.step**2 / 12.0) / half

@@ -1,0 +1,101 @@
+"""Reading back what a run wrote."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import as_flag
+from clsim.errors import InputError
+from clsim.files.names import file_names
+from clsim.files.sound import EnvelopeFile, SoundFile
+from clsim.output.open_store import open_store
+from clsim.output.record import load_record
+from clsim.output.stores import STORES
+from clsim.recording import Recording
+from clsim.scene_file import load_scene
+from clsim.workflow.outputs import COMPLETED
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+
+def load_recording(
+    folder: str | os.PathLike[str], receivers: Sequence[str] | None = None, *, paths: bool = False
+) -> Recording:
+    """Return the recording in a folder that ``clsim run`` wrote, whatever the store.
+
+    Parameters
+    ----------
+    folder : path-like
+        Of the results.
+    receivers : sequence of str, optional
+        Names of those that are wanted; all when left out.
+    paths : bool
+        Whether its paths are found again, from the completed scene: what scores ask for.
+
+    Returns
+    -------
+    Recording
+        With samples in memory, and `paths` (of a scene with the receivers that are wanted) or None.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no finished run, a receiver is none of it, or a package that reads the store is missing.
+    """
+    folder = Path(folder)
+    as_flag("paths", paths)
+    record = load_record(folder)
+    if not (record.finished and (folder / COMPLETED).exists()):
+        raise InputError("folder", f"must hold what clsim run finished, but {folder} does not")
+    file = load_scene(folder / COMPLETED)
+    names = [receiver.name for receiver in file.scene.receivers]
+    rows = [_row(names, wanted) for wanted in (names if receivers is None else receivers)]
+    if not rows:
+        raise InputError("receivers", "must name one at least, but is empty")
+    baseband: Any = file.render["baseband"]
+    carrier = None if baseband is None else float(baseband[0])
+    if any(name in record.files for kind in STORES.values() if kind.packages for name in kind.names([])):
+        store = open_store(folder)
+        samples, rate = store["sound"][rows].values, float(store.attrs["sampling_rate"])
+        store.close()
+    else:
+        kept = file_names(tuple(names))
+        samples, rate = _read([folder / f"{kept[r]}.wav" for r in rows], carrier)
+    chosen = [file.scene.receivers[r] for r in rows]
+    found = None
+    if paths:
+        from clsim.workflow.pipeline import find_scene_paths  # late: pydantic takes longer to import than all else
+
+        found = find_scene_paths(replace(file, scene=replace(file.scene, receivers=chosen)))
+    return Recording(
+        samples, rate, tuple(end.name for end in chosen), found, (f"read from {folder}",),
+        tuple(end.unit for end in chosen), carrier=carrier,
+    )  # fmt: skip
+
+
+def _row(names: list[str], wanted: str) -> int:
+    if wanted not in names:
+        raise InputError("receivers", f"must be of {', '.join(map(repr, names)):.200}, but one is {wanted!r:.80}")
+    return names.index(wanted)
+
+
+def _read(paths: list[Path], carrier: float | None) -> tuple[NDArray[Any], float]:
+    """Return the samples (rows, n) of WAV files of one length, and their rate, Hz."""
+    import soundfile
+
+    try:
+        files = [SoundFile(path) if carrier is None else EnvelopeFile(path) for path in paths]
+        samples = np.empty((len(files), len(files[0])), dtype=np.float32 if carrier is None else np.complex64)
+        for row, sound in zip(samples, files, strict=True):
+            row[:] = sound[0 : len(row)]
+        return samples, float(soundfile.info(paths[0]).samplerate)
+    except (OSError, ValueError, soundfile.LibsndfileError) as error:
+        raise InputError("folder", f"must hold the sound that was written, but {error}") from error

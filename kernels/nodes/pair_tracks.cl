@@ -1,0 +1,142 @@
+// Delay and gain of every path as cubics on every block, as tracks.cl makes them, on devices without float64. Work-item:
+// dimension 0 counts slots (paths), dimension 1 walks of `walk_blocks` blocks. Every node has its gains. Delays are predicted from the
+// two nodes before, so that two Newton steps are enough; where signals pause, from that of the walk's first block.
+
+// Places of numbers that are pairs.
+#define START 0
+#define BLOCK_TIME 1
+#define SLOWNESS 2
+#define PER_SECOND 3
+#define DELAY_SAMPLES 4
+#define HALF_BLOCK 5
+
+// Write the delay between the middle two nodes; returns its whole part.
+static int write_delay(const pair* delay, const float* rate, __global const pair* numbers, int apart, __global float* c)
+{
+    const pair p0 = plus(product(delay[1], numbers[PER_SECOND]), numbers[DELAY_SAMPLES]);
+    const pair p1 = plus(product(delay[2], numbers[PER_SECOND]), numbers[DELAY_SAMPLES]);
+    const float half_block = numbers[HALF_BLOCK].x, e0 = rate[1] * half_block, e1 = rate[2] * half_block;
+    const pair centre = plus(scaled(0.5f, plus(p0, p1)), (pair)(-0.25f * (e1 - e0), 0.0f));
+    const float whole = floor(centre.x + 0.5f), change = minus(p1, p0).x;
+    c[0] = (centre.x - whole) + centre.y;
+    c[apart] = 0.75f * change - 0.25f * (e0 + e1);
+    c[2 * apart] = 0.25f * (e1 - e0);
+    c[3 * apart] = 0.25f * (e0 + e1) - 0.25f * change;
+    return (int)whole;
+}
+
+__kernel void pair_tracks(__global const float2* image_matrix,  // [9][slots]
+                          __global const float2* image_offset,  // [3][slots]
+                          __global const int* receiver_of,    // [slots]
+                          __global const bins* reflection, __global const int* wall_of, __global const float* normal,
+                          __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
+                          __global const pair_receiver* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
+                          int nodes,
+                          __global const float* knots, __global const float* rests, int knot_count, float knot_rate,
+                          __global const float2* numbers,  // [6], see above; s from the first knot, s, s/m, 1/s, samples, samples
+                          float speed_of_sound,
+                          __global const bins* nepers, __global const gains* projection, __global const bins* functions,
+                          __global const bins* weight, __global const gains* strengths, int function_count, int angular,
+                          float emitted_first, float emitted_last,  // s from the first knot, outside of which nothing sounds
+                          float angular_frequency,
+                          __global const bins* wall_tables, __global const bins* source_directivity,
+                          __global const bins* receiver_directivities, __global const int* directivity_of,
+                          int blocks, int block_samples, int walk_blocks, int subblock_samples, float subblock_share,
+                          __global int* delay, __global float* polynomials, __global float4* found, __global float* unheld,
+                          __global const int* following, __global const int* preceding, int cells, float origin,
+                          float max_rate, __global int* activity)  // as in tracks.cl
+{
+    const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
+    const int first = walk * walk_blocks, apart = BESIDE;
+    const int last = first + walk_blocks < blocks ? first + walk_blocks : blocks;
+    const pair_trajectory path = {knots, rests, knot_count, knot_rate, numbers[SLOWNESS]};
+    __global const pair_receiver* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
+    const surroundings around = {nepers,     projection,  functions, weight, strengths,
+                                 reflection, wall_tables, wall_of,   normal, source_directivity,
+                                 receiver_directivities + directivity_of[receiver_of[slot]],
+                                 function_count, angular};
+    const float block_time = numbers[BLOCK_TIME].x;
+    const int from = heard_from[slot], until = heard_until[slot];
+    pair_receiver_in_image receiver;
+    gains powers[4][GAIN_VECTORS];
+    window w;
+    pair_arrival a;
+    pair late[4];
+    float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
+    a.delay = (pair)(0.0f, 0.0f);
+#define TIME_OF(n) plus(numbers[START], scaled((float)((n) - 1), numbers[BLOCK_TIME]))
+#define SOLVE(n) \
+    receiver = pair_receiver_at(image_matrix, image_offset, slots, slot, rows + (STATIC_RECEIVERS ? 0 : (n))); \
+    solve_delay(&path, &receiver, plus(TIME_OF(n), receiver.clock_error), &a)
+    SOLVE(first + 1);
+    const pair begin = minus(a.delay, receiver.clock_error);
+#if SPARSE
+    const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
+    SOLVE(last + 1);
+    const float per_second = numbers[PER_SECOND].x, drift = max_rate * per_second, added = numbers[DELAY_SAMPLES].x;
+    const float late0 = begin.x * per_second + added, late1 = (a.delay.x - receiver.clock_error.x) * per_second + added;
+#endif
+    int solved = first - 1, in_row = 0;  // last node in the window, and how many up to it follow each other
+    for (int block = first; block < last; block++) {
+        const int heard = from < (block + 1) * block_samples && until > block * block_samples;
+#if SPARSE
+        if (!heard) continue;
+        const float since = (block - first) * block_time, left = (last - block) * block_time;
+        const float until_end = drift * left, of_block = drift * block_time;
+        const float low = late0 - drift * since, low_of_end = late1 - until_end, high = late0 + drift * since;
+        const float high_of_end = late1 + until_end, low_here = low > low_of_end ? low : low_of_end;
+        const float high_here = high < high_of_end ? high : high_of_end;
+        if (!is_active(&mask, block, low_here - of_block - 4.0f, high_here + of_block + 4.0f)) continue;
+#endif
+        if (solved < block) {
+            solved = block - 1;
+            in_row = 0;
+        }
+        for (int n = solved + 1; n <= block + 3; n++, in_row++) {
+            const float bend = in_row > 1 ? 0.5f * (w.rate[3] - w.rate[2]) : 0.0f;
+            const pair near = in_row > 0 ? plus(late[3], (pair)(block_time * (w.rate[3] + bend), 0.0f)) : begin;
+            a.delay = plus(near, receiver.clock_error);
+            SOLVE(n);
+            for (int i = 0; i < 3; i++) {
+                late[i] = late[i + 1];
+                w.delay[i] = w.delay[i + 1];
+                w.rate[i] = w.rate[i + 1];
+                for (int k = 0; k < GAIN_VECTORS; k++) w.gain[i][k] = w.gain[i + 1][k];
+                w.strength[i] = w.strength[i + 1];
+            }
+            late[3] = minus(a.delay, receiver.clock_error);
+            w.delay[3] = minus(late[3], begin).x;  // what is looked at are differences
+            w.rate[3] = a.rate + (a.rate - 1.0f) * receiver.clock_drift;
+            const float length = a.delay.x * speed_of_sound;
+            const arrival here = {length, length, a.mach_factor, a.departure, a.departure, a.knot, a.u};
+            w.strength[3] = path_gains(&here, &around, slots, slot, receiver.frame, w.gain[3], &left_over);
+        }
+        solved = block + 3;
+        terms_between(&w, powers);
+        for (int i = 1; i < 3; i++) {
+            shortest = late[i].x < shortest ? late[i].x : shortest;
+            longest = late[i].x > longest ? late[i].x : longest;
+        }
+        __global float* c = polynomials + place_of(block, slot, function_count, slots);
+        delay[block * (long)slots + slot] = write_delay(late, w.rate, numbers, apart, c);
+        write_terms(powers, heard, function_count, apart, c);
+        if (!heard) continue;
+#if SPARSE
+        const float p1 = late[1].x * per_second + added, p2 = late[2].x * per_second + added;
+        const float r1 = w.rate[1] - (p2 - p1) / block_samples, r2 = w.rate[2] - (p2 - p1) / block_samples;
+        const float bulge = 0.25f * block_samples * ((r1 < 0.0f ? -r1 : r1) + (r2 < 0.0f ? -r2 : r2)) + 4.0f;  // of the cubic
+        activity[block * (long)slots + slot] =
+            active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
+#endif
+        strength = w.strength[3] > strength ? w.strength[3] : strength;
+        rest = left_over > rest ? left_over : rest;
+        const float time = TIME_OF(block + 3).x;
+        if (time - late[3].x >= emitted_first && time - 3.0f * block_time - late[0].x <= emitted_last) {
+            const float squared = delay_error_squared(&w, angular_frequency, block_time, subblock_share) +
+                                  left_out_squared(powers, strengths, subblock_share) + gain_error_squared(&w, strengths);
+            error = squared > error ? squared : error;
+        }
+    }
+    found[walk * (long)slots + slot] = (float4)(error, strength, shortest, longest);
+    unheld[walk * (long)slots + slot] = rest;
+}

@@ -1,0 +1,80 @@
+"""Measures of a room: T30 against pyroomacoustics' from the same response; formulae against their own cases."""
+
+import math
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.acoustics.decay import clarity, decay_curve, definition, eyring_time, reverberation_time, sabine_time
+
+RATE = 16e3
+
+
+@pytest.fixture(scope="module")
+def responses() -> clsim.ImpulseResponses:
+    """Return a shoebox that decays by 50 dB within order 30."""
+    room = clsim.Shoebox((5.0, 4.1, 3.2), clsim.Material.from_reflection(0.8))
+    tone = clsim.Signal.tone(1e3, 0.1, RATE)
+    source = clsim.Source("s", tone, clsim.Trajectory.fixed((1.1, 1.3, 1.2)))
+    ears = [clsim.Receiver("r", clsim.Trajectory.fixed((3.7, 2.9, 2.1)))]
+    scene = clsim.Scene(room, clsim.Air(speed_of_sound=343.0, absorption=False), [source], ears)
+    return clsim.impulse_responses(clsim.find_paths(scene, 30), RATE)
+
+
+def test_t30_is_pyroomacoustics(responses: clsim.ImpulseResponses) -> None:
+    pra = pytest.importorskip("pyroomacoustics", reason="pyroomacoustics is not installed")
+    from pyroomacoustics.experimental import measure_rt60
+
+    assert pra
+    whole = clsim.room_measures(responses, None)
+    assert whole.t30.shape == (1, 1, 1)
+    for name, decay in (("t20", 20), ("t30", 30)):
+        theirs = measure_rt60(responses.samples[0, 0], fs=int(RATE), decay_db=decay)
+        assert getattr(whole, name)[0, 0, 0] == pytest.approx(theirs, rel=0.01)
+
+
+def test_bands_of_a_room_whose_walls_are_the_same_at_every_frequency(responses: clsim.ImpulseResponses) -> None:
+    """A shoebox is no diffuse field: its decay is within a third of Eyring's, and alike in bands of many modes."""
+    found = clsim.room_measures(responses, "octave")
+    np.testing.assert_allclose(found.frequencies[[0, -1]], [31.25, 4000.0])
+    high = found.frequencies >= 500.0
+    assert np.ptp(found.t30[0, 0, high]) < 0.2 * found.t30[0, 0, high].mean()
+    np.testing.assert_allclose(found.t30[0, 0, high], found.eyring[high], rtol=0.35)
+    absorbed, surface, volume = 0.36, 2 * (5 * 4.1 + 5 * 3.2 + 4.1 * 3.2), 5 * 4.1 * 3.2
+    np.testing.assert_allclose(found.sabine, 24 * math.log(10) * volume / (343.0 * absorbed * surface), rtol=1e-9)
+    np.testing.assert_allclose(found.eyring, found.sabine * absorbed / -math.log(1 - absorbed), rtol=1e-9)
+    np.testing.assert_allclose(found.c50, 10 * np.log10(found.d50 / (1 - found.d50)), atol=1e-9)
+    third = clsim.room_measures(responses, "third-octave")
+    assert len(third.frequencies) > 2.5 * len(found.frequencies)
+
+
+def test_the_direct_sound_over_all_else(responses: clsim.ImpulseResponses) -> None:
+    """Of whole responses: the direct path's energy over that of the others, as far as these do not interfere."""
+    whole = clsim.room_measures(responses, None)
+    distance = math.dist((1.1, 1.3, 1.2), (3.7, 2.9, 2.1))
+    energy = float(np.square(responses.samples).sum())
+    direct = 0.95 * distance**-2  # of 0.95 of half the sampling rate, the part of the band
+    expected = 10.0 * math.log10(direct / (energy - direct))
+    assert whole.drr[0, 0, 0] == pytest.approx(expected, abs=1.0)
+
+
+def test_an_exponential_decay_is_what_it_is() -> None:
+    times = np.arange(20_000) / 10e3
+    taps = 10.0 ** (-3.0 * times / 0.7)  # 60 dB in 0.7 s
+    curve = decay_curve(taps)
+    assert reverberation_time(curve, 10e3, -5.0, -35.0) == pytest.approx(0.7, rel=1e-4)
+    assert math.isnan(reverberation_time(curve[:1000], 10e3, -5.0, -35.0))
+    late = 10.0 ** (-6.0 * 0.08 / 0.7)
+    assert clarity(taps, 800) == pytest.approx(10.0 * math.log10((1.0 - late) / late), abs=1e-3)
+    assert definition(taps, 800) == pytest.approx(1.0 - late, abs=1e-3)
+    area, air = np.array([10.0]), np.array([0.01])
+    assert sabine_time(100.0, area, air, 340.0)[0] == pytest.approx(24 * math.log(10) * 100 / (340 * 14.0))
+    assert eyring_time(100.0, 10.0, area, air, 340.0)[0] == 0.0
+
+
+def test_what_has_no_measures_is_refused(responses: clsim.ImpulseResponses) -> None:
+    with pytest.raises(clsim.InputError, match="bands: must be one of"):
+        clsim.room_measures(responses, "decade")
+    with pytest.raises(clsim.InputError, match="responses: must be ImpulseResponses"):
+        clsim.room_measures(responses.samples)  # type: ignore[arg-type]
