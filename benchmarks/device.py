@@ -1,13 +1,19 @@
 """All rates of one device with one command, and a roofline: what a card of given bandwidth and rates could reach.
 
 Usage: device.py [DEVICE] [--bandwidth GB/s --float32 GFLOP/s --float64 GFLOP/s] [--order N] [--duration S]; writes device.md.
-Measured are processor time and time on the wall of the stages; what is predicted is marked as such.
+       device.py --count; writes device_counts.json, for which Oclgrind must be installed.
+Measured are processor time and time on the wall of the stages; what is predicted is marked as such. Operations and bytes are
+counted in the kernels as they run: Oclgrind, a simulator, tells how often every instruction was carried out.
 """
 
 import argparse
 import dataclasses
+import json
 import platform
+import re
 import statistics
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -21,9 +27,6 @@ from clsim.render.planning import plan_render
 
 HERE = Path(__file__).parent
 RATE = 192e3
-# Of one path and node in float64, counted in the kernels: a Newton step and a half (90), the walls' and receiver's frames (80), the
-# prediction and the block's cubic (60); in float32 the response, per frequency and function, about 40.
-NODE_FLOAT64, NODE_FLOAT32 = 230, 40
 CARDS = {  # bandwidth in GB/s, float32 and float64 in GFLOP/s, as vendors state them
     "laptop, integrated": (60, 1_500, 0),
     "graphics card of the middle": (450, 20_000, 310),
@@ -86,30 +89,83 @@ class Stages:
     on_host = False  # whether the device is the processor, whose time other work on the machine changes less
 
 
+COUNTED = """
+import sys, warnings
+warnings.simplefilter("ignore")
+sys.path.insert(0, {here!r})
+import clsim, dataclasses
+from device import RATE, scene
+from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine, Run
+from clsim.render.planning import BUILDERS, plan_render
+kind, samples = {kind!r}, {samples}
+more = {{"responses": "centre"}} if kind == "tone" else {{}}
+paths = clsim.find_paths(scene(0.3, kind), 3)
+plan = plan_render(paths, RATE, device="Oclgrind", duration=(18432 + samples) / RATE, **more)
+plan = dataclasses.replace(plan, blocks=(768,), builders=BUILDERS)
+if samples == 18432:
+    Run._render = lambda *_: None
+OpenclEngine(plan, GPU_LAYOUT).render(18432, 18432 + samples)
+"""
+
+
+def executed(kind: str, samples: int, kernel: str) -> dict[str, tuple[int, int]]:
+    """Return how often a kernel's instructions were carried out for 64 paths, and the bytes that they moved."""
+    program = COUNTED.format(here=str(HERE), kind=kind, samples=samples)
+    command = ["oclgrind", "--inst-counts", "--build-options", "-O0", sys.executable, "-c", program]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    part = told.partition(f"kernel '{kernel}'")[2].partition("Instructions executed")[0]
+    rows = re.findall(r"^\s*([\d,]+) - (.*?)(?: \(([\d,]+) bytes\))?$", part, re.MULTILINE)
+    return {name: (int(n.replace(",", "")), int((size or "0").replace(",", ""))) for n, name, size in rows}
+
+
+def count() -> None:
+    """Count operations and bytes of a path-sample in the sum, and in tracks over a segment, and write them."""
+    found = {}
+    for kind in ("tone", "functions"):
+        made = {}
+        for stage, samples, kernel in (("render", 768, "render"), ("tracks", 18432, "tracks")):
+            rows, work = executed(kind, samples, kernel), 64 * samples
+            fused = dict.fromkeys(("32", "64"), 0)
+            for name, (times, _) in rows.items():
+                if is_fused := re.fullmatch(r"call llvm\.fmuladd\.(?:v(\d+))?f(32|64)\(\)", name):
+                    fused[is_fused[2]] += 2 * times * int(is_fused[1] or 1)
+            single = sum(rows.get(name, (0, 0))[0] for name in ("fadd", "fsub", "fmul", "fdiv", "fneg", "fcmp"))
+            wide = stage == "tracks"  # whose sums and products outside of fused ones are nearly all in float64
+            made[stage] = {
+                "float32": (fused["32"] + (0 if wide else single)) / work,
+                "float64": (fused["64"] + (single if wide else 0)) / work,
+                "loaded": rows["load global"][1] / work, "stored": rows["store global"][1] / work,
+            }  # fmt: skip
+        found[kind] = made
+    (HERE / "device_counts.json").write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+
+
 @dataclasses.dataclass
 class Cost:
-    """Bytes and operations of a path-sample in each stage, counted in the kernels."""
+    """Bytes and operations of a path-sample in each stage, as counted."""
 
     render_operations: float
+    render_loaded: float  # most of it from cache
     render_bytes: float
     tracks_float32: float
     tracks_float64: float
     tracks_bytes: float
 
     @classmethod
-    def of(cls, plan: Plan) -> "Cost":
-        """Return those of a plan's first source, in blocks of 768 samples."""
+    def of(cls, plan: Plan, counts: dict[str, dict[str, float]]) -> "Cost":
+        """Return those of a plan's first source, in blocks of 768 samples.
+
+        Branch signals are shared by the paths of a tile and of other tiles, polynomials by the subblocks of a block: what comes
+        from memory is each of them once, branch signals once for every tile of 128 paths.
+        """
         filters, block = plan.source_filters[0], 768
-        rows, functions = int(filters.rows[-1]), len(filters.basis)
-        node_bytes = 4 + 4 * plan.delay_terms + 16 * functions
-        # Horner: two operations a row; delay (4) and gain (2 and the product) a function. A block's polynomials are read once
-        # by every 32 samples; branch signals come from cache: every one of them once a block, shared by the paths of a tile.
-        operations = 2.0 * rows + 4.0 + 4.0 * functions + (24.0 + 12.0 * functions) / 32.0
-        read = node_bytes / 32.0 + 4.0 * rows / 128.0
-        nodes = 1.0 / block
-        frequencies = len(filters.basis.nodes)
-        response = NODE_FLOAT32 * frequencies + 2.0 * frequencies * functions
-        return cls(operations, read, nodes * response, nodes * NODE_FLOAT64, nodes * node_bytes)
+        node_bytes = plan.bytes_per_node(0)
+        render, tracks = counts["render"], counts["tracks"]
+        memory = node_bytes / block + 4.0 * int(filters.rows[-1]) / 128.0
+        return cls(
+            render["float32"], render["loaded"], memory, tracks["float32"], tracks["float64"],
+            tracks["loaded"] + tracks["stored"],
+        )  # fmt: skip
 
     def predicted(self, bandwidth: float, float32: float, float64: float) -> tuple[float, float | None]:
         """Return path-samples a second of render and tracks by the roofline, for GB/s and GFLOP/s."""
@@ -120,19 +176,19 @@ class Cost:
         return render, min(1.0 / seconds, bandwidth * 1e9 / self.tracks_bytes)
 
 
-def without_float64(plan: Plan) -> float:
-    """Return the processor seconds of a call with the tracks made by the host."""
-    found = device_module.find_device
+def without_float64(plan: Plan, in_pairs: bool) -> float:
+    """Return the processor seconds of a call without float64, with the tracks made of pairs of floats or by the host."""
+    found, programs = device_module.find_device, engine_module.PAIR_PROGRAMS
 
     def hidden(wanted: str | None) -> tuple:
         info, handle = found(wanted)
         return dataclasses.replace(info, fp64=False), handle
 
-    engine_module.find_device = hidden
+    engine_module.find_device, engine_module.PAIR_PROGRAMS = hidden, programs if in_pairs else {}
     try:
         return Stages(plan).processor
     finally:
-        engine_module.find_device = found
+        engine_module.find_device, engine_module.PAIR_PROGRAMS = found, programs
 
 
 def page(info: device_module.DeviceInfo, order: int, duration: float, rows: list[str], costs: dict, cards: dict) -> str:
@@ -142,14 +198,19 @@ def page(info: device_module.DeviceInfo, order: int, duration: float, rows: list
         f"# {info.name}", "",
         f"{info.platform}, {info.version}, driver {info.driver}; {info.compute_units} units, {info.memory_bytes / 2**30:.1f} GiB; "
         f"{platform.system()} {platform.machine()}. Order {order}, {duration:g} s, {RATE / 1e3:g} kHz. Path-samples/s in {clock}.",
-        "", "| signal | functions | whole call | render | tracks | branch signals, s | without float64, whole call |",
+        "", "| signal | functions | whole call | render | tracks | branch signals, s | without float64: in pairs, by the host |",
         "|---|---|---|---|---|---|---|", *rows,
         "", "## Roofline: predictions, not measured", "",
-        "| signal | render: operations, bytes of a path-sample | tracks: float32, float64 operations, bytes |", "|---|---|---|",
+        "Operations and loads are counted: Oclgrind carried the kernels out, in the layout for GPUs, for 64 paths, and told how often",
+        "every instruction ran (a fused product and sum is two; other instructions on vectors count once). Of what render loads",
+        "most comes from caches; what must come from memory is reckoned: polynomials once, branch signals once for 128 paths.",
+        "",
+        "| signal | render: operations, bytes loaded, bytes from memory of a path-sample | tracks: float32, float64 operations, bytes |",
+        "|---|---|---|",
     ]  # fmt: skip
     for kind, c in costs.items():
         lines.append(
-            f"| {kind} | {c.render_operations:.0f}, {c.render_bytes:.1f} | "
+            f"| {kind} | {c.render_operations:.0f}, {c.render_loaded:.0f}, {c.render_bytes:.2f} | "
             f"{c.tracks_float32:.2g}, {c.tracks_float64:.2g}, {c.tracks_bytes:.2g} |"
         )
     lines += [
@@ -160,7 +221,7 @@ def page(info: device_module.DeviceInfo, order: int, duration: float, rows: list
     for name, card in cards.items():
         for kind, cost in costs.items():
             render, tracks = cost.predicted(*card)
-            told = "by the host: no float64" if tracks is None else f"{tracks:.2g} (predicted)"
+            told = "in pairs of floats" if tracks is None else f"{tracks:.2g} (predicted)"
             lines.append(
                 f"| {name} ({card[0]:g}, {card[1]:g}, {card[2]:g}) | {kind} | {render:.2g} (predicted) | {told} |"
             )
@@ -168,7 +229,7 @@ def page(info: device_module.DeviceInfo, order: int, duration: float, rows: list
 
 
 def main() -> None:
-    """Measure, predict and write."""
+    """Count; or measure, predict and write."""
     parser = argparse.ArgumentParser()
     parser.add_argument("device", nargs="?")
     parser.add_argument("--bandwidth", type=float)
@@ -176,7 +237,11 @@ def main() -> None:
     parser.add_argument("--float64", type=float, default=0.0)
     parser.add_argument("--order", type=int, default=6)
     parser.add_argument("--duration", type=float, default=1.0)
+    parser.add_argument("--count", action="store_true")
     options = parser.parse_args()
+    if options.count:
+        return count()
+    counts = json.loads((HERE / "device_counts.json").read_text("utf-8"))
     info, _ = device_module.find_device(options.device)
     Stages.on_host = info.kind == "CPU"
     rows, costs = [], {}
@@ -187,12 +252,12 @@ def main() -> None:
         stages, work = Stages(plan), plan.path_count * plan.samples
         whole = stages.processor if Stages.on_host else stages.wall
         tracks = stages.kernels["tracks"] + stages.kernels["coarse_delays"]
-        slower = without_float64(plan) / stages.processor
+        pairs, host = (without_float64(plan, way) / stages.processor for way in (True, False))
         if kind != "pulses":  # of which the cost depends on how much is silent
-            costs[kind] = Cost.of(plan)
+            costs[kind] = Cost.of(plan, counts[kind])
         rows.append(
             f"| {kind} | {len(plan.source_filters[0].basis)} | {work / whole:.2g} | {work / stages.kernels['render']:.2g} | "
-            f"{work / tracks:.2g} | {stages.kernels['branches']:.3f} | {slower:.1f} times the processor time |"
+            f"{work / tracks:.2g} | {stages.kernels['branches']:.3f} | {pairs:.2f}, {host:.0f} times the processor time |"
         )
         print(rows[-1], flush=True)
     cards = dict(CARDS)

@@ -23,6 +23,7 @@ from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directi
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
+from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
@@ -50,6 +51,7 @@ __all__ = [
     "Directivity",
     "Electronics",
     "FirstOrder",
+    "Fluctuation",
     "ImpulseResponses",
     "InputError",
     "Lagrange",

@@ -50,7 +50,7 @@ class ImpulseResponses:
     scene : Scene
         The scene.
     first_arrivals : ndarray (sources, receivers)
-        Delay of the earliest path, s; nan where none is heard.
+        Delay of the earliest path, s, as in the path table; nan where none is heard.
     cut_db : ndarray (sources, receivers)
         Share of each response's energy that lay before time 0 and was cut, dB; -inf for none.
     """
@@ -175,7 +175,7 @@ def impulse_responses(
     for i, (pair, kinds) in enumerate(heard.items()):
         found[pair] = summed([frozen_response(kind, time, rate, kept) for kind in kinds])
         now = np.array([time])
-        first_arrivals[pair] = min(kind.arrivals(now, "quasi-static").delay.min() for kind in kinds)
+        first_arrivals[pair] = min(_earliest(kind, now) for kind in kinds)
         if lead == "cut":
             found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
@@ -188,6 +188,12 @@ def impulse_responses(
     if cut_db.max() > _LOUD_LEAD_DB:
         warn(f'lead="cut": {made.describe()[1]}; lead="keep" keeps it')
     return made
+
+
+def _earliest(pair: PairPaths, now: Floats) -> float:
+    """Return the delay of the earliest of a pair's paths, s."""
+    found = pair.arrivals(now, "quasi-static")
+    return float((found.delay + pair.group_lag(found)).min())
 
 
 def _on_one_axis(pairs: tuple[int, int], found: dict[tuple[int, int], ImpulseResponse]) -> tuple[Floats, int]:

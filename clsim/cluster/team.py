@@ -230,10 +230,12 @@ def local_team(number: int, tasks: Tasks, devices: list[str]) -> Iterator[DaskTe
         "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
     }  # fmt: skip
     settings = {
+        "distributed.worker.multiprocessing-method": "forkserver" if sys.platform == "linux" else "spawn",
         "distributed.nanny.pre-spawn-environ": dask.config.get("distributed.nanny.pre-spawn-environ", {}) | environment,
         "distributed.deploy.lost-worker-timeout": "1h",  # else one that takes 15 s to start again is given up
     }
     with dask.config.set(settings), _quiet():
+        _load_ahead(tasks)
         try:
             with _deaf_to_interrupts():
                 cluster = LocalCluster(
@@ -244,6 +246,17 @@ def local_team(number: int, tasks: Tasks, devices: list[str]) -> Iterator[DaskTe
             raise WorkersLostError(f"no worker could be started: {in_one_line(error)}") from error
         with cluster, Client(cluster, set_as_default=False) as client:
             yield DaskTeam(client, tasks, devices)
+
+
+def _load_ahead(tasks: Tasks) -> None:
+    """Where workers are forked, have the process that they are forked from load what tasks need, once for all."""
+    from distributed.utils import get_mp_context
+
+    function, _ = tasks.check()
+    needed = ["distributed", function.__module__, *(name for name in ("zarr", "xarray") if name in sys.modules)]
+    context = get_mp_context()
+    if context.get_start_method() == "forkserver":
+        context.set_forkserver_preload(needed)
 
 
 @contextmanager

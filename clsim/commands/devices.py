@@ -28,7 +28,7 @@ def execute(options: argparse.Namespace) -> int:
     if not found:
         raise DeviceError(no_device())
     for info in found:
-        tracks = "float64" if info.fp64 else "no float64: the host computes the tracks, which is slower"
+        tracks = "float64" if info.fp64 else "no float64: pairs of floats take its place"
         print(
             f"{info.id}  {info.name}  ({info.kind}, {info.platform}, {info.compute_units} units, "
             f"{info.memory_bytes / 2**30:.1f} GiB, {tracks})"

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--hold", action="store_true", help="at other frequencies than the table's, as at the nearest"
     )
     directivity.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="a curve for each")
-    air = pictures.add_parser("air", help="absorption of air by frequency and by humidity")
+    air = pictures.add_parser("air", help="absorption and speed of sound in air by frequency, absorption by humidity")
     air.add_argument("--temperature", type=float, default=20.0, metavar="CELSIUS", help="default: 20")
     air.add_argument("--pressure", type=float, default=101_325.0, metavar="PA", help="default: 101325")
     air.add_argument(

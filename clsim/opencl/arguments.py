@@ -59,7 +59,8 @@ PATHS_HEARD = {
     "heard_until": taken("int", "slots"),
 }  # fmt: skip
 BASIS = {
-    "nepers": taken("bins", "BIN_VECTORS"),
+    "nepers": taken("bins", "AIR_TERMS, BIN_VECTORS"),
+    "lead": taken("bins", "AIR_TERMS, BIN_VECTORS"),
     "projection": taken("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
     "functions": taken("bins", "function_count, PARTS, BIN_VECTORS"),
     "weight": taken("bins", "BIN_VECTORS"),

@@ -35,7 +35,7 @@ class DeviceInfo:
     driver : str
         Version of the driver.
     fp64 : bool
-        Whether it computes in float64; where not, the host computes the tracks.
+        Whether it computes in float64; where not, pairs of floats take its place in the tracks.
     """
 
     id: str

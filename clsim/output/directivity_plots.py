@@ -1,8 +1,8 @@
-"""Pictures of directivities, and of what air absorbs."""
+"""Pictures of directivities, and of what air does."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 if TYPE_CHECKING:
     import os
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from clsim.arrays import Floats
@@ -112,8 +113,19 @@ def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathL
     _save(figure, path)
 
 
+def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
+    """Draw by how much sound in air is faster than at 0 Hz."""
+    dispersing = replace(air, dispersion=True)
+    raised = [1e3 * (dispersing.speed_at(f) - air.speed_of_sound) for f in frequencies]
+    told = f"{100 * air.state[1]:g} %: {air.speed_of_sound:.3f} m/s"
+    axes.semilogx(frequencies / 1e3, raised, color=colour, label=told)
+    axes.set(xlabel="frequency (kHz)", ylabel="above the speed at 0 Hz (mm/s)", title="speed of sound by frequency")
+    axes.set(xlim=(1.0, 200.0), ylim=(0.0, None))
+    axes.legend(title="relative humidity: speed at 0 Hz", fontsize=9, loc="lower right")
+
+
 def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
-    """Draw the absorption of air by frequency for some humidities, and by humidity for some frequencies.
+    """Draw absorption and speed of sound in air by frequency for some humidities, and absorption by humidity.
 
     Parameters
     ----------
@@ -133,19 +145,20 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     for i, air in enumerate(airs):
         if not air.absorption:
             raise InputError(f"airs[{i}].absorption", "must be True to be drawn, but is False")
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    temperature, pressure = airs[0].temperature_celsius, airs[0].pressure
-    figure.suptitle(f"Absorption of air by ISO 9613-1, {temperature:g} °C, {pressure / 1e3:g} kPa", fontsize=12)
+    figure = Figure(figsize=(15.0, 4.6), layout="constrained")
+    left, right, speeds = figure.subplots(1, 3)
+    temperature, _, pressure = airs[0].state
+    figure.suptitle(
+        f"Absorption and dispersion of air by ISO 9613-1, {temperature:g} °C, {pressure / 1e3:g} kPa", fontsize=12
+    )
     frequencies = np.geomspace(1e3, 200e3, 400)
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(airs)))
     for air, colour in zip(airs, colours, strict=True):
-        left.loglog(
-            frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.relative_humidity:g} %"
-        )
-    left.set(xlabel="frequency (kHz)", ylabel="absorption (dB/m)", title="by frequency", xlim=(1.0, 200.0))
+        left.loglog(frequencies / 1e3, air.absorption_at(frequencies), color=colour, label=f"{100 * air.state[1]:g} %")
+        _draw_speed(speeds, air, frequencies, colour)
+    left.set(xlabel="frequency (kHz)", ylabel="absorption (dB/m)", title="absorption by frequency", xlim=(1.0, 200.0))
     left.legend(title="relative humidity", fontsize=9)
-    for axis in (left.xaxis, left.yaxis):
+    for axis in (left.xaxis, left.yaxis, speeds.xaxis):
         axis.set_major_formatter("{x:g}")
     humidity = np.linspace(0.0, 1.0, 401)
     shown = (20e3, _BEACON, 80e3)
@@ -153,10 +166,12 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
         absorption = np.array([float(absorption_iso9613(frequency, temperature, h, pressure)) for h in humidity])
         width = 2.4 if frequency == _BEACON else 1.3
         right.plot(100 * humidity, absorption, color=colour, label=_in_words(frequency), linewidth=width)
-    right.set(xlabel="relative humidity (%)", ylabel="absorption (dB/m)", title="by humidity", xlim=(0.0, 100.0))
+    right.set(
+        xlabel="relative humidity (%)", ylabel="absorption (dB/m)", title="absorption by humidity", xlim=(0.0, 100.0)
+    )
     right.set_ylim(0.0, None)
     right.legend(fontsize=9)
-    for axes in (left, right):
+    for axes in (left, right, speeds):
         axes.grid(which="both", alpha=0.25, linewidth=0.6)
     _save(figure, path)
 

@@ -162,7 +162,7 @@ def _tell_room(sofa: Any, scene: Scene) -> None:
         "ReceiverDescriptions", "EmitterDescriptions", "MeasurementDate", "RoomVolume", "RoomVolume_Units",
         "RoomCorners", "RoomCorners_Type", "RoomCorners_Units",
     ]  # fmt: skip
-    sofa.RoomTemperature = scene.air.temperature_celsius + 273.15
+    sofa.RoomTemperature = scene.air.state[0] + 273.15
     sofa.RoomTemperature_Units = "kelvin"
     if _is_box(scene.room):
         sofa.GLOBAL_RoomType = "shoebox"

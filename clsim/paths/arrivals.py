@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,10 +37,14 @@ class Arrivals:
         Of the path, over which pressure falls, m.
     through : ndarray (P, T)
         Of the air that it passes, m: the same where the air rests.
+    means : ndarray (P, T, terms) or None
+        Means of polynomials of the height along it, where the air depends on that.
     emission_time : ndarray (P, T)
         When it was emitted, s.
     mach_factor : ndarray (P, T)
         Factor of the amplitude by the source's motion.
+    frequency_ratio : ndarray (P, T)
+        Frequency on the way over that emitted: ``1 / (1 - M)``.
     """
 
     delay: Floats
@@ -49,12 +53,16 @@ class Arrivals:
     arrival: Floats
     length: Floats
     through: Floats
+    means: Floats | None
     emission_time: Floats
     mach_factor: Floats
+    frequency_ratio: Floats
 
     def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Arrivals:
         """Return what some of the paths bring at some of the times."""
-        return Arrivals(**{f.name: getattr(self, f.name)[rows, times] for f in fields(self)})
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}
+        some: dict[str, Any] = {name: None if x is None else x[rows, times] for name, x in columns.items()}
+        return Arrivals(**some)
 
 
 def slices_of(times: int, paths: int) -> list[slice]:

@@ -186,10 +186,10 @@ def channel_paths(
     as_choice("amplitude", amplitude, AMPLITUDES)
     carrier = as_number("carrier", carrier, above=0.0, unit="Hz")
     check_band_coverage(scene, range(len(scene.sources)), carrier, carrier, "the carrier")
-    at = SceneResponse(scene, np.array([carrier]))
     shape = (len(span[0]), len(times))
     delay, rate, gain = np.empty(shape), np.empty(shape), np.zeros(shape, dtype=np.complex128)
     for rows, pair in pairs:
+        at = SceneResponse(scene, pair.source, np.array([carrier]))
         for part in slices_of(len(times), len(rows)):
             found = pair.arrivals(times[part], motion, amplitude)
             delay[rows, part], rate[rows, part] = found.delay, found.delay_rate
@@ -312,7 +312,7 @@ def _series(scene: Scene, pair: PairPaths, found: Arrivals, times: Floats, band:
     count = _FEWEST
     while True:
         angles = np.pi * (np.arange(count) + 0.5) / count
-        values = pair.response(found, times, SceneResponse(scene, band.at(np.cos(angles))))
+        values = pair.response(found, times, SceneResponse(scene, pair.source, band.at(np.cos(angles))))
         turned = np.cos(np.outer(angles, np.arange(count))) * (2.0 / count)
         turned[:, 0] *= 0.5
         series: Complexes = (values @ turned).astype(np.complex128)

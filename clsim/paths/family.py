@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import InputError
-from clsim.paths.propagation import delay_bounds, max_delay_rate, medium_of
+from clsim.paths.propagation import SpeedRange, delay_bounds, max_delay_rate, medium_of
 from clsim.paths.response import SceneResponse, is_complex
 
 if TYPE_CHECKING:
@@ -50,8 +50,6 @@ class PathFamily(ABC):
         To which wall that happens (specular) or to which of `object_names`; filled up with -1.
     columns : tuple of str
         A kind's own fields with a row per path.
-    moves : bool
-        Whether paths change though both ends rest.
     object_names : tuple of str
         Of things that are no walls.
     """
@@ -66,7 +64,6 @@ class PathFamily(ABC):
     objects: NDArray[np.signedinteger[Any]]
 
     columns: ClassVar[tuple[str, ...]] = ()
-    moves: ClassVar[bool] = False
 
     @abstractmethod
     def arrivals(
@@ -120,7 +117,7 @@ class PathFamily(ABC):
         middle, half = 0.5 * (start + end), 0.5 * (end - start)
         length = self.lengths(rows, ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle))
         source_speed, receiver_speed = speeds.source[source], speeds.receiver[receiver]
-        return delay_bounds(self.medium, length, half * (source_speed + receiver_speed), source_speed)
+        return delay_bounds(self.speed_range, length, half * (source_speed + receiver_speed), source_speed)
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return bounds (P, F) of responses without directivities and motion, relative to free air of the same length.
@@ -131,12 +128,18 @@ class PathFamily(ABC):
 
     def max_rate(self, source_speed: float, receiver_speed: float) -> float:
         """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
-        return max_delay_rate(self.medium, source_speed, receiver_speed)
+        return max_delay_rate(self.speed_range, source_speed, receiver_speed)
+
+    def medium(self, source: int) -> Medium:
+        """Return what sound of a source travels in: its delays are those of the centre frequency's phase."""
+        return medium_of(self.scene.air, self.scene.sources[source].emitted.centre_frequency)
 
     @property
-    def medium(self) -> Medium:
-        """What sound travels in."""
-        return medium_of(self.scene.air)
+    def speed_range(self) -> SpeedRange:
+        """Bounds of the speed of sound of all sources."""
+        media = [self.medium(source) for source in range(len(self.scene.sources))]
+        bounds = min(m.slowest for m in media), max(m.fastest for m in media)
+        return SpeedRange(*bounds, self.scene.air.fluctuation)
 
     @property
     def device(self) -> str | None:
@@ -150,6 +153,11 @@ class PathFamily(ABC):
     def is_complex(self) -> bool:
         """Whether responses have phases."""
         return is_complex(self.scene)
+
+    @property
+    def moves(self) -> bool:
+        """Whether paths change though both ends rest."""
+        return self.scene.air.fluctuation is not None
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -256,7 +264,17 @@ class PairPaths:
         """Return responses (P, T) at the centre frequency of what the source emits."""
         scene = self.family.scene
         centre = np.array([scene.sources[self.source].emitted.centre_frequency])
-        return self.response(found, times, SceneResponse(scene, centre))[..., 0]
+        return self.response(found, times, SceneResponse(scene, self.source, centre))[..., 0]
+
+    def group_lag(self, found: Arrivals) -> Floats:
+        """Return by how much later than the delays (P, T) what sounds about the centre frequency arrives, s.
+
+        What air does is counted from 1 m on, where the emitted pressure is told.
+        """
+        air = self.family.scene.air
+        centre = self.family.scene.sources[self.source].emitted.centre_frequency
+        apart = 1.0 / air.group_speed_at(centre) - 1.0 / air.speed_at(centre)
+        return apart * (found.through - 1.0) * found.frequency_ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)

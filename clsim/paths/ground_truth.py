@@ -28,7 +28,7 @@ class DirectPath:
     times : ndarray (T,)
         Times of reception, s.
     delay : ndarray (sources, receivers, T)
-        From emission to reception, s, also where a wall is in the way.
+        From emission to reception, s, also where a wall is in the way; group delays in air that disperses.
     doppler_factor : ndarray (sources, receivers, T)
         Received over emitted frequency, also where a wall is in the way.
     line_of_sight : ndarray (sources, receivers, T) of bool
@@ -110,13 +110,15 @@ def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> Dire
     scene = paths.scene
     shape = (len(scene.sources), len(scene.receivers), len(times))
     delay, rate, seen = np.empty(shape), np.empty(shape), np.zeros(shape, dtype=bool)
+    speed = np.empty((*shape[:2], 1))
     for pair in SpecularPaths.direct(scene).pairs():
         for part in slices_of(len(times), 1):
             found = pair.arrivals(times[part], motion)
-            delay[pair.source, pair.receiver, part] = found.delay[0]
+            delay[pair.source, pair.receiver, part] = (found.delay + pair.group_lag(found))[0]
             rate[pair.source, pair.receiver, part] = found.delay_rate[0]
+            speed[pair.source, pair.receiver] = scene.air.speed_at(scene.sources[pair.source].emitted.centre_frequency)
     for row in np.flatnonzero(paths.order == 0):
         heard = (times >= paths.start[row]) & (times < paths.end[row])
         seen[paths.source[row], paths.receiver[row]] |= heard
     names = tuple(s.name for s in scene.sources), tuple(r.name for r in scene.receivers)
-    return DirectPath(times, delay, 1.0 - rate, seen, scene.air.speed_of_sound * rate, *names)
+    return DirectPath(times, delay, 1.0 - rate, seen, speed * rate, *names)

@@ -193,18 +193,23 @@ class PathSet:
         as_choice("amplitude", amplitude, AMPLITUDES)
         shape = (len(self), len(times))
         delay, doppler_factor = (np.full(shape, np.nan) for _ in range(2))
-        gain: Any = np.full(shape, np.nan, dtype=np.complex128 if self.is_complex else np.float64)
+        has_phases = self.is_complex or self.scene.air.dispersion
+        gain: Any = np.full(shape, np.nan, dtype=np.complex128 if has_phases else np.float64)
+        centres = np.array([source.emitted.centre_frequency for source in self.scene.sources])
         departure, arrival = (np.full((*shape, 3), np.nan) for _ in range(2))
         for rows, pair in self.pairs():
             for part in slices_of(len(times), len(rows)):
                 found = pair.arrivals(times[part], motion, amplitude)
                 delay[rows, part], gain[rows, part] = found.delay, pair.gain(found, times[part])
+                if self.scene.air.dispersion:  # delays told are those of groups
+                    lag = pair.group_lag(found)
+                    delay[rows, part] += lag
+                    gain[rows, part] *= np.exp(2j * np.pi * centres[pair.source] * lag)
                 doppler_factor[rows, part] = 1.0 - found.delay_rate
                 departure[rows, part], arrival[rows, part] = found.departure, found.arrival
         silent = (times[None, :] < self.start[:, None]) | (times[None, :] >= self.end[:, None])
         for column in (delay, doppler_factor, gain, departure, arrival):
             column[silent] = np.nan
-        centres = np.array([source.emitted.centre_frequency for source in self.scene.sources])
         shift = (doppler_factor - 1.0) * centres[self.source][:, None]
         return PathTable(
             times, self.source, self.receiver, self.order, self.interactions, self.objects, self.order == 0,

@@ -39,14 +39,15 @@ class PathTable:
     direct : ndarray (P,) bool
         Whether it is the direct path.
     delay : ndarray (P, T)
-        From emission to reception, s; NaN while the path is not heard.
+        From emission to reception, s; NaN while the path is not heard. In air that disperses that of what sounds about
+        the centre frequency of the source's signal, the group delay.
     doppler_factor : ndarray (P, T)
-        Received over emitted frequency.
+        Received over emitted frequency; in air that disperses of the centre frequency.
     doppler_shift : ndarray (P, T)
         Received less emitted frequency at the centre frequency of the source's signal, Hz.
     gain : ndarray (P, T)
-        Received over emitted pressure at the signal's centre frequency, signed; complex where walls or directivities
-        are.
+        Received over emitted pressure at the signal's centre frequency but for the delay, signed; complex where walls,
+        directivities or air have phases.
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the source along the path, and from the receiver back along it.
     source_names, receiver_names, object_names : tuple of str

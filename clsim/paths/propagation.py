@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
+from clsim.paths.heights import means_along
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,12 +26,15 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.air import Air
+    from clsim.scene.fluctuation import Fluctuation
     from clsim.scene.motion.motion import Motion
 
     Rows = NDArray[np.int64]
 
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s
+_STEP = 1e-3  # m, half of that by which derivatives along the height are taken
+_BEYOND_NODES = 5e-3  # of the speed, by which it and what delays change by are bounded beyond what layers say
 _CONTRACTIONS = 1000
 _CONTRACTED = 1e-13  # s
 
@@ -40,8 +45,8 @@ class Passage:
 
     Attributes
     ----------
-    time : ndarray (...)
-        Travel time, s.
+    length, time : ndarray (...)
+        Of the ways, m, and travel time, s.
     speed : float or ndarray (...)
         By how many metres a way gets longer while its time grows by a second, with both ends as far apart, m/s.
     carried : ndarray (..., 3) or None
@@ -50,6 +55,7 @@ class Passage:
         Length of the air that sound passes, m.
     """
 
+    length: Floats
     time: Floats
     speed: float | Floats
     carried: Floats | None
@@ -90,9 +96,17 @@ class Ways(Protocol):
         """Return unit vectors (P, T, 3) along the ways at the receiver, in the room, from places (P, T, 3)."""
         ...
 
+    def seen(self) -> Floats:
+        """Return the receiver (P, T, 3) as the source sees it, m."""
+        ...
 
-class Medium(Protocol):
-    """What sound travels in."""
+    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Return where ways bend, arguments as for `leave`: shares (..., K) from 0 to 1, and heights (..., K), m."""
+        ...
+
+
+class SpeedBounds(Protocol):
+    """How fast sound can be."""
 
     @property
     def slowest(self) -> float:
@@ -104,7 +118,20 @@ class Medium(Protocol):
         """Bound on the speed of sound from above, in any direction, m/s."""
         ...
 
-    def passage(self, length: Floats, apart: Floats) -> Passage:
+    @property
+    def fluctuation(self) -> Fluctuation | None:
+        """Noise of delays."""
+        ...
+
+
+class Medium(SpeedBounds, Protocol):
+    """What sound travels in."""
+
+    def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats | None:
+        """Return means (..., terms) of what it depends on along ways, arguments as for `Ways.leave`; or None."""
+        ...
+
+    def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
         """Return how sound passes ways.
 
         Parameters
@@ -113,6 +140,8 @@ class Medium(Protocol):
             Of the ways, m.
         apart : ndarray (..., 3)
             From where each begins to where it ends in the room, whatever it met in between, m.
+        means : ndarray (..., terms), optional
+            What `means` gives.
         """
         ...
 
@@ -133,6 +162,7 @@ class UniformAir:
 
     speed_of_sound: float
     wind: tuple[float, float, float] | None = None
+    fluctuation: Fluctuation | None = None
 
     @property
     def slowest(self) -> float:
@@ -144,21 +174,92 @@ class UniformAir:
         """The speed with the wind."""
         return self.speed_of_sound + (0.0 if self.wind is None else math.hypot(*self.wind))
 
-    def passage(self, length: Floats, apart: Floats) -> Passage:
+    def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> None:
+        """Return nothing: it is the same everywhere."""
+        return
+
+    def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
         """Return length over speed; in wind the positive root, and its derivatives."""
-        c = self.speed_of_sound
-        if self.wind is None:
-            return Passage(np.asarray(length / c), c, None, length)
-        wind = np.array(self.wind)
-        room, along = c**2 - wind @ wind, apart @ wind
-        root = np.sqrt(along**2 + room * length**2)
-        time = (root - along) / room
-        return Passage(time, root / length, ((along / root - 1.0) / room)[..., None] * wind, c * time)
+        return _passage(self.speed_of_sound, self.wind, length, apart)
 
 
-def medium_of(air: Air) -> UniformAir:
-    """Return what sound travels in, of the air of a scene."""
-    return UniformAir(air.speed_of_sound, air.wind)
+@dataclass(frozen=True, slots=True)
+class LayeredAir:
+    """Air whose speed of sound depends on the height.
+
+    Sound takes straight legs at the mean slowness along them, exact for polynomials of the height. That ways are bent
+    makes them earlier by some ``g² d³ / (24 c³)``, g the change of the speed by height: 0.13 mm at 1 K/m over 10 m.
+
+    Attributes
+    ----------
+    slowness : tuple of float
+        Chebyshev's coefficients over `extent`, s/m.
+    extent : tuple of float
+        Heights, m.
+    slowest, fastest : float
+        Bounds on the speed of sound, in any direction, m/s.
+    wind, fluctuation : tuple or None, Fluctuation or None
+        As of `UniformAir`.
+    """
+
+    slowness: tuple[float, ...]
+    extent: tuple[float, float]
+    slowest: float
+    fastest: float
+    wind: tuple[float, float, float] | None
+    fluctuation: Fluctuation | None
+
+    def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats:
+        """Return means (..., terms) of Chebyshev polynomials of the height."""
+        return means_along(*ways.bends(p, t, start), self.extent, len(self.slowness))
+
+    def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
+        """Return length times mean slowness; in wind as of `UniformAir`, at the mean speed."""
+        assert means is not None
+        return _passage(1.0 / (means @ np.array(self.slowness)), self.wind, length, apart)
+
+
+def _passage(c: float | Floats, wind: tuple[float, float, float] | None, length: Floats, apart: Floats) -> Passage:
+    if wind is None:
+        return Passage(length, np.asarray(length / c), c, None, length)
+    w = np.array(wind)
+    room, along = c**2 - w @ w, apart @ w
+    root = np.sqrt(along**2 + room * length**2)
+    time = (root - along) / room
+    return Passage(length, time, root / length, ((along / root - 1.0) / room)[..., None] * w, c * time)
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedRange:
+    """Bounds of the speed of sound in some media, m/s, and their noise."""
+
+    slowest: float
+    fastest: float
+    fluctuation: Fluctuation | None
+
+
+@lru_cache(maxsize=256)
+def medium_of(air: Air, frequency: float) -> UniformAir | LayeredAir:
+    """Return what sound of a frequency, Hz, travels in, of the air of a scene."""
+    if not air.layers:
+        return UniformAir(air.speed_at(frequency), air.wind, air.fluctuation)
+    assert air.extent is not None
+    slowness = air.by_height(lambda layer: 1.0 / layer.speed_at(frequency))
+    fastest = max(layer.speed_at(frequency) for layer in air.layers)
+    fastest += 0.0 if air.wind is None else math.hypot(*air.wind)
+    return LayeredAir(
+        tuple(slowness.tolist()),
+        air.extent,
+        (1.0 - _BEYOND_NODES) * air.slowest,
+        (1.0 + _BEYOND_NODES) * fastest,
+        air.wind,
+        air.fluctuation,
+    )
+
+
+def mean_medium_of(air: Air, frequency: float) -> UniformAir:
+    """Return what it travels in where heights and noise do not count: to tell when a path is there."""
+    return UniformAir(air.speed_at(frequency), air.wind)
 
 
 def straight(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
@@ -199,14 +300,15 @@ def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], 
 
 
 def arrivals_by(
-    ways: Ways, medium: Medium, ends: tuple[Motion, Motion], times: Floats, motion: str, amplitude: str
-) -> Arrivals:
+    ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats, motion: str,
+    amplitude: str,
+) -> Arrivals:  # fmt: skip
     """Return what ways between one source and one receiver bring.
 
     Parameters
     ----------
-    ways : Ways
-        To where the receiver is at the times.
+    ways_to : callable
+        Takes places (T, 3) of the receiver, m; returns the `Ways` to them.
     medium : Medium
         What sound travels in.
     ends : tuple of Motion
@@ -222,17 +324,24 @@ def arrivals_by(
     is received as ``s(t - delay) / (d (1 - M))``, M its Mach number along the way at emission (Morse and Ingard,
     Theoretical Acoustics, 1968, section 11.2); d is the length of the way along the wavefront's normal: less in wind.
     """
-    (source, receiver), everything = ends, slice(None)
+    source, receiver = ends
     heard_at, heading = receiver.position(times), receiver.velocity(times)
+    ways, whole = ways_to(heard_at), (slice(None), slice(None))
+
+    def passage(p: Any, t: Any, start: Floats) -> tuple[Floats, Passage, Floats | None]:
+        length, direction = ways.leave(p, t, start)
+        means = medium.means(ways, p, t, start)
+        return direction, medium.passage(length, heard_at[t] - start, means), means
 
     def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
-        start = source.position(emission_time)
-        length, direction = ways.leave(p, t, start)
-        sound = medium.passage(length, heard_at[t] - start)
-        return sound.time, sound.growth(direction, source.velocity(emission_time))
+        direction, sound, _ = passage(p, t, source.position(emission_time))
+        time = sound.time if noise is None else sound.time + noise[0][p, t]
+        return time, sound.growth(direction, source.velocity(emission_time))
 
-    start = source.position(times)
-    delay = medium.passage(ways.leave(everything, everything, start)[0], heard_at - start).time
+    noise = _noise(ways_to, medium, ends, times)
+    delay = passage(*whole, source.position(times)[None])[1].time
+    if noise is not None:
+        delay = delay + noise[0]
     emission_time = np.broadcast_to(times, delay.shape)
     if motion == "retarded":
         if not math.isinf(source.end):  # a fixed source was where it is
@@ -240,16 +349,47 @@ def arrivals_by(
         emission_time = times - delay
     flat, shape = emission_time.ravel(), (*delay.shape, 3)
     start, velocity = source.position(flat).reshape(shape), source.velocity(flat).reshape(shape)
-    length, direction = ways.leave(everything, everything, start)
-    onwards, sound = ways.arrive(start), medium.passage(length, heard_at - start)
+    (direction, sound, means), onwards = passage(*whole, start), ways.arrive(start)
     mach, receding = sound.growth(direction, velocity), sound.growth(onwards, heading)
-    departure, arrival = sound.normal(direction), -sound.normal(onwards)
-    if sound.carried is not None:
-        length = length * np.sum(departure * direction, axis=-1)
-    rate, factor = receding - mach, np.ones_like(mach)
+    if means is not None:  # which change too as the ends move
+        growth = partial(_growth_by_means, medium, sound.length, heard_at - start)
+        mach -= growth(lambda step: medium.means(ways, *whole, start + step), velocity)
+        receding += growth(lambda step: medium.means(ways_to(heard_at + step), *whole, start), heading)
+    rate = receding - mach if noise is None else receding - mach + noise[1]
+    factor, ratio = np.ones_like(mach), np.ones_like(mach)
     if motion == "retarded":
-        rate, factor = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude]
-    return Arrivals(delay, rate, departure, arrival, length, sound.through, emission_time, factor)
+        rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude], 1.0 / (1.0 - mach)
+    departure, arrival = sound.normal(direction), -sound.normal(onwards)
+    length = sound.length if sound.carried is None else sound.length * np.sum(departure * direction, axis=-1)
+    return Arrivals(delay, rate, departure, arrival, length, sound.through, means, emission_time, factor, ratio)
+
+
+def _noise(
+    ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats
+) -> tuple[Floats, Floats] | None:
+    """Return what noise adds to delays (P, T), s, and to their rates, with both ends as at reception; or None."""
+    if medium.fluctuation is None:
+        return None
+    source, receiver = ends
+    heard_at, heading = receiver.position(times), receiver.velocity(times)
+    seen = ways_to(heard_at).seen()
+    turned = ways_to(heard_at + heading).seen() - seen  # isometries: velocities as the source sees them
+    return medium.fluctuation.at(times, seen, source.position(times), (turned, source.velocity(times)))
+
+
+def _growth_by_means(
+    medium: Medium, length: Floats, apart: Floats, means: Callable[[Floats], Floats | None], velocity: Floats
+) -> Floats:
+    """Return by how much the time grows per second as an end moves on ways as long, by what is met on them.
+
+    `means` takes by how much the end is displaced (..., 3), m.
+    """
+    speed = np.linalg.norm(velocity, axis=-1)
+    if not speed.any():
+        return np.zeros(speed.shape)
+    step = _STEP * velocity / np.maximum(speed, 1e-300)[..., None]
+    before, after = (medium.passage(length, apart, means(sign * step)).time for sign in (-1.0, 1.0))
+    return np.asarray((after - before) * speed / (2.0 * _STEP))
 
 
 def contract_delay(
@@ -283,14 +423,14 @@ def contract_delay(
 
 
 def delay_bounds(
-    medium: Medium, length: Floats, slack: Floats | float, source_speed: Floats | float
+    speeds: SpeedBounds, length: Floats, slack: Floats | float, source_speed: Floats | float
 ) -> tuple[Floats, Floats]:
     """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
 
     Parameters
     ----------
-    medium : Medium
-        What sound travels in.
+    speeds : SpeedBounds
+        Of sound.
     length : ndarray (n,)
         Of the ways at some instant of reception, with source and receiver where they are then, m.
     slack : float or ndarray (n,)
@@ -298,10 +438,17 @@ def delay_bounds(
     source_speed : float or ndarray (n,)
         Largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
     """
-    low = np.maximum(length - slack, 0.0) / (medium.fastest + source_speed)
-    return low, (length + slack) / (medium.slowest - source_speed)
+    low = np.maximum(length - slack, 0.0) / (speeds.fastest + source_speed)
+    high = (length + slack) / (speeds.slowest - source_speed)
+    if speeds.fluctuation is None:
+        return low, high
+    noise = speeds.fluctuation.most / (1.0 - source_speed / speeds.slowest)
+    return np.maximum(low - noise, 0.0), high + noise
 
 
-def max_delay_rate(medium: Medium, source_speed: float, receiver_speed: float) -> float:
+def max_delay_rate(speeds: SpeedBounds, source_speed: float, receiver_speed: float) -> float:
     """Return a bound on how fast a delay changes with the time of reception, s/s, from the largest speeds, m/s."""
-    return (source_speed + receiver_speed) / (medium.slowest - source_speed)
+    rate = (source_speed + receiver_speed) / (speeds.slowest - source_speed)
+    if speeds.fluctuation is None:
+        return rate
+    return rate + speeds.fluctuation.most_rate(source_speed, receiver_speed) / (1.0 - source_speed / speeds.slowest)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.quaternions import rotate
+from clsim.scene.air_by_height import coefficients
 from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals
+    from clsim.scene.air import Air
     from clsim.scene.directivity.directivity import Directivity
     from clsim.scene.ends import Receiver, Source
     from clsim.scene.material.material import Material
@@ -40,6 +42,8 @@ class SceneResponse:
     ----------
     scene : Scene
         Holds air, walls and directivities.
+    source : int
+        Whose sound it is: phases are those that its delays leave.
     frequencies : ndarray (F,)
         As emitted, Hz.
 
@@ -48,17 +52,27 @@ class SceneResponse:
     frequencies : ndarray (F,)
         The same.
     nepers : ndarray (F,)
-        Absorption of the air, of the amplitude, 1/m.
+        Absorption of the air, of the amplitude, 1/m; half way up where it depends on the height.
+    least_nepers, most_nepers : ndarray (F,)
+        Bounds of it over all heights, 1/m.
     angular : ndarray (walls + 1,) bool
         Walls whose factor depends on the angle of incidence; False at the end, for -1, which is no wall.
     dtype : numpy type
-        float64; complex128 where a wall or a transducer of the scene is complex.
+        Of walls and transducers: float64, or complex128 where one of the scene is complex.
+    disperses : bool
+        Whether the air gives phases.
     """
 
-    def __init__(self, scene: Scene, frequencies: Floats) -> None:
-        self._scene, self.frequencies = scene, frequencies
+    def __init__(self, scene: Scene, source: int, frequencies: Floats) -> None:
+        self._scene, self.frequencies, self.disperses = scene, frequencies, scene.air.dispersion
+        self._centre, self._layers = scene.sources[source].emitted.centre_frequency, scene.air.layers
         materials = scene.room.faces.materials
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
+        layers = [layer.absorption_at(frequencies) * NEPERS for layer in scene.air.layers]
+        self.least_nepers, self.most_nepers = self.nepers, self.nepers
+        if layers:
+            self._by_height = coefficients(np.array(layers))
+            self.least_nepers, self.most_nepers = 0.99 * np.min(layers, axis=0), 1.01 * np.max(layers, axis=0)
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
         self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
         self._factors = np.ones((len(materials) + 1, len(frequencies)), dtype=self.dtype)
@@ -69,9 +83,31 @@ class SceneResponse:
                     covered(frequencies, material), 1.0, scene.air.speed_of_sound
                 )
 
-    def air(self, length: Floats) -> Floats:
-        """Return what the air leaves (..., F) of 1 over lengths (...), relative to 1 m."""
-        return np.asarray(np.exp(-(length - 1.0)[..., None] * self.nepers))
+    def air(self, found: Arrivals) -> Floats | Complexes:
+        """Return what the air leaves (P, T, F) of 1, relative to 1 m of it; if it disperses, of what it meets."""
+        beyond, ratio = (found.through - 1.0)[..., None], found.frequency_ratio[..., None]
+        if not self.disperses:
+            nepers = self.nepers if found.means is None else found.means @ self._by_height
+            return np.asarray(np.exp(-beyond * nepers))
+        met = 1.0 if np.all(ratio == 1.0) else ratio
+        if found.means is None:
+            lossy, lead = self.air_at(met)
+            return np.asarray(np.exp(beyond * (1j * lead - lossy)))
+        shares = found.means @ coefficients(np.eye(len(self._layers)))  # of each layer in the mean
+        exponent: Any = 0.0
+        for i, layer in enumerate(self._layers):
+            lossy, lead = self._of_air(layer, met)
+            exponent = exponent + shares[..., i, None] * (1j * lead - lossy)
+        return np.asarray(np.exp(beyond * exponent))
+
+    def air_at(self, frequency_ratio: Floats | float) -> tuple[Floats, Floats]:
+        """Return absorption, 1/m, and lead before the delays' phase, rad/m, (..., F) at ratios of the frequencies."""
+        return self._of_air(self._scene.air, frequency_ratio)
+
+    def _of_air(self, air: Air, frequency_ratio: Floats | float) -> tuple[Floats, Floats]:
+        f = self.frequencies * frequency_ratio
+        k = air.wavenumber_at(f)
+        return -k.imag, 2.0 * np.pi / air.speed_at(self._centre) * f - k.real
 
     def reflection(self, walls: Walls) -> Floats | Complexes:
         """Return the product of the factors (P, F) of walls (P, N), of those that are the same at every angle."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,8 +19,12 @@ from clsim.acoustics.air import (
 )
 from clsim.arrays import Floats, as_choice, as_flag, as_floats, as_number
 from clsim.errors import InputError, warn
+from clsim.scene.air_by_height import MOST_TERMS, UNPLACED, ByHeight, at_heights, coefficients, places, told_by_height
+from clsim.scene.fluctuation import Fluctuation
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike
 
     from clsim.arrays import Complexes
@@ -29,36 +33,51 @@ _COLDEST, _HOTTEST = -73.0, 100.0  # °C: 200 K, where ISO 9613-1 stops claiming
 _THINNEST, _DENSEST = 1e4, 1e6  # Pa
 _SLOWEST, _FASTEST = 100.0, 2000.0  # m/s: heavy gases, hydrogen, water
 _STRONGEST = 0.5  # of the speed of sound, a wind
+_FEWEST_TERMS = 3  # of polynomials of the height
+_TIME_HELD, _LOSS_HELD = 1e-10, 1e-6  # relative errors of these at which more terms are not looked for
+_TIME_WRONG = 3e-6  # the same of times, told from there on: 90 ns over 10 m
+_LOOKED_AT = np.array([1e3, 20e3, 40e3, 80e3, 200e3])  # Hz, at which absorption is held
 
 
 @dataclass(frozen=True, slots=True, init=False)
 class Air:
-    """Air of one temperature, humidity and pressure, that rests or moves as a whole.
+    """Air of one pressure, that rests or moves as a whole; temperature and humidity can depend on the height.
 
     Parameters
     ----------
-    temperature_celsius : float
-        Temperature, -73 to 100 °C.
-    relative_humidity : float
-        From 0 to 1 (not per cent).
+    temperature_celsius : float or (float, float) or callable
+        Temperature, -73 to 100 °C: everywhere; at the lower and the upper of `heights`, and linear in height; or a
+        function that takes heights (n,) in m and returns temperatures (n,).
+    relative_humidity : float or (float, float) or callable
+        From 0 to 1 (not per cent), likewise.
     pressure : float
         Static pressure, 10 kPa to 1 MPa, Pa.
     speed_of_sound : float or "iso9613" or None
         A speed, 100 to 2000 m/s; ISO 9613-1's formula by name; or None for Cramer's formula (1993, 314 ppm CO2).
     absorption : bool
         Whether the air absorbs sound, by ISO 9613-1; without it closed forms of walls and spreading hold exactly.
-    dispersion : bool or None
-        Whether the speed of sound depends on frequency, as it must where relaxations absorb; None for whether it comes
-        by a formula. Without it a speed holds at all frequencies, with it at zero frequency.
+    dispersion : bool
+        Whether the speed of sound depends on frequency, as it does where relaxations absorb; the speed is then that at
+        zero frequency.
     wind : array_like (3,), optional
         Velocity of the air, below half the speed of sound, m/s; at rest when left out.
+    heights : (float, float), optional
+        Where the pairs hold, m; the room's lowest and highest point when left out.
+    fluctuation : Fluctuation, optional
+        Slow noise of delays; none when left out.
 
     Attributes
     ----------
     speed_of_sound : float
-        The given speed, or what the formula gives, m/s.
+        The given speed, or what the formula gives, m/s; half way up where it depends on the height.
     wind : tuple or None
         Velocity of the air, m/s; None where it rests.
+    extent : tuple or None
+        Lowest and highest point of the room that air which depends on the height is in, m.
+    layers : tuple of Air
+        Of such air, at Chebyshev's points of `extent`, from the highest down; empty for all other.
+    state : tuple of float
+        Temperature, °C, relative humidity and pressure, Pa; half way up where they depend on the height.
 
     Raises
     ------
@@ -79,35 +98,64 @@ class Air:
     (343.994, 1.318)
     """
 
-    temperature_celsius: float
-    relative_humidity: float
+    temperature_celsius: ByHeight
+    relative_humidity: ByHeight
     pressure: float
     speed_of_sound: float = field(init=False)
     absorption: bool
-    dispersion: bool | None
+    dispersion: bool
     wind: tuple[float, float, float] | None
+    heights: tuple[float, float] | None
+    fluctuation: Fluctuation | None
+    extent: tuple[float, float] | None
+    layers: tuple[Air, ...] = field(init=False, repr=False, compare=False)
+    state: tuple[float, float, float] = field(init=False, repr=False, compare=False)  # °C, 1, Pa, half way up
     _asked_speed: float | str | None = field(repr=False)  # so that `dataclasses.replace` keeps what was asked for
 
     def __init__(
         self,
-        temperature_celsius: float = 20.0,
-        relative_humidity: float = 0.5,
+        temperature_celsius: ByHeight = 20.0,
+        relative_humidity: ByHeight = 0.5,
         pressure: float = 101_325.0,
         speed_of_sound: float | str | None = None,
         absorption: bool = True,
-        dispersion: bool | None = None,
+        dispersion: bool = False,
         wind: ArrayLike | None = None,
+        heights: ArrayLike | None = None,
+        fluctuation: Fluctuation | None = None,
         *,
+        extent: tuple[float, float] | None = None,
         _asked_speed: float | str | None = None,
     ) -> None:
-        celsius = as_number("temperature_celsius", temperature_celsius, at_least=_COLDEST, at_most=_HOTTEST, unit="°C")
-        humidity = _checked_humidity(relative_humidity)
+        warm = told_by_height(
+            "temperature_celsius", temperature_celsius, at_least=_COLDEST, at_most=_HOTTEST, unit="°C"
+        )
+        humid = _checked_humidity(relative_humidity)
         pascal = as_number("pressure", pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa")
         asked = _checked_speed(_asked_speed if speed_of_sound is None else speed_of_sound)
         absorbs = as_flag("absorption", absorption)
-        disperses = None if dispersion is None else as_flag("dispersion", dispersion)
+        disperses = as_flag("dispersion", dispersion)
         if disperses and not absorbs:
-            raise InputError("dispersion", "must be False or None in air without absorption, but is True")
+            raise InputError("dispersion", "must be False in air without absorption, but is True")
+        where = None if heights is None else _checked_heights(heights)
+        if not isinstance(fluctuation, Fluctuation | None):
+            raise InputError("fluctuation", f"must be a Fluctuation, but is {fluctuation!r:.80}")
+        told = {
+            "temperature_celsius": warm, "relative_humidity": humid, "pressure": pascal, "absorption": absorbs,
+            "dispersion": disperses, "wind": None, "heights": where, "fluctuation": fluctuation,
+            "extent": extent, "_asked_speed": asked,
+        }  # fmt: skip
+        for name, value in told.items():
+            object.__setattr__(self, name, value)
+        self._settle()
+        object.__setattr__(self, "wind", _checked_wind(wind, self.speed_of_sound))
+
+    def _settle(self) -> None:
+        """Make the layers and the state half way up, and what follows from it."""
+        layered = not (isinstance(self.temperature_celsius, float) and isinstance(self.relative_humidity, float))
+        layers = _layers(self) if layered and self.extent is not None else ()
+        low, high = self.extent or self.heights or UNPLACED
+        (celsius, humidity), pascal = self.at_height(np.array([0.5 * (low + high)]))[:, 0].tolist(), self.pressure
         vapour = vapour_fraction_giacomo(celsius, humidity, pascal)
         if vapour >= 1.0:
             raise InputError(
@@ -115,27 +163,110 @@ class Air:
                 f"must leave room for air, but at {celsius:g} °C and {pascal:g} Pa "
                 f"{humidity:g} is nothing but water vapour",
             )
-        speed = _speed(asked, celsius, humidity, pascal)
-        values = (celsius, humidity, pascal, speed, absorbs, disperses, _checked_wind(wind, speed), asked)
-        for name, value in zip(self.__slots__, values, strict=True):
+        speed = _speed(self._asked_speed, celsius, humidity, pascal)
+        for name, value in (("layers", layers), ("state", (celsius, humidity, pascal)), ("speed_of_sound", speed)):
             object.__setattr__(self, name, value)
-        for message in (_doubt_in_speed(self, asked, vapour), _doubt_in_absorption(self)):
-            if message:
+        for message in (_doubt_in_speed(self, vapour), _doubt_in_absorption(self)):
+            if message and not layers:  # of which each has told
                 warn(message)
+
+    def at_height(self, height: Floats) -> Floats:
+        """Return temperature and relative humidity at some heights.
+
+        Parameters
+        ----------
+        height : ndarray (n,)
+            m.
+
+        Returns
+        -------
+        ndarray (2, n)
+            °C, and from 0 to 1.
+        """
+        where = self.heights or self.extent or UNPLACED
+        told = {"temperature_celsius": self.temperature_celsius, "relative_humidity": self.relative_humidity}
+        return np.stack([at_heights(name, value, where, height) for name, value in told.items()])
+
+    def between(self, lowest: float, highest: float) -> Air:
+        """Return the same air in a room between two heights, m: with layers if it depends on the height.
+
+        Parameters
+        ----------
+        lowest, highest : float
+            Of the room, m.
+
+        Returns
+        -------
+        Air
+            This one, if it is the same everywhere.
+
+        Raises
+        ------
+        InputError
+            If temperature or humidity is out of bounds at some height.
+        """
+        if isinstance(self.temperature_celsius, float) and isinstance(self.relative_humidity, float):
+            return self
+        return replace(self, extent=(lowest, highest))
+
+    def by_height(self, quantity: Callable[[Air], ArrayLike]) -> Floats:
+        """Return something of the air over the height.
+
+        Parameters
+        ----------
+        quantity : callable
+            Takes the air of a layer; returns numbers (...).
+
+        Returns
+        -------
+        ndarray (terms, ...)
+            Coefficients of Chebyshev polynomials over `extent`; one term for air that is the same everywhere.
+        """
+        if not self.layers:
+            return np.asarray(quantity(self), dtype=np.float64)[None]
+        return coefficients(np.array([quantity(layer) for layer in self.layers]))
 
     @property
     def slowest(self) -> float:
         """Speed at which sound makes way at least, against the wind, m/s."""
-        return self.speed_of_sound - (0.0 if self.wind is None else math.hypot(*self.wind))
+        slowest = min((layer.speed_of_sound for layer in self.layers), default=self.speed_of_sound)
+        return slowest - (0.0 if self.wind is None else math.hypot(*self.wind))
 
-    @property
-    def disperses(self) -> bool:
-        """Whether the speed of sound depends on frequency."""
-        by_formula = not isinstance(self._asked_speed, float)
-        return self.absorption and (by_formula if self.dispersion is None else self.dispersion)
+    def describe(self) -> list[str]:
+        """Return what the air is like, a line each.
+
+        Returns
+        -------
+        list of str
+            Temperature, humidity and speed of sound; then what differs from air that rests and is the same everywhere.
+        """
+        celsius, humidity, _ = self.state
+        lines = [
+            f"air: {celsius:g} °C, {100.0 * humidity:g} % relative humidity, sound at {self.speed_of_sound:.2f} m/s"
+            + (" half way up" if self.layers else "")
+        ]
+        if self.layers:
+            low, high = self.extent or UNPLACED
+            (cold, warm), (dry, damp) = self.at_height(np.array([low, high])).tolist()
+            speeds = [layer.speed_of_sound for layer in self.layers]
+            bend = ((max(speeds) - min(speeds)) / (high - low) / self.speed_of_sound) ** 2 * 1e3 / 24.0
+            lines.append(
+                f"air: {cold:g} °C, {100.0 * dry:g} % at {low:g} m to {warm:g} °C, {100.0 * damp:g} % at {high:g} m, "
+                f"sound at {min(speeds):.2f} to {max(speeds):.2f} m/s; legs are straight, some {1e3 * bend:.2g} mm too "
+                f"long over 10 m at most"
+            )
+        if self.wind is not None:
+            lines.append("air: wind of ({:g}, {:g}, {:g}) m/s".format(*self.wind))
+        if self.fluctuation is not None:
+            told = self.fluctuation
+            lines.append(
+                f"air: delays fluctuate by {1e6 * told.rms:g} µs, over {told.correlation_time:g} s and "
+                f"{told.correlation_length:g} m, seed {told.seed}"
+            )
+        return lines
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
-        """Return the absorption of pure tones by ISO 9613-1, dB/m; zero in air without.
+        """Return the absorption of pure tones by ISO 9613-1, dB/m, half way up; zero in air without.
 
         Parameters
         ----------
@@ -167,7 +298,7 @@ class Air:
                 f"the absorption of air is asked for at {np.max(f):g} Hz, but ISO 9613-1 states its accuracy "
                 f"up to 10 Hz/Pa only, here {10.0 * self.pressure:g} Hz"
             )
-        return absorption_iso9613(f, self.temperature_celsius, self.relative_humidity, self.pressure)
+        return absorption_iso9613(f, *self.state)
 
     def wavenumber_at(self, frequency: ArrayLike) -> Complexes:
         """Return the complex wavenumber k of pure tones, with ``exp(j 2 pi f t - j k x)``, 1/m.
@@ -184,7 +315,7 @@ class Air:
         """
         f = np.asarray(frequency, dtype=np.float64)
         k = 2.0 * np.pi / self.speed_of_sound * f - 1j * np.log(10.0) / 20.0 * self.absorption_at(f)
-        return np.asarray(k - lead_iso9613(f, *self._state) if self.disperses else k)
+        return np.asarray(k - lead_iso9613(f, *self.state) if self.dispersion else k)
 
     def speed_at(self, frequency: float) -> float:
         """Return the speed of sound of a pure tone, that of its phase, m/s.
@@ -200,9 +331,9 @@ class Air:
             Speed, m/s.
         """
         c = self.speed_of_sound
-        if not self.disperses:
+        if not self.dispersion:
             return c
-        return c / (1.0 - c * float(lead_iso9613(frequency, *self._state)) / (2.0 * np.pi * frequency))
+        return c / (1.0 - c * float(lead_iso9613(frequency, *self.state)) / (2.0 * np.pi * frequency))
 
     def group_speed_at(self, frequency: float) -> float:
         """Return the speed of what sounds about a frequency, that of envelopes, m/s.
@@ -218,21 +349,67 @@ class Air:
             Speed, m/s.
         """
         c = self.speed_of_sound
-        if not self.disperses:
+        if not self.dispersion:
             return c
-        return c / (1.0 - c * float(lead_slope_iso9613(frequency, *self._state)))
-
-    @property
-    def _state(self) -> tuple[float, float, float]:
-        return self.temperature_celsius, self.relative_humidity, self.pressure
+        return c / (1.0 - c * float(lead_slope_iso9613(frequency, *self.state)))
 
 
-def _checked_humidity(value: float) -> float:
-    humidity = as_number("relative_humidity", value, at_least=0.0)
-    if humidity > 1.0:
-        hint = f"; {humidity:g} per cent is {humidity / 100:g}" if humidity <= 100.0 else ""
-        raise InputError("relative_humidity", f"must be from 0 to 1, but is {humidity:g}{hint}")
-    return humidity
+def _checked_humidity(value: ByHeight) -> ByHeight:
+    told = told_by_height("relative_humidity", value, at_least=0.0)
+    for humidity in () if callable(told) else (told,) if isinstance(told, float) else told:
+        if humidity > 1.0:
+            hint = f"; {humidity:g} per cent is {humidity / 100:g}" if humidity <= 100.0 else ""
+            raise InputError("relative_humidity", f"must be from 0 to 1, but is {humidity:g}{hint}")
+    return told
+
+
+def _checked_heights(value: ArrayLike) -> tuple[float, float]:
+    low, high = as_floats("heights", value, (2,)).tolist()
+    if not low < high:
+        raise InputError("heights", f"must be a lower and an upper one, but are {low:g} and {high:g} m")
+    return low, high
+
+
+def _layers(air: Air) -> tuple[Air, ...]:
+    """Return the air at as many heights as polynomials need; none if it is the same everywhere.
+
+    Warns
+    -----
+    ClsimWarning
+        If the largest polynomials do not hold it.
+    """
+    terms = _FEWEST_TERMS
+    while True:
+        layers = _at_places(air, terms)
+        if all(layer == layers[0] for layer in layers):
+            return ()
+        exact, held = _of_layers(_at_places(air, 2 * terms)), coefficients(_of_layers(layers))
+        made = np.polynomial.chebyshev.chebval(np.cos(np.pi * (np.arange(2 * terms) + 0.5) / (2 * terms)), held).T
+        wrong = np.abs(made - exact).max(axis=0) / np.maximum(exact.max(axis=0), 1e-300)
+        if (wrong[0] <= _TIME_HELD and wrong.max() <= _LOSS_HELD) or terms >= MOST_TERMS:
+            break
+        terms = 2 * terms - 1
+    if wrong[0] > _TIME_WRONG:
+        warn(
+            f"temperature_celsius changes so suddenly with the height that travel times are held within "
+            f"{1e9 * 10.0 * wrong[0] * exact[:, 0].max():.3g} ns over 10 m only; make it smoother"
+        )
+    return layers
+
+
+def _at_places(air: Air, count: int) -> tuple[Air, ...]:
+    """Return the air at Chebyshev's points of its extent, each the same everywhere."""
+    assert air.extent is not None
+    told = air.at_height(places(air.extent, count))
+    return tuple(
+        Air(celsius, humidity, air.pressure, air._asked_speed, air.absorption, air.dispersion)
+        for celsius, humidity in told.T.tolist()
+    )
+
+
+def _of_layers(layers: tuple[Air, ...]) -> Floats:
+    """Return slownesses and absorptions (n, 1 + frequencies) of layers."""
+    return np.array([[1.0 / layer.speed_of_sound, *layer.absorption_at(_LOOKED_AT)] for layer in layers])
 
 
 def _checked_speed(value: float | str | None) -> float | str | None:
@@ -265,14 +442,15 @@ def _speed(asked: float | str | None, celsius: float, humidity: float, pressure:
     return asked
 
 
-def _doubt_in_speed(air: Air, asked: float | str | None, vapour: float) -> str:
+def _doubt_in_speed(air: Air, vapour: float) -> str:
     """Return a sentence if the speed comes from Cramer's formula outside its range."""
-    inside = 0.0 <= air.temperature_celsius <= 30.0 and 75e3 <= air.pressure <= 102e3 and vapour <= 0.06
-    if asked is not None or inside:
+    celsius = air.state[0]
+    inside = 0.0 <= celsius <= 30.0 and 75e3 <= air.pressure <= 102e3 and vapour <= 0.06
+    if air._asked_speed is not None or inside:
         return ""
     return (
         f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of "
-        f"vapour, but the air has {air.temperature_celsius:g} °C, {air.pressure / 1e3:g} kPa "
+        f"vapour, but the air has {celsius:g} °C, {air.pressure / 1e3:g} kPa "
         f"and {100 * vapour:.3g} %; "
         f'give speed_of_sound as a number or as "iso9613"'
     )
@@ -280,12 +458,12 @@ def _doubt_in_speed(air: Air, asked: float | str | None, vapour: float) -> str:
 
 def _doubt_in_absorption(air: Air) -> str:
     """Return a sentence if ISO 9613-1 is less sure of the absorption than within 20 %."""
-    vapour = vapour_percent_iso9613(air.temperature_celsius, air.relative_humidity, air.pressure)
-    inside = -20.0 <= air.temperature_celsius <= 50.0 and air.pressure < 200e3 and vapour >= 0.005
+    celsius, vapour = air.state[0], vapour_percent_iso9613(*air.state)
+    inside = -20.0 <= celsius <= 50.0 and air.pressure < 200e3 and vapour >= 0.005
     if not air.absorption or inside:
         return ""
     return (
         f"ISO 9613-1 gives the absorption of air within 20 % from -20 to 50 °C, below 200 kPa and from "
-        f"0.005 % of vapour, but the air has {air.temperature_celsius:g} °C, {air.pressure / 1e3:g} kPa "
+        f"0.005 % of vapour, but the air has {celsius:g} °C, {air.pressure / 1e3:g} kPa "
         f"and {vapour:.3g} %"
     )

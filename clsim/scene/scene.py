@@ -63,6 +63,8 @@ class Scene:
         checked_room(self.room)
         if not isinstance(self.air, Air):
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
+        low, high = self.room.extent
+        object.__setattr__(self, "air", self.air.between(float(low[2]), float(high[2])))
         ends = self.named_ends()
         check_motions(self.room, ends, self.air.slowest)
         check_sides(self.room, ends)
@@ -119,15 +121,11 @@ class Scene:
             for field, item in self.named_ends()[:_MOST_LISTED]
         ]
         more = len(self.named_ends()) - len(ends)
-        air = (
-            f"air: {self.air.temperature_celsius:g} °C, {100.0 * self.air.relative_humidity:g} % relative humidity, "
-            f"sound at {self.air.speed_of_sound:.2f} m/s"
-        )
-        notes = [*([f"and {more} more"] if more else []), *self.room.describe(), air]
+        notes = [*([f"and {more} more"] if more else []), *self.room.describe(), *self.air.describe()]
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return what the room is like, a line each, and of ends in one that walls close which are inside at 0 s.
+        """Return what room and air are like, a line each, and of ends in a closed room which are inside at 0 s.
 
         Returns
         -------
@@ -135,7 +133,17 @@ class Scene:
             The lines.
         """
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
-        return [*self.room.describe(), *(_side(self.room, field_name, item) for field_name, item in sides)]
+        air = [_travelling(self.air, source) for source in self.sources] if self.air.dispersion else []
+        of_sides = [_side(self.room, field_name, item) for field_name, item in sides]
+        return [*self.room.describe(), *self.air.describe()[1:], *air, *of_sides]
+
+
+def _travelling(air: Air, source: Source) -> str:
+    centre = source.emitted.centre_frequency
+    return (
+        f"air disperses: what {source.name!r} sends about {centre:.6g} Hz goes {air.group_speed_at(centre):.3f} m/s, "
+        f"its phase at {air.speed_at(centre):.3f} m/s; {air.speed_of_sound:.3f} m/s at 0 Hz"
+    )
 
 
 def _place(item: End) -> str:

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from clsim.errors import InputError
 
 T = TypeVar("T")
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 

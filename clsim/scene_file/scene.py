@@ -15,10 +15,11 @@ from clsim.errors import InputError
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
+from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
-from clsim.scene_file.model import Model, Vector, within
+from clsim.scene_file.model import Model, Pair, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
 from clsim.scene_file.render_options import InterpolatorModel, RenderModel
 from clsim.scene_file.rooms import RoomModel
@@ -27,13 +28,29 @@ from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
 _PATHS = ("path", "phases_path")  # keys that name files
 
 
+class _Fluctuation(Model):
+    rms: float
+    correlation_time: float
+    correlation_length: float
+    seed: int = 0
+
+
 class _Air(Model):
-    temperature_celsius: float = 20.0
-    relative_humidity: float = 0.5
+    temperature_celsius: float | Pair = 20.0
+    relative_humidity: float | Pair = 0.5
     pressure: float = 101_325.0
     speed_of_sound: float | Literal["iso9613"] | None = None
     absorption: bool = True
+    dispersion: bool = False
     wind: Vector | None = None
+    heights: Pair | None = None
+    fluctuation: _Fluctuation | None = None
+
+    def build(self) -> Air:
+        arguments, noise = self.arguments(), self.fluctuation
+        if noise is not None:
+            arguments["fluctuation"] = within("fluctuation", lambda: Fluctuation(**noise.arguments()))
+        return Air(**arguments)
 
 
 class _Common(Model):
@@ -193,7 +210,7 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
     receivers = [receiver for entry in entries for receiver in entry]
     room = within("room", lambda: model.room.build(base))
-    air = within("air", lambda: Air(**model.air.arguments()))
+    air = within("air", model.air.build)
     scene = Scene(room, air, sources, receivers, model.min_distance)
     arguments = within("render", model.render.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}

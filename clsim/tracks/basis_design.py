@@ -98,14 +98,14 @@ def scene_basis(
     late = common_delay(tracks, source, band_at(GRIDS[0]), until, sampling_rate)
     for count in GRIDS:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
-        sampled = sampled_responses(tracks.scene, drawn.rows, fine)
+        sampled = sampled_responses(tracks.scene, source, drawn.rows, fine)
         unresolved = _unresolved(sampled)
         if unresolved <= allowed:
             break
     held = Held(source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    held_out = sampled_responses(tracks.scene, drawn.held_out, band)
+    held_out = sampled_responses(tracks.scene, source, drawn.held_out, band)
     sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
     count, rows = 1, _Rows.of(sampled)
     for attempt in itertools.count(1):

@@ -79,13 +79,15 @@ def _bounds(tracks: SceneTracks, pair: int, band: tuple[float, float], until: fl
     scene, paths = tracks.scene, tracks.pair_paths[pair]
     source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.speed_of_sound
     frequencies = np.linspace(*band, _FREQUENCIES)
-    at = SceneResponse(scene, frequencies)
+    at = SceneResponse(scene, paths.source, frequencies)
     directivities = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
     reflected = paths.family.gain_bound(paths.rows, at) * directivities
     source_speed = float(tracks.speeds.source[paths.source])
-    slowest = paths.family.medium.slowest
+    slowest = paths.family.medium(paths.source).slowest
     mach_factor = (1.0 - source_speed / slowest) ** -MACH_EXPONENT[tracks.amplitude]
     bound, strongest = np.zeros(len(reflected)), 0.0
+    spread = 2.0 * source_speed / slowest if at.disperses else 0.0  # of the frequencies on the way
+    least, most = at.least_nepers * (1.0 - spread), at.most_nepers * (1.0 + spread)
     speed = source_speed + float(tracks.speeds.receiver[paths.receiver])
     member, step = tracks.pairs[pair], _STEP
     if member.always_heard:
@@ -94,7 +96,8 @@ def _bounds(tracks: SceneTracks, pair: int, band: tuple[float, float], until: fl
     for begin, end in pairwise(edges):
         heard = (member.start < end) & (member.end > begin)
         nearest = np.maximum(tracks.delay_range(pair, begin, end)[0] * slowest, scene.min_distance)[:, None]
-        gain = reflected * np.exp(-at.nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
+        nepers = np.where(nearest > 1.0, least, most)
+        gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
         bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
         middle = np.array([0.5 * (begin + end)])
         now = np.abs(paths.gain(paths.arrivals(middle, tracks.motion, tracks.amplitude), middle)[:, 0])

@@ -214,10 +214,10 @@ def picked_paths(
             yield Picked(paths.part(rows), found.part(rows, one), times[one], scale)
 
 
-def sampled_responses(scene: Scene, picked: Iterable[Picked], band: Band) -> Sample:
-    """Return the responses of picked paths over a band."""
+def sampled_responses(scene: Scene, source: int, picked: Iterable[Picked], band: Band) -> Sample:
+    """Return the responses of picked paths of a source over a band."""
     made: list[Any] = []
-    at = SceneResponse(scene, band.frequencies)
+    at = SceneResponse(scene, source, band.frequencies)
     for some in picked:
         along = some.paths.response(some.found, some.times, at)[:, 0]
         if band.late != 0.0:
@@ -263,7 +263,7 @@ def common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sam
     weight = np.interp(even, band.frequencies[::-1], np.maximum(level / level.max(), _FAINT)[::-1]) * np.hanning(count)
     spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
     picked = picked_paths(tracks, source, until, _LATE_ROWS, np.random.default_rng(SEED))
-    rows = sampled_responses(tracks.scene, picked, spread).responses
+    rows = sampled_responses(tracks.scene, source, picked, spread).responses
     energy = np.sum(np.abs(np.fft.ifft(rows * weight, axis=1)) ** 2, axis=0)
     # The transform goes round: time begins opposite to where most of the energy is, which is late rather than early.
     turns = np.angle(energy @ np.exp(2j * math.pi * np.arange(count) / count)) / (2.0 * math.pi)

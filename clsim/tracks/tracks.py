@@ -269,7 +269,7 @@ class SceneTracks(Tracks):
         receiver = self.scene.receivers[paths.receiver]
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
         found = paths.arrivals(times + clock_error, self.motion, self.amplitude)
-        response = paths.response(found, times + clock_error, SceneResponse(self.scene, basis.nodes))
+        response = paths.response(found, times + clock_error, SceneResponse(self.scene, paths.source, basis.nodes))
         gain = np.moveaxis(basis.gains(response), -1, 0)
         return found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0), gain
 

@@ -35,7 +35,8 @@ __kernel void pair_tracks(__global const float2* image_matrix,  // [9][slots]
                           __global const float* knots, __global const float* rests, int knot_count, float knot_rate,
                           __global const float2* numbers,  // [6], see above; s from the first knot, s, s/m, 1/s, samples, samples
                           float speed_of_sound,
-                          __global const bins* nepers, __global const gains* projection, __global const bins* functions,
+                          __global const bins* nepers, __global const bins* lead,
+                          __global const gains* projection, __global const bins* functions,
                           __global const bins* weight, __global const gains* strengths, int function_count, int angular,
                           float emitted_first, float emitted_last,  // s from the first knot, outside of which nothing sounds
                           float angular_frequency,
@@ -51,7 +52,7 @@ __kernel void pair_tracks(__global const float2* image_matrix,  // [9][slots]
     const int last = first + walk_blocks < blocks ? first + walk_blocks : blocks;
     const pair_trajectory path = {knots, rests, knot_count, knot_rate, numbers[SLOWNESS]};
     __global const pair_receiver* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
-    const surroundings around = {nepers,     projection,  functions, weight, strengths,
+    const surroundings around = {nepers,     lead,        projection, functions, weight, strengths,
                                  reflection, wall_tables, wall_of,   normal, source_directivity,
                                  receiver_directivities + directivity_of[receiver_of[slot]],
                                  function_count, angular};

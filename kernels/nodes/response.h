@@ -2,7 +2,8 @@
 // frequencies, projected on at most FUNCTIONS functions of frequency. The twin of paths/response.py.
 
 typedef struct {
-    __global const bins* nepers;         // [BIN_VECTORS], of the amplitude, 1/m
+    __global const bins* nepers;         // [AIR_TERMS or 1][BIN_VECTORS], of the amplitude, 1/m
+    __global const bins* lead;           // [AIR_TERMS][BIN_VECTORS], before the delay's phase, turns in a metre
     __global const gains* projection;    // [PARTS][FREQUENCIES][GAIN_VECTORS]
     __global const bins* functions;      // [function_count][PARTS][BIN_VECTORS], weighted
     __global const bins* weight;         // [BIN_VECTORS]
@@ -24,6 +25,15 @@ typedef struct {
     __global const real* knot;
     real u;
 } arrival;
+
+// What air does to frequencies that are raised by motion: polynomials of AIR_TERMS terms of the ratio less 1. Air that
+// does not disperse (AIR_TERMS 0) is that of the emitted frequency.
+static bins of_air(__global const bins* terms, int b, float raised)
+{
+    bins sum = terms[(AIR_TERMS > 0 ? AIR_TERMS - 1 : 0) * BIN_VECTORS + b];
+    for (int i = AIR_TERMS - 2; i >= 0; i--) sum = sum * raised + terms[i * BIN_VECTORS + b];
+    return sum;
+}
 
 // Gains of functions: products with every node. Four sums at a time, so that none waits for the one before.
 static void project(const response* r, __global const gains* projection, gains* gain)
@@ -53,14 +63,18 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
 #if MACH_EXPONENT >= 2
     common *= (float)a->mach_factor;
 #endif
+    const float raised = (float)(a->mach_factor - 1);
     response r;
     for (int b = 0; b < BIN_VECTORS; b++) {
-        bins loss = s->nepers[b] * (a->through - 1.0f);
+        bins loss = of_air(s->nepers, b, raised) * (a->through - 1.0f);
         loss = loss < 80.0f ? loss : (bins)(80.0f);
         const bins air = exponential(-loss) * common;
         for (int part = 0; part < PARTS; part++) {
             r.part[part][b] = s->reflection[((long)slot * PARTS + part) * BIN_VECTORS + b] * air;
         }
+#if AIR_TERMS && PARTS == 2
+        turn(&r, b, of_air(s->lead, b, raised) * (a->through - 1.0f));
+#endif
     }
     for (int i = 0; i < s->angular; i++) {
         const int wall = s->wall_of[i * (long)slots + slot];

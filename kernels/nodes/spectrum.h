@@ -39,6 +39,22 @@ static void multiply(response* r, const response* by)
     }
 }
 
+#if PARTS == 2
+// Turn the phases of neighbouring frequencies by so many turns. Sine and cosine of half of what is left of a turn are
+// Taylor's of degree 11 and 12, within 6e-8.
+static void turn(response* r, int b, bins turns)
+{
+    const bins shifted = turns + ROUNDING, f = turns - (shifted - ROUNDING), ff = f * f;
+    const bins sine = f * (3.14159265f + ff * (-5.16771278f + ff * (2.55016404f + ff * (-0.599264529f + ff *
+                      (0.0821458866f + ff * -7.37043095e-3f)))));
+    const bins cosine = 1.0f + ff * (-4.93480220f + ff * (4.05871213f + ff * (-1.33526277f + ff * (0.235330630f + ff *
+                        (-0.0258068913f + ff * 1.92957431e-3f)))));
+    const bins across = 2.0f * sine * cosine, along = 1.0f - 2.0f * sine * sine, real = r->part[0][b];
+    r->part[0][b] = real * along - r->part[1][b] * across;
+    r->part[1][b] = real * across + r->part[1][b] * along;
+}
+#endif
+
 // Sum of eight squares, or of one.
 static float total(bins x)
 {

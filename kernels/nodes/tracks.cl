@@ -21,7 +21,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      double start,                         // time of the run's first sample, s
                      double sampling_rate, double speed_of_sound,
                      __global const double* wind,          // [3], m/s
-                     __global const bins* nepers, __global const gains* projection, __global const bins* functions,
+                     __global const bins* nepers, __global const bins* lead,
+                     __global const gains* projection, __global const bins* functions,
                      __global const bins* weight, __global const gains* strengths,
                      int function_count,                   // at most FUNCTIONS
                      int angular,                          // walls of a path whose factor depends on the angle, at most
@@ -50,7 +51,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const triple offset = image_offset_of(image_offset, slots, slot);
     __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
-    const surroundings around = {nepers,     projection,  functions, weight, strengths,
+    const surroundings around = {nepers,     lead,        projection, functions, weight, strengths,
                                  reflection, wall_tables, wall_of,   normal, source_directivity,
                                  receiver_directivities + directivity_of[receiver_of[slot]],
                                  function_count, angular};

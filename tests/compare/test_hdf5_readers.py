@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from late import installed
 
 import clsim
 from clsim.cli import main
 from clsim.scene_file import load_scene
 
-h5py = pytest.importorskip("h5py", reason="h5py is not installed, with which clsim writes HDF5")
-pytest.importorskip("h5netcdf", reason="h5netcdf is not installed, with which clsim writes HDF5")
+h5py = installed("h5py", "h5py is not installed, with which clsim writes HDF5")
+installed("h5netcdf", "h5netcdf is not installed, with which clsim writes HDF5")
 
 SCENE = """
 format = 1

@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from late import installed
 from scipy.spatial import cKDTree
 
 import clsim
 from clsim.paths.specular.family import SpecularPaths
 
-pra = pytest.importorskip("pyroomacoustics", reason="pyroomacoustics is not installed")
+pra = installed("pyroomacoustics", "pyroomacoustics is not installed")
 
 SPEED = 345.2  # m/s, not its default of 343
 RATE = 16000

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from late import installed
 
 import clsim
 from clsim.output.response_files import write_responses
 
-sofar = pytest.importorskip("sofar", reason="sofar is not installed, with which clsim writes SOFA")
+sofar = installed("sofar", "sofar is not installed, with which clsim writes SOFA")
 
 SPEED = 343.0
 RATE = 48e3

@@ -86,21 +86,10 @@ def plain(device: str) -> Plan:
 
 
 @scene
-def quasi_static(device: str) -> Plan:
-    """Images where they are at reception."""
-    return plan(world(), device, 0, responses="centre", motion="quasi-static")
-
-
-@scene
-def convective(device: str) -> Plan:
-    """The Mach factor squared."""
-    return plan(world(), device, 0, responses="centre", amplitude="convective")
-
-
-@scene
 def functions(device: str) -> Plan:
-    """Walls and directivities by frequency, real."""
-    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=(clsim.Piston(0.004), clsim.FirstOrder(0.4))), device)
+    """Walls and directivities by frequency, real, and images where they are at reception."""
+    beams = (clsim.Piston(0.004), clsim.FirstOrder(0.4))
+    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=beams), device, motion="quasi-static")
 
 
 @scene
@@ -111,14 +100,14 @@ def phased(device: str) -> Plan:
 
 @scene
 def lopsided(device: str) -> Plan:
-    """Directivities without symmetry."""
-    return plan(world(beams=(Lopsided(False), Lopsided(True))), device, 0)
+    """Directivities without symmetry, and the Mach factor squared."""
+    return plan(world(beams=(Lopsided(False), Lopsided(True))), device, 0, amplitude="convective")
 
 
 @scene
 def fine(device: str) -> Plan:
-    """Short blocks."""
-    return plan(world(), device, blocks=(24,))
+    """Short blocks, and paths that come and go at once."""
+    return plan(partly(world(), 0.001), device, blocks=(24,), transition=0.0)
 
 
 @scene
@@ -136,12 +125,6 @@ def pulses(device: str) -> Plan:
 
 
 @scene
-def gate(device: str) -> Plan:
-    """Paths that come and go at once."""
-    return plan(partly(world(), 0.001), device, responses="centre", transition=0.0)
-
-
-@scene
 def mesh(device: str) -> Plan:
     """Paths searched for on the device, round a screen, with their transitions."""
     corners = [(0.08, 0.02, 0.0), (0.08, 0.0601, 0.0), (0.08, 0.0601, 0.1), (0.08, 0.02, 0.1)]
@@ -155,7 +138,7 @@ def mesh(device: str) -> Plan:
 def crowd(device: str) -> Plan:
     """More walls than are looked up by NumPy: a floor, and tiles that hang over it."""
     corners, faces = [(-0.1, -0.1, 0.0), (0.3, -0.1, 0.0), (0.3, 0.3, 0.0), (-0.1, 0.3, 0.0)], [(0, 1, 2), (0, 2, 3)]
-    for k in range(72):
+    for k in range(64):
         x, y, z, first = 0.02 * (k % 12), 0.02 * (k // 12), 0.1 + 1e-4 * k, len(corners)
         corners += [(x, y, z), (x + 0.01, y, z), (x, y + 0.01, z)]
         faces.append((first, first + 1, first + 2))

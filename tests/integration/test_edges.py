@@ -98,7 +98,7 @@ def test_engines_and_pairs_at_rest_agree(paths: PathSet, device: None) -> None:
 
 def test_bounds_of_gains_hold(paths: PathSet) -> None:
     times, frequencies = np.linspace(0.01, 0.09, 5), np.array([30e3, 40e3])
-    at = SceneResponse(paths.scene, frequencies)
+    at = SceneResponse(paths.scene, 0, frequencies)
     for pair in paths.families[1].pairs():
         found = pair.arrivals(times)
         level = np.abs(pair.response(found, times, at)) * found.length[..., None]

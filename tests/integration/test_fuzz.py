@@ -25,7 +25,7 @@ from clsim.errors import ClsimError, InputError
 from clsim.scene_file import load_scene
 from clsim.study.file import checked, load_study
 
-COUNT = int(os.environ.get("CLSIM_FUZZ", "2500"))  # four scenes to a study
+COUNT = int(os.environ.get("CLSIM_FUZZ", "1000"))  # four scenes to a study
 SEED = int(os.environ.get("CLSIM_FUZZ_SEED", "11"))
 PARTS = 10
 LONGEST, WAITED = 10.0, 60.0  # s, of computing and altogether

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from late import installed
 from made_studies import METRICS, SCENE, index, runs, write, write_scene
 
 import clsim
 from clsim.cli import main
 
-pytest.importorskip("distributed")
-pytest.importorskip("zarr")
-xarray = pytest.importorskip("xarray")
+installed("distributed")
+installed("zarr")
+xarray = installed("xarray")
 
 COLUMNS = (
     "source", "receiver", "order", "interactions", "objects", "direct", "delay", "doppler_factor", "doppler_shift", "gain", "departure", "arrival",

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from late import installed
 from made_studies import write, write_scene
 
 import clsim
@@ -17,9 +18,9 @@ from clsim.study.file import load_study
 from clsim.study.index import Index, create_store, metrics_of, write_summary
 from clsim.study.member import MemberTasks, as_row, row_of_group, run_member, study_to_settings
 
-pytest.importorskip("distributed")
-pytest.importorskip("zarr")
-xarray = pytest.importorskip("xarray")
+installed("distributed")
+installed("zarr")
+xarray = installed("xarray")
 
 LENGTHS = [1.0, 1.001, 1.002]
 

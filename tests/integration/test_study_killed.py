@@ -12,16 +12,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from late import installed
 from made_clusters import made_cluster
 from made_studies import ENVIRONMENT, METRICS, index, runs, write, write_scene
 
 from clsim.cli import main
 from clsim.cluster import dispatch
 
-psutil = pytest.importorskip("psutil")  # comes with distributed
-pytest.importorskip("distributed")
-pytest.importorskip("zarr")
-pytest.importorskip("xarray")
+psutil = installed("psutil")  # comes with distributed
+installed("distributed")
+installed("zarr")
+installed("xarray")
 
 
 @pytest.fixture
@@ -37,10 +38,9 @@ def cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
 
 
 def workers_of(study: subprocess.Popen) -> list[int]:
-    """Return the worker processes of a study, those that are only starting too."""
+    """Return the worker processes of a study, those that are only starting too: forked by one that has loaded all."""
     with contextlib.suppress(psutil.Error):
-        children = psutil.Process(study.pid).children(recursive=True)
-        return [p.pid for p in children if "spawn_main" in " ".join(p.cmdline())]
+        return [p.pid for child in psutil.Process(study.pid).children() for p in child.children()]
     return []
 
 

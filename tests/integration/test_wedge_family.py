@@ -56,11 +56,18 @@ class WedgePaths(PathFamily):
     ) -> Arrivals:
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
-        ways = WaysOver(self, len(self.source[rows]), receiver.position(times))
-        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
+        count = len(self.source[rows])
+        return arrivals_by(
+            lambda heard_at: WaysOver(self, count, heard_at),
+            self.medium(0),
+            (source, receiver),
+            times,
+            motion,
+            amplitude,
+        )
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Any:
-        response = self.gain * at.air(found.through) * (found.mach_factor / found.length)[..., None]
+        response = self.gain * at.air(found) * (found.mach_factor / found.length)[..., None]
         at.apply_directivities(response, self.ends(rows), found, times)
         return response
 
@@ -101,6 +108,12 @@ class WaysOver:
     def arrive(self, start: Floats) -> Floats:
         heard_at = np.broadcast_to(self.heard_at, start.shape)
         return straight(self.paths.apex(start, heard_at), heard_at)[1]
+
+    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        raise NotImplementedError  # the air is the same everywhere
+
+    def seen(self) -> Floats:
+        raise NotImplementedError  # and still
 
 
 def find_wedge(scene: clsim.Scene, search: PathSearch) -> WedgePaths:

@@ -9,15 +9,16 @@ from pathlib import Path
 
 import pytest
 from killing import Killer, content
+from late import installed
 from made_clusters import made_cluster
 from test_resume import SCENE, command, done
 
 from clsim.cli import main
 from clsim.cluster import team
 
-pytest.importorskip("distributed")
-pytest.importorskip("zarr")
-pytest.importorskip("xarray")
+installed("distributed")
+installed("zarr")
+installed("xarray")
 
 DEAF = '{ kind = "impulse-response", samples = [1e12], sampling_rate = 192e3 }'
 LONG = SCENE % (1.9, 2)  # 20 chunks, receivers with and without ends that ring on

@@ -13,7 +13,7 @@ def field(paths: PathSet, times: np.ndarray, frequency: float, receiver: int = 0
 
 def terms(paths: PathSet, times: np.ndarray, frequency: float, receiver: int = 0) -> np.ndarray:
     """Return the phasor of every path of a receiver (P, T), 0 where it is not heard."""
-    at = SceneResponse(paths.scene, np.array([frequency]))
+    at = SceneResponse(paths.scene, 0, np.array([frequency]))
     parts = []
     for _, pair in paths.heard_by(receiver).pairs():
         found = pair.arrivals(times)

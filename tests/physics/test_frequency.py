@@ -129,8 +129,8 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
     times, f = rng.uniform(0.0, 0.05, 7), chebyshev_points(low + 0.15 * (high - low), high - 0.15 * (high - low), 40)
     pair = tracks.pair_paths[0]
     found = pair.arrivals(times)
-    true = pair.response(found, times, SceneResponse(scene, f))
-    gains = basis.gains(pair.response(found, times, SceneResponse(scene, basis.nodes)))
+    true = pair.response(found, times, SceneResponse(scene, 0, f))
+    gains = basis.gains(pair.response(found, times, SceneResponse(scene, 0, basis.nodes)))
     half = basis.half
     shapes = np.real(basis.filters @ np.exp(-2j * np.pi * np.outer(np.arange(-half, half + 1), f) / RATE))
     wrong = np.sqrt(np.mean((gains @ shapes - true) ** 2, axis=2)) / np.abs(true).max()

@@ -9,6 +9,7 @@ import numpy as np
 
 from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angles, transition, wedge_terms
 from clsim.paths.family import DIFFRACTION, SPECULAR, PathFamily
+from clsim.paths.heights import Folds
 from clsim.paths.propagation import arrivals_by, straight
 from clsim.paths.vertices import path_vertices
 
@@ -92,8 +93,14 @@ class EdgePaths(PathFamily):
         """
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
-        ways = _WaysOver(self, np.arange(len(self))[rows], receiver.position(times))
-        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
+        index, folds = np.arange(len(self))[rows], None
+        if self.scene.air.layers:
+            planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
+            folds = [Folds(planes, walls) for walls in self._walls_of_sides(index)]
+        return arrivals_by(
+            lambda heard_at: _WaysOver(self, index, heard_at, folds), self.medium(int(self.source[rows][0])),
+            (source, receiver), times, motion, amplitude,
+        )  # fmt: skip
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, spreading, air, walls, directivities.
@@ -116,7 +123,7 @@ class EdgePaths(PathFamily):
             index, self.image("before", index, emitted_at),
             self.image("after", index, receiver.trajectory.position(times)[None]), wave, at,
         )  # fmt: skip
-        response *= at.air(found.through) * found.mach_factor[..., None]
+        response *= at.air(found) * found.mach_factor[..., None]
         for walls, direction in zip(self._walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
             for bounce, normals in at.angular_bounces(walls):
@@ -135,7 +142,7 @@ class EdgePaths(PathFamily):
         now = np.array([time])
         emitted_at = source.position(self.arrivals(index, now, motion).emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        apex = self._apex(index, *(self.image(s, index, x) for s, x in (("before", emitted_at), ("after", heard_at))))
+        apex = self.apex(index, *(self.image(s, index, x) for s, x in (("before", emitted_at), ("after", heard_at))))
         planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
         before, after = self._walls_of_sides(index)
         there, back = (path_vertices(planes, w, x, apex) for w, x in ((before, emitted_at), (after, heard_at)))
@@ -177,7 +184,7 @@ class EdgePaths(PathFamily):
         angle, low = np.arctan2(y, x), 0.5 * np.pi * (self.n[index] - 2.0)
         return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
 
-    def _apex(self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats) -> Floats:
+    def apex(self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats) -> Floats:
         """Return where ways between places (..., 3) meet the edges of paths (...), or the ends that they run over."""
         (r_s, _, z_s), (r_r, _, z_r) = (self._cylindrical(index, x) for x in (emitted_at, heard_at))
         end = self.end_place[index]
@@ -188,7 +195,7 @@ class EdgePaths(PathFamily):
         self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats
     ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
         """Return lengths (...) and directions (..., 3) of the ways to the edges of paths (...) and on from there."""
-        apex = self._apex(index, emitted_at, heard_at)
+        apex = self.apex(index, emitted_at, heard_at)
         return straight(emitted_at, apex), straight(apex, heard_at)
 
     def _walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
@@ -255,8 +262,11 @@ class EdgePaths(PathFamily):
 class _WaysOver:
     """Ways over the edges of paths `index` (P,) to a receiver at places (T, 3)."""
 
-    def __init__(self, paths: EdgePaths, index: NDArray[np.int64], heard_at: Floats) -> None:
-        self._paths, self._index = paths, index
+    def __init__(
+        self, paths: EdgePaths, index: NDArray[np.int64], received_at: Floats, folds: list[Folds] | None
+    ) -> None:
+        self._paths, self._index, self._received_at, self._folds = paths, index, received_at, folds
+        heard_at = received_at
         self._heard_at = paths.image("after", index, heard_at[None])
 
     def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
@@ -268,7 +278,25 @@ class _WaysOver:
         return np.asarray(np.einsum("pji,ptj->pti", self._paths.after_matrix[self._index], direction))
 
     def _legs(self, p: Any, t: Any, start: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        edges, emitted_at, heard_at = self._seen(p, t, start)
+        return self._paths.legs(edges, emitted_at, heard_at)
+
+    def seen(self) -> Floats:
+        apart = self._heard_at - self._paths.before_offset[self._index][:, None]
+        return np.asarray(np.einsum("pji,ptj->pti", self._paths.before_matrix[self._index], apart))
+
+    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        assert self._folds is not None
+        edges, emitted_at, heard_at = self._seen(p, t, start)
+        apex = self._paths.apex(edges, emitted_at, heard_at)
+        first, second = straight(emitted_at, apex)[0][..., None], straight(apex, heard_at)[0][..., None]
+        before, low = self._folds[0].bends(p, start, apex)
+        after, high = self._folds[1].bends(p, self._received_at[t], apex)  # from the receiver's side
+        shares = [first * before, first + second * (1.0 - after[..., -2::-1])]
+        return np.concatenate(shares, axis=-1) / (first + second), np.concatenate([low, high[..., -2::-1]], axis=-1)
+
+    def _seen(self, p: Any, t: Any, start: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """Return the edges, and both ends as these see them."""
         index, heard_at = self._index[p], self._heard_at[p, t]
-        start = np.broadcast_to(start, heard_at.shape)
         edges = index[:, None] if heard_at.ndim == 3 else index  # all times of a path, or one each
-        return self._paths.legs(edges, self._paths.image("before", index, start), heard_at)
+        return edges, self._paths.image("before", index, np.broadcast_to(start, heard_at.shape)), heard_at

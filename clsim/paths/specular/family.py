@@ -9,6 +9,7 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.paths.family import NONE, SPECULAR, PathFamily
+from clsim.paths.heights import Folds
 from clsim.paths.propagation import UniformAir, arrivals_by, straight
 from clsim.paths.vertices import path_vertices
 
@@ -56,8 +57,9 @@ class SpecularPaths(PathFamily):
 
     @property
     def device(self) -> str | None:
-        """The program for images; none that knows a medium other than air of one speed."""
-        return "images" if isinstance(self.medium, UniformAir) else None
+        """The program for images; none that knows a medium other than air of one speed, without noise."""
+        media = [self.medium(source) for source in range(len(self.scene.sources))]
+        return "images" if all(isinstance(m, UniformAir) and m.fluctuation is None for m in media) else None
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:
@@ -70,13 +72,22 @@ class SpecularPaths(PathFamily):
         """Return delays, directions and lengths of paths between one source and one receiver."""
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
-        ways = _Images(self.image_matrix[rows], self.image_offset[rows], receiver.position(times))
-        return arrivals_by(ways, self.medium, (source, receiver), times, motion, amplitude)
+        images = self.image_matrix[rows], self.image_offset[rows]
+        faces = self.scene.room.faces
+        folds = Folds((faces.normals, faces.offsets), self.objects[rows]) if self.scene.air.layers else None
+        return arrivals_by(
+            lambda heard_at: _Images(*images, heard_at, folds),
+            self.medium(int(self.source[rows][0])),
+            (source, receiver),
+            times,
+            motion,
+            amplitude,
+        )
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): spreading, air, walls and directivities."""
         walls = self.objects[rows]
-        response = at.air(found.through) * at.reflection(walls)[:, None, :]
+        response = at.air(found) * at.reflection(walls)[:, None, :]
         response *= (found.mach_factor / found.length)[..., None]
         for bounce, normals in at.angular_bounces(walls):
             met = walls[:, bounce]
@@ -109,8 +120,8 @@ class SpecularPaths(PathFamily):
 class _Images:
     """Straight ways from a source to mirrored receivers: seen from an image's room one stands at A^T (x_r - b)."""
 
-    def __init__(self, matrix: Floats, offset: Floats, heard_at: Floats) -> None:
-        self._matrix = matrix
+    def __init__(self, matrix: Floats, offset: Floats, heard_at: Floats, folds: Folds | None) -> None:
+        self._matrix, self._heard_at, self._folds = matrix, heard_at, folds
         self._mirrored = np.einsum("pji,ptj->pti", matrix, heard_at[None] - offset[:, None, :])
 
     def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
@@ -118,3 +129,10 @@ class _Images:
 
     def arrive(self, start: Floats) -> Floats:
         return np.asarray(np.einsum("pij,ptj->pti", self._matrix, straight(start, self._mirrored)[1]))
+
+    def seen(self) -> Floats:
+        return np.asarray(self._mirrored)
+
+    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        assert self._folds is not None
+        return self._folds.bends(p, start, self._heard_at[t])

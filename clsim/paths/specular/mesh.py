@@ -12,7 +12,7 @@ import numpy as np
 from clsim.arrays import as_count, read_only
 from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
-from clsim.paths.propagation import medium_of
+from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.device_walls import DeviceLookup
@@ -187,11 +187,11 @@ def visibility_query(
     InputError
         If the source may be as fast as sound.
     """
-    medium = medium_of(scene.air)
+    medium = mean_medium_of(scene.air, source.emitted.centre_frequency)
     trajectories = [r.trajectory for r in scene.receivers]
     mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
     ends = trajectory_tables(source.trajectory, trajectories, mounts)
-    longest = (legs + 1) * _diameter(room, ends) / medium.slowest
+    longest = (legs + 1) * _diameter(room, ends) / scene.air.slowest
     last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
     fastest = float(ends.scales[0, 2])
     if fastest >= medium.slowest:  # a bound: at a sharp corner up to twice the speed

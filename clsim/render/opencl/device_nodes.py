@@ -81,11 +81,9 @@ class DeviceTracks:
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
-        wind = scene.air.wind
-        self._medium = {
-            "speed_of_sound": scene.air.speed_of_sound,
-            "wind": None if wind is None else self._upload(np.array(wind)),
-        }
+        wind = None if scene.air.wind is None else self._upload(np.array(scene.air.wind))
+        media = (family.medium(source) for source in range(len(scene.sources)))
+        self._media = [{"speed_of_sound": medium.speed_of_sound, "wind": wind} for medium in media]
         self._knot_rates = []
         for source, filters in zip(scene.sources, plan.source_filters, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
@@ -96,7 +94,8 @@ class DeviceTracks:
                 knot_rate(source, min(filters.signal.duration + source.start, plan.duration), tolerance)
             )
         self._surroundings = [
-            Surroundings(scene, i, filters.basis, self._upload) for i, filters in enumerate(plan.source_filters)
+            Surroundings(scene, i, self._mach(i), filters.basis, self._upload)
+            for i, filters in enumerate(plan.source_filters)
         ]
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._static = {
@@ -172,12 +171,12 @@ class DeviceTracks:
         out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * batch.count)
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
         constants = {"RECEIVER_DIRECTIVITY": OMNI, "OMNI": OMNI, "SPHERICAL": SPHERICAL}  # no beams: delays only
-        constants |= self._motion_constants(source) | self._exact_constants
+        constants |= self._motion_constants(source) | self._exact_constants(source)
         del constants["SMOOTH_ERROR"]
         kernel = self._compiler.kernel("coarse_delays", constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, **self._medium, delays=out,
+            start=start / rate, walk_time=segment / rate, **self._media[source], delays=out,
         )  # fmt: skip
         return out
 
@@ -226,20 +225,19 @@ class DeviceTracks:
         rate, source, segment = self._plan.sampling_rate, chunk.source, self._plan.segment
         first, last = self._sounding(source)
         constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
-        kernel = self._compiler.kernel("tracks", constants | self._exact_constants)
+        kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
             self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
-            **self._medium, receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
+            **self._media[source], receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
             first_walk=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
             delay_samples=self._plan.source_filters[source].delay_samples,
             oversampling=self._plan.source_filters[source].oversampling,
             smooth=self._smooth(chunk, receivers, more["block_samples"]),
         )  # fmt: skip
 
-    @property
-    def _exact_constants(self) -> dict[str, Any]:
+    def _exact_constants(self, source: int) -> dict[str, Any]:
         """Constants of the program in float64."""
-        wind = int(self._medium["wind"] is not None)
+        wind = int(self._media[source]["wind"] is not None)
         return {"SMOOTH_ERROR": np.float32(SMOOTH_ERROR), "NODES_AT_ONCE": self._together, "WIND": wind}
 
     def _sounding(self, source: int) -> tuple[float, float]:
@@ -259,6 +257,11 @@ class DeviceTracks:
         if around.receiver_kind != OMNI:
             turn = max(turn, _largest_turn(receivers["axes"][..., 0, :]), _largest_turn(receivers["axes"][..., 1, :]))
         return _SMOOTH_SHARE * 10 ** (self._plan.motion_error_db / 10) if turn <= _MOST_TURN else 0.0
+
+    def _mach(self, source: int) -> float:
+        """Return a bound of a source's speed over that of sound, by as much as frequencies on the way follow it."""
+        speed = float(self._tracks.speeds.source[source]) if self._tracks.motion == "retarded" else 0.0
+        return speed / self._family.medium(source).slowest
 
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
@@ -289,6 +292,7 @@ class DeviceTracks:
             "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
             "FREQUENCIES": around.count,
             "PARTS": around.parts,
+            "AIR_TERMS": around.air_terms,
             "CELLS": CELLS,
             "SIDE": SIDE,
             "FACE_CELLS": FACE_CELLS,

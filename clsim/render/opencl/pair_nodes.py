@@ -67,7 +67,7 @@ class PairTracks(DeviceTracks):
         trajectory = chunk.trajectory.copy()
         origin = trajectory.pop("first_knot")
         first, last = self._sounding(chunk.source)
-        c, times = self._tracks.scene.air.speed_of_sound, filters.oversampling
+        c, times = self._media[chunk.source]["speed_of_sound"], filters.oversampling
         numbers = [
             start / rate - origin,
             block / rate,

@@ -20,19 +20,28 @@ if TYPE_CHECKING:
 
     Walls = NDArray[np.signedinteger[Any]]
 
+_MOST_TERMS = 16
+_AIR_ERROR = 1e-6  # of polynomials of what air does, relative to its absorption
 VECTOR = 8  # numbers of a vector of gains or of frequencies in kernels
 
 
 class Surroundings:
     """Air, walls and directivities at the nodes of one source's basis, as the device takes them; see ``response.h``."""
 
-    def __init__(self, scene: Scene, source: int, basis: Basis, put: Callable[[NDArray[Any]], Any]) -> None:
+    def __init__(
+        self, scene: Scene, source: int, mach: float, basis: Basis, put: Callable[[NDArray[Any]], Any]
+    ) -> None:
         c = scene.air.speed_of_sound
         self.count, self.parts = len(basis.nodes), basis.parts
-        self._responses = SceneResponse(scene, basis.nodes)
+        self._responses = SceneResponse(scene, source, basis.nodes)
         padding = -len(basis) % VECTOR if len(basis) > 1 else 0  # of gains, which stand side by side
+        nepers, lead, self.air_terms = self._responses.nepers, np.zeros(1), 0
+        if scene.air.dispersion:
+            nepers, lead = air_polynomials(self._responses, mach)
+            self.air_terms = len(nepers)
         columns = {
-            "nepers": self._responses.nepers, "projection": np.pad(basis.projection.T, ((0, 0), (0, padding))),
+            "nepers": nepers, "lead": lead / (2.0 * np.pi),
+            "projection": np.pad(basis.projection.T, ((0, 0), (0, padding))),
             "functions": basis.functions, "weight": basis.weight, "strengths": np.pad(basis.strengths, (0, padding)),
         }  # fmt: skip
         self.basis = {name: put(column.astype(np.float32)) for name, column in columns.items()}
@@ -81,3 +90,33 @@ class Surroundings:
             normal[filled[here], :, here] = normals[here]
             filled[here] += 1
         return wall_of, normal
+
+
+def air_polynomials(at: SceneResponse, mach: float) -> tuple[Floats, Floats]:
+    """Return absorption, 1/m, and lead, rad/m, as polynomials of what motion adds to frequencies.
+
+    Parameters
+    ----------
+    at : SceneResponse
+        Of air that disperses, at F frequencies.
+    mach : float
+        Bound of the source's speed over that of sound, 0 to 1.
+
+    Returns
+    -------
+    absorption, lead : ndarray (terms, F)
+        Coefficients of powers of the ratio of the frequency on the way to that emitted, less 1.
+    """
+    low, high = -mach / (1.0 + mach), mach / (1.0 - mach)
+    for terms in range(1, _MOST_TERMS + 1):
+        places, between = (
+            0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(n) + 0.5) / n)
+            for n in (terms, 4 * terms)
+        )
+        powers = np.linalg.inv(np.vander(places, increasing=True))
+        found, exact = ([powers @ x for x in at.air_at(1.0 + places[:, None])], at.air_at(1.0 + between[:, None]))
+        made = [np.vander(between, terms, increasing=True) @ x for x in found]
+        largest = np.abs(exact[0]).max()
+        if max(np.abs(m - e).max() for m, e in zip(made, exact, strict=True)) <= _AIR_ERROR * largest:
+            break
+    return found[0], found[1]

@@ -82,7 +82,7 @@ def test_without_absorption_a_gain_is_spreading_and_walls_alone(scene: clsim.Sce
     frequencies = np.array([1e3, 40e3, 90e3])
     for rows, pair in paths.pairs():  # and at every frequency
         found = pair.arrivals(np.zeros(1))
-        response = pair.response(found, np.zeros(1), SceneResponse(bare, frequencies))[:, 0]
+        response = pair.response(found, np.zeros(1), SceneResponse(bare, 0, frequencies))[:, 0]
         np.testing.assert_allclose(response, (factors / distance)[rows, None] * np.ones(3), rtol=1e-12)
 
 

@@ -47,6 +47,7 @@ def test_classical_absorption_far_above_relaxation_grows_with_the_square():
         ("speed_of_sound", [343.0], "must be a number"),
         ("absorption", 0, "must be True or False"),
         ("absorption", "iso9613", "must be True or False"),
+        ("dispersion", None, "must be True or False"),
     ],
 )
 def test_bad_values_are_refused_by_name(field, value, problem):

@@ -351,3 +351,15 @@ def test_air_without_absorption_stays_so_in_the_completed_scene(tmp_path: Path) 
     assert "absorption" in scene_schema()["$defs"]["_Air"]["properties"]
     with pytest.raises(clsim.InputError, match=r"air\.absorption"):
         build_scene(changed(("air", "absorption"), 0.0), tmp_path)
+
+
+def test_air_that_disperses_is_asked_for_and_told() -> None:
+    file = build_scene(changed(("air",), {"dispersion": True, "speed_of_sound": 340.0}), Path())
+    assert file.scene.air == clsim.Air(speed_of_sound=340.0, dispersion=True)
+    told = [line for line in file.scene.describe() if line.startswith("air disperses")]
+    assert len(told) == 2
+    assert "'robot' sends about 40000 Hz goes 340.14" in told[0]
+    assert "340.000 m/s at 0 Hz" in told[0]
+    with pytest.raises(clsim.InputError, match="without absorption") as error:
+        build_scene(changed(("air",), {"dispersion": True, "absorption": False}), Path())
+    assert error.value.field == "air.dispersion"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from late import installed
 from test_toy_tail import Tail
 
 import clsim
@@ -17,8 +18,8 @@ from clsim.render.rendering import Rendering
 from clsim.workflow.on_workers import Pieces
 from clsim.workflow.pieces import Handed, PlanFile, check_worker, device_of, do_piece, versions
 
-pytest.importorskip("zarr")
-pytest.importorskip("xarray")
+installed("zarr")
+installed("xarray")
 pytestmark = pytest.mark.filterwarnings("ignore:.* were clipped:clsim.ClsimWarning")
 
 RATE = 48e3

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from late import installed
 
 import clsim
 from clsim import SphericalDirectivity
 
-sofar = pytest.importorskip("sofar")
+sofar = installed("sofar")
 
 FREQUENCIES = np.array([10e3, 15e3, 20e3])
 SPEED = 343.0

@@ -1,0 +1,120 @@
+"""Air that is never quite still: slow noise of delays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import as_count, as_number, read_only
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+
+_WAVES = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Fluctuation:
+    """Slow noise of the delays of paths, as over a heater: Gaussian, smooth, and the same for the same seed.
+
+    Parameters
+    ----------
+    rms : float
+        Root of the mean square of every path's delay noise, at most 1 ms, s.
+    correlation_time : float
+        After which it has the correlation 1/e, from 1 ms, s.
+    correlation_length : float
+        The same of places: noise of a path whose source or receiver stands there instead, m.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    InputError
+        If a value is out of bounds.
+
+    Notes
+    -----
+    A sum of 64 waves over time, the receiver as the source sees it, and the source,
+
+        rms sqrt(2/K) sum_k cos(w_k t + a_k x + b_k y + phi_k),
+
+    with normal w_k, a_k, b_k, so that over seeds the correlation is exactly ``exp(-(t/T)² - (x/L)² - (y/L)²)``
+    (A. Rahimi and B. Recht, "Random features for large-scale kernel machines", NIPS 2007). Images see the receiver
+    elsewhere, so they fluctuate by themselves where walls are farther than the length. All derivatives exist, and any
+    instant can be asked for.
+
+    Examples
+    --------
+    >>> over_heater = Fluctuation(rms=2e-6, correlation_time=0.5, correlation_length=0.3)
+    >>> late, rate = over_heater.at(np.zeros(7), np.zeros((7, 3)), np.zeros((7, 3)))
+    >>> late.shape, rate.shape
+    ((7,), (7,))
+    """
+
+    rms: float
+    correlation_time: float
+    correlation_length: float
+    seed: int = 0
+    _waves: Floats = field(init=False, repr=False, compare=False)  # (8, K): 1/s, 1/m, 1/m, and phases
+
+    def __post_init__(self) -> None:
+        rms = as_number("rms", self.rms, at_least=0.0, at_most=1e-3, unit="s")
+        time = as_number("correlation_time", self.correlation_time, at_least=1e-3, unit="s")
+        length = as_number("correlation_length", self.correlation_length, at_least=1e-3, unit="m")
+        seed = as_count("seed", self.seed)
+        for name, value in (("rms", rms), ("correlation_time", time), ("correlation_length", length), ("seed", seed)):
+            object.__setattr__(self, name, value)
+        rng = np.random.default_rng(seed)
+        scale = math.sqrt(2.0) / np.array([time, *[length] * 6])
+        waves = np.vstack([scale[:, None] * rng.normal(size=(7, _WAVES)), rng.uniform(0.0, 2.0 * math.pi, (1, _WAVES))])
+        object.__setattr__(self, "_waves", read_only(waves))
+
+    def at(
+        self, times: Floats, receiver: Floats, source: Floats, velocities: tuple[Floats, Floats] | None = None
+    ) -> tuple[Floats, Floats]:
+        """Return the noise, and how fast it changes.
+
+        Parameters
+        ----------
+        times : ndarray (...)
+            s.
+        receiver, source : ndarray (..., 3)
+            The receiver as the source sees it, and the source, m.
+        velocities : tuple of ndarray (..., 3), optional
+            Of both, m/s; at rest when left out.
+
+        Returns
+        -------
+        late, rate : ndarray (...)
+            s, and s/s.
+        """
+        waves, size = self._waves, self.rms * math.sqrt(2.0 / _WAVES)
+        angle = times[..., None] * waves[0] + receiver @ waves[1:4] + source @ waves[4:7] + waves[7]
+        turn = waves[0] if velocities is None else waves[0] + velocities[0] @ waves[1:4] + velocities[1] @ waves[4:7]
+        return size * np.cos(angle).sum(axis=-1), -size * (turn * np.sin(angle)).sum(axis=-1)
+
+    @property
+    def most(self) -> float:
+        """Bound on the noise, s."""
+        return self.rms * math.sqrt(2.0 * _WAVES)
+
+    def most_rate(self, source_speed: float, receiver_speed: float) -> float:
+        """Return a bound on how fast the noise changes.
+
+        Parameters
+        ----------
+        source_speed, receiver_speed : float
+            Largest speeds of the ends, m/s.
+
+        Returns
+        -------
+        float
+            s/s.
+        """
+        by_place = [np.linalg.norm(self._waves[rows], axis=0) for rows in (slice(1, 4), slice(4, 7))]
+        turns = np.abs(self._waves[0]) + receiver_speed * by_place[0] + source_speed * by_place[1]
+        return self.rms * math.sqrt(2.0 / _WAVES) * float(turns.sum())
