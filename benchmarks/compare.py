@@ -24,6 +24,7 @@ import pyopencl as cl
 
 import clsim
 from clsim.opencl.compiler import Compiler
+from clsim.opencl.device import find_device
 
 HERE = Path(__file__).parent
 RATE = 192e3
@@ -32,6 +33,7 @@ CIRCLE = ((4.0, 3.0, 1.5), 1.0, 2 * math.pi / 6.0)  # 6 m/s
 EAR = (1.0, 1.0, 2.9)
 REFLECTION = 0.9
 RESPONSES = 9600  # room impulse responses a second
+ORDERS, EARS, DURATIONS = (1, 2, 4, 6, 8, 10), (1, 4, 16, 64), (0.25, 1.0, 4.0, 10.0)
 UP = 16  # times the sampling rate at which Acoular reads the signal
 BEGIN, END = "<!-- written by compare.py -->", "<!-- end -->"
 PEERS = {"Numba": "numba", "pyroomacoustics": "pyroomacoustics", "Acoular": "acoular"}
@@ -92,6 +94,10 @@ class Kernel:
         self._host = [np.empty(given[name].size // 4, kind) for name, kind in kinds.items()]
         for array, name in zip(self._host, kinds, strict=True):
             cl.enqueue_copy(self._queue, array, given[name])
+        # One function: eight numbers a block and path, of eight neighbouring paths side by side; the loop has all paths so.
+        slots, first = int(given["slots"]), int(given["first_block"])
+        cubics = self._host[2][: len(self._host[2]) // (8 * slots) * 8 * slots].reshape(-1, slots // 8, 8, 8)[first:]
+        self._host[1:] = [self._host[1][first * slots :], np.ascontiguousarray(cubics.swapaxes(1, 2))]
         library = folder / "plain_loop.so"
         flags = ["-O3", "-march=native", "-ffast-math", "-funroll-loops", "-shared", "-fPIC"]
         subprocess.run(["cc", *flags, "-o", library, HERE / "plain_loop.c"], check=True)
@@ -108,7 +114,7 @@ class Kernel:
 
         def part(i: int) -> None:
             self._loop(
-                branches, ctypes.c_long(stride), len(self._host[0]) // stride, ctypes.c_long(int(given["lead"])), delay,
+                branches, ctypes.c_long(stride), int(given["first_row"][-1]), ctypes.c_long(int(given["lead"])), delay,
                 cubics, slots, slots, int(given["block_subblocks"]), blocks * i // threads,
                 blocks * (i + 1) // threads, ctypes.c_void_p(out.ctypes.data),
             )  # fmt: skip
@@ -259,10 +265,9 @@ def draw(panels: dict[str, dict[str, list[tuple[float, float]]]]) -> None:
 def measured() -> tuple[dict[str, dict[str, list[tuple[float, float]]]], list[tuple[str, ...]]]:
     """Return the lines of the three plots, and the rows of the table."""
     there = {name for name, module in PEERS.items() if importlib.util.find_spec(module)}
-    orders = (1, 2, 4, 6, 8, 10)
-    by_paths = {"clsim": [ours(order) for order in orders]}
-    by_ears = {"clsim": [(n, ours(3, 1.0, n)[1]) for n in (1, 4, 16, 64)]}
-    by_time = {"clsim": [(d, ours(6, d)[1]) for d in (0.25, 1.0, 4.0, 10.0)]}
+    by_paths = {"clsim": [ours(order) for order in ORDERS]}
+    by_ears = {"clsim": [(n, ours(3, 1.0, n)[1]) for n in EARS]}
+    by_time = {"clsim": [(d, ours(6, d)[1]) for d in DURATIONS]}
     count, whole = by_paths["clsim"][-1]
     rows: list[tuple[str, ...]] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -276,22 +281,22 @@ def measured() -> tuple[dict[str, dict[str, list[tuple[float, float]]]], list[tu
     if "Numba" in there:
         seconds = numba_seconds()
         by_paths["Numba"] = [
-            (paths, seconds(order)) for (paths, _), order in zip(by_paths["clsim"], orders, strict=True)
+            (paths, seconds(order)) for (paths, _), order in zip(by_paths["clsim"], ORDERS, strict=True)
         ]
         rows.append(("Numba, float32, all cores", "all of it: emission time and 13 taps for every path and sample",
                      "not measured", f"{by_paths['Numba'][-1][1] / whole:.0f}"))  # fmt: skip
     if "pyroomacoustics" in there:
-        spent = [(paths, crossfade_seconds(order)) for (paths, _), order in zip(by_paths["clsim"], orders, strict=True)]
+        spent = [(paths, crossfade_seconds(order)) for (paths, _), order in zip(by_paths["clsim"], ORDERS, strict=True)]
         by_paths["pyroomacoustics"] = spent
         rows.append(("pyroomacoustics", f"{RESPONSES} room impulse responses a second, convolved and crossfaded",
                      f"{crossfade_error_db():.0f} dB at best", f"{spent[-1][1] / whole:.0f}"))  # fmt: skip
     if "Acoular" in there:
-        by_ears["Acoular, direct sound alone"] = [(n, acoular_seconds(1.0, n)) for n in (1, 4, 16)]
-        by_ears["clsim, direct sound"] = [(n, ours(0, 1.0, n)[1]) for n in (1, 4, 16)]
-        by_time["Acoular, direct sound alone"] = [(d, acoular_seconds(d, 1)) for d in (0.25, 1.0)]
+        by_ears["Acoular, direct sound alone"] = [(n, acoular_seconds(1.0, n)) for n in EARS[:3]]
+        by_ears["clsim, direct sound"] = [(n, ours(0, 1.0, n)[1]) for n in EARS[:3]]
+        by_time["Acoular, direct sound alone"] = [(d, acoular_seconds(d, 1)) for d in DURATIONS[:2]]
         theirs, mine = by_ears["Acoular, direct sound alone"][-1][1], by_ears["clsim, direct sound"][-1][1]
         jitter = 20 * math.log10(2 * math.pi * 40e3 / (RATE * UP * math.sqrt(12.0)))
-        rows.append(("Acoular", f"the direct sound alone, 16 receivers; nearest of {UP} samples in one",
+        rows.append(("Acoular", f"the direct sound alone, {EARS[:3][-1]} receivers; nearest of {UP} samples in one",
                      f"{jitter:.0f} dB", f"{theirs / mine:.0f}, of the direct sound"))  # fmt: skip
     rows += [(name, "not installed", "", "") for name in PEERS if name not in there]
     panels = {
@@ -312,7 +317,7 @@ def main() -> None:
     busy = parser.parse_args().busy
     panels, rows = measured()
     draw(panels)
-    device = clsim.list_devices()[0]
+    device, _ = find_device(None)
     where = f"{device.name}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}"
     if busy:
         where += "; **a busy machine: these times are no measure**"

@@ -5,33 +5,24 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import traceback
 from importlib import import_module
+from itertools import takewhile
 from typing import NoReturn
 
+from clsim.commands import COMMANDS
 from clsim.errors import ClsimError, InputError
+from clsim.version import __version__
 from clsim.workflow.console import built_programs, one_line_warnings
 
-# Each is a module of `clsim.commands` (`warm_up` for warm-up) that has `add_arguments(parser)` and `execute(options)`,
-# imported once it is called.
-COMMANDS = {
-    "run": "render a scene file into a folder of sound files, tables and pictures",
-    "check": "check a scene file and say what would be computed",
-    "paths": "list the paths of a scene file",
-    "rir": "write the impulse responses of a scene file at one instant",
-    "view": "write an interactive page: room, motion, and the paths over time",
-    "plot": "draw directivities, or what air absorbs",
-    "materials": "list or draw the built-in materials, with sources and uncertainty",
-    "study": "render a scene many times with other values of some of its fields",
-    "devices": "list the OpenCL devices of this machine",
-    "warm-up": "build the kernels that common scenes need, so that first renders need not",
-    "schema": "print the JSON schema of scene files, for editors",
-}
+_VERBOSE = {"-v", "--verbose"}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status: 0, 2 for an error, 130 when interrupted; 1 if members failed."""
+    given = sys.argv[1:] if arguments is None else arguments
     try:
-        options = _options(sys.argv[1:] if arguments is None else arguments)
+        options = _options(given)
         with one_line_warnings(), built_programs():
             status: int = options.execute(options)
             sys.stdout.flush()
@@ -40,6 +31,8 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (ClsimError, OSError) as error:
+        if _VERBOSE & set(_before(given)):
+            traceback.print_exc()
         return _failed(f"clsim: error: {error}", error, 2)
     except MemoryError as error:
         return _failed(f"clsim: error: not enough memory: {error}", error, 2)
@@ -54,6 +47,11 @@ def _failed(message: str, error: BaseException, status: int) -> int:
     return status
 
 
+def _before(arguments: list[str]) -> list[str]:
+    """Return what stands before the command."""
+    return list(takewhile(lambda argument: argument.startswith("-"), arguments))
+
+
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong as all else does."""
 
@@ -64,8 +62,12 @@ class _Parser(argparse.ArgumentParser):
 def _options(arguments: list[str]) -> argparse.Namespace:
     """Return the options; only the command that is called is imported, and adds its arguments."""
     parser = _Parser(
-        prog="clsim", description="Simulate what receivers hear in a room while sources and receivers move."
-    )
+        prog="clsim", description="Simulate what receivers hear in a room while sources and receivers move.",
+        epilog="exit status: 0 done; 1 members of a study, or scenes of a device's test, failed; 2 an error, told in a "
+        "line; 130 interrupted",
+    )  # fmt: skip
+    parser.add_argument("--version", action="version", version=f"clsim {__version__}")
+    parser.add_argument("-v", "--verbose", action="store_true", help="tell where in the program an error arose, too")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     called = next((argument for argument in arguments if not argument.startswith("-")), None)
     for name, text in COMMANDS.items():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
-from clsim.paths.diffraction.search import edge_paths
+from clsim.paths.diffraction.search import double_edge_paths, edge_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
 from clsim.paths.specular.mesh import FINDERS, mesh_paths
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import PathFamily
 
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
-LARGEST_DIFFRACTION = 1
+LARGEST_DIFFRACTION = 2
 ENGINES = ("opencl", "reference")
 
 
@@ -47,8 +47,8 @@ def find_paths(
     max_order : int
         Largest number of reflections, 0 for the direct sound alone.
     diffraction : int
-        Largest number of edges that a path turns round: 0, or 1 for paths with one edge and up to `max_order`
-        reflections before and after it.
+        Largest number of edges that a path turns round: 0, 1 for paths with one edge and up to `max_order` reflections
+        before and after it, or 2 for those over two edges of one face as well.
     path_limit : int
         Number of paths above which the search is refused or given up.
     finder : {"auto", "beam-tree", "shooting"}
@@ -97,7 +97,9 @@ def find_paths(
     report = progress or (lambda share: None)
     search = PathSearch(max_order, edges, limit, finder, resolution, engine, device, report)
     found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
-    return PathSet(scene, found if not edges else (*found, edge_paths(scene, search, found)))
+    for kind in (edge_paths, double_edge_paths)[:edges]:
+        found = (*found, kind(scene, search, found))
+    return PathSet(scene, found)
 
 
 @contextmanager

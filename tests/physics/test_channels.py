@@ -25,7 +25,7 @@ def paths() -> clsim.PathSet:
     ]
     ears = [clsim.Receiver("left", clsim.Trajectory.line((3, 1, 2), (3, 1.3, 2), 0.1)),
             clsim.Receiver("right", clsim.Trajectory.fixed((2, 2, 0.5)))]  # fmt: skip
-    return clsim.find_paths(clsim.Scene(clsim.Shoebox((4, 3, 2.5), walls), clsim.Air(), sources, ears), 2)
+    return clsim.find_paths(clsim.Scene(clsim.Shoebox((4, 3, 2.5), walls), clsim.Air(), sources, ears), 1)
 
 
 def envelope(signal: clsim.Signal, rate: float, count: int) -> np.ndarray:

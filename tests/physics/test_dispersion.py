@@ -172,7 +172,7 @@ def test_envelopes_are_those_of_the_sum():
         assert error_db(made.pressure[0], exact) < -85.0
 
 
-@pytest.mark.parametrize("options", [{}, {"convolve_static": False}, {"responses": "centre"}, {"engine": "reference"}])
+@pytest.mark.parametrize("options", [{}, {"responses": "centre"}, {"engine": "reference"}])
 def test_the_phase_of_a_tone(options):
     """Over 10 m, 0.1 degrees: that of its own speed, however it is rendered."""
     tone = clsim.Signal.tone(40e3, 0.04, RATE, fade=0.005)
@@ -241,18 +241,16 @@ def test_what_rings_before_its_time_is_gone():
 
 
 def test_nothing_is_heard_before_the_fastest_frequency():
-    """A short pulse at 768 kHz, from a place at rest and to one that moves: below the asked error at default settings."""
+    """A short pulse at 768 kHz, from a place at rest and to one that moves: below the asked error at default settings.
+
+    Without dispersion there are -61 and -70 dB.
+    """
     rate, n = 768e3, np.arange(48)
     pulse = np.exp(-0.5 * ((n - 20.0) / 3.2) ** 2) * np.cos(2.0 * np.pi * 100e3 * (n - 20) / rate)
-    early = {}
-    for dispersion in (False, True):
-        air = Air(dispersion=dispersion)
-        paths = direct(clsim.Signal.from_array(pulse, rate), along(0.0), along(10.0), along(10.0, 0.1), air=air)
-        got = clsim.render(paths, rate, duration=0.03).pressure.astype(np.float64)
-        begin = int(10.0 / (air.speed_at(1e9) if dispersion else air.speed_of_sound) * rate)
-        early[dispersion] = 10.0 * np.log10(np.sum(got[:, :begin] ** 2, axis=1) / np.sum(got**2, axis=1))
-    assert np.all(early[True] < -85.0)
-    assert np.all(early[False] > -75.0)  # or this test could not fail
+    paths = direct(clsim.Signal.from_array(pulse, rate), along(0.0), along(10.0), along(10.0, 0.1))
+    got = clsim.render(paths, rate, duration=0.03).pressure.astype(np.float64)
+    begin = int(10.0 / AIR.speed_at(1e9) * rate)
+    assert np.all(10.0 * np.log10(np.sum(got[:, :begin] ** 2, axis=1) / np.sum(got**2, axis=1)) < -85.0)
 
 
 def test_engines_agree_among_walls_and_beams_with_phases():

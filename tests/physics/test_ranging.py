@@ -63,20 +63,20 @@ def test_a_receding_chirp_seems_further_by_its_doppler_shift(receding: clsim.Rec
 
 
 def test_noise_is_met_as_well_as_it_can_be() -> None:
-    """Of 400 ranges by Gaussian noise, the deviation is within 11 % of the bound, three of its own deviations."""
+    """Of 200 ranges by Gaussian noise, the deviation is within 15 % of the bound, three of its own deviations."""
     pulse = clsim.Signal.chirp(30e3, 50e3, 2e-3, RATE, window="hann")
-    source = clsim.Source("s", clsim.Signal.pulses(pulse, 0.01, 400), clsim.Trajectory.fixed((1, 2, 1)))
+    source = clsim.Source("s", clsim.Signal.pulses(pulse, 0.01, 200), clsim.Trajectory.fixed((1, 2, 1)))
     electronics = clsim.Electronics(ambient_noise_db=10.0, self_noise_db=8.0, gain_db=6.0, seed=3)
     recording = clsim.render(paths_in((8, 4, 3), [source], [fixed("r", 3, 2, 1, electronics=electronics)]), RATE)
     for method in ("matched-filter", "phase"):
         score = ranging(recording, pulse, method)
         assert score.detection_rate == 1.0
         bound = float(np.sqrt(np.mean(np.square(score.crlb))))
-        assert 0.89 < score.deviation / bound < 1.11
-        assert abs(score.bias) < 4.0 * bound / math.sqrt(400)
+        assert 0.85 < score.deviation / bound < 1.15
+        assert abs(score.bias) < 4.0 * bound / math.sqrt(200)
     assert bound < 5e-5  # which knows the carrier
     noisy = clsim.Electronics(ambient_noise_db=60.0, seed=3)
-    deaf = clsim.render(paths_in((8, 4, 3), [source], [fixed("r", 3, 2, 1, electronics=noisy)]), RATE, duration=0.5)
+    deaf = clsim.render(paths_in((8, 4, 3), [source], [fixed("r", 3, 2, 1, electronics=noisy)]), RATE, duration=0.3)
     assert ranging(deaf, pulse).detection_rate < 0.05
 
 

@@ -149,7 +149,15 @@ def test_import_loads_nothing_but_itself() -> None:
 
 def test_help_loads_no_command() -> None:
     loaded = loaded_by("from clsim.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass") - loaded_by("")
-    assert loaded == {"clsim", "clsim.version", "clsim.errors", "clsim.cli", "clsim.workflow", "clsim.workflow.console"}
+    assert loaded == {
+        "clsim",
+        "clsim.version",
+        "clsim.errors",
+        "clsim.cli",
+        "clsim.workflow",
+        "clsim.workflow.console",
+        "clsim.commands",
+    }
 
 
 def test_a_run_without_pictures_loads_nothing_that_draws(tmp_path: Path) -> None:

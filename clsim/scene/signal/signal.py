@@ -64,6 +64,13 @@ class Signal:
             return np.zeros(1)
         return np.asarray(np.arange(self.waveform.repetitions) * self.waveform.period)
 
+    @property
+    def pulse(self) -> Signal:
+        """What a train repeats; any other signal itself."""
+        if not isinstance(self.waveform, Pulses):
+            return self
+        return Signal(self.waveform.pulse, self.waveform.pulse_rate)
+
     def read(self, start: int, stop: int) -> Floats:
         """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut.
 

@@ -112,7 +112,7 @@ def test_a_room_of_ones_own_is_a_room_of_a_scene(room: Room) -> None:
     assert is_room(room)
     held = scene(room, clsim.Trajectory.line((0, 0, 0.5), (0, 1, 0.5), 1.0))
     assert held.describe() == room.describe()
-    walls = viewed_walls(held)
+    walls = viewed_walls(room)
     assert len(walls) == len(room.faces)
     assert sum(len(wall.triangles) for wall in walls) == len(room.as_mesh().triangles)
     assert not _is_box(room)

@@ -1,0 +1,83 @@
+"""`clsim score`: how well ranges are found in the results of a run."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.commands.arguments import add_force, as_path
+from clsim.errors import InputError
+from clsim.files.atomic import atomic_path
+from clsim.files.ownership import NewFile
+from clsim.scene_file import load_scene
+from clsim.score.ranging import METHODS, ranging
+from clsim.workflow.load_recording import load_recording
+from clsim.workflow.outputs import COMPLETED
+
+if TYPE_CHECKING:
+    import argparse
+
+    from clsim.score.ranging import RangingScore
+
+_COLUMNS = ("delay", "exact", "error", "crlb", "line_of_sight")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("folder", type=as_path, help="results of clsim run")
+    parser.add_argument("--source", metavar="NAME", help="whose pulses (default: the first source's)")
+    parser.add_argument("--method", choices=METHODS, default="matched-filter", help="default: matched-filter")
+    parser.add_argument("--max-range", type=float, metavar="M", help="up to which pulses are looked for")
+    parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="a row for each range, as CSV")
+    add_force(parser)
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Print the scores; return the exit status."""
+    target = None if options.output is None else NewFile(options.output, [], options.force)
+    recording = load_recording(options.folder, paths=True)
+    assert recording.paths is not None
+    sources = recording.paths.scene.sources
+    named = [source for source in sources if options.source in (None, source.name)]
+    if not named:
+        names = ", ".join(repr(source.name) for source in sources)
+        raise InputError("--source", f"must be one of {names:.200}, but is {options.source!r:.80}")
+    source = named[0]
+    try:
+        score = ranging(
+            recording, source.signal.pulse, options.method, source=source.name, max_range=options.max_range,
+            motion=load_scene(options.folder / COMPLETED).render["motion"],
+        )  # fmt: skip
+    except InputError as error:
+        raise InputError(f"--{error.field.replace('_', '-')}", error.problem) from error
+    print(f"{'receiver':<16} {'found':>7} {'in sight':>9} {'outliers':>9} {'median (mm)':>12} {'75 % (mm)':>11}")
+    for r, name in enumerate(score.receiver_names):
+        print(_row(name, score, slice(r, r + 1)))
+    print(_row("all", score, slice(None)))
+    if target is not None:
+        _write(score, target)
+        print(target.path)
+    return 0
+
+
+def _row(name: str, score: RangingScore, rows: slice) -> str:
+    """Return a line of the table."""
+    error = np.abs(score.error[rows])
+    found = error[np.isfinite(error)]
+    seen = float(np.mean(score.line_of_sight[rows]))
+    head = f"{name:<16} {100 * len(found) / error.size:>5.1f} % {100 * seen:>7.1f} %"
+    if not len(found):
+        return f"{head} {'-':>9} {'-':>12} {'-':>11}"
+    half, most = (1e3 * np.percentile(found, p) for p in (50, 75))
+    return f"{head} {100 * float(np.mean(found >= score.outlier)):>7.1f} % {half:>12.3f} {most:>11.3f}"
+
+
+def _write(score: RangingScore, target: NewFile) -> None:
+    with atomic_path(target.ready()) as temporary, temporary.open("w", encoding="utf-8", newline="") as out:
+        writer = csv.writer(out)
+        writer.writerow(("receiver", "emission", "emission_time", *_COLUMNS))
+        for r, name in enumerate(score.receiver_names):
+            for k, time in enumerate(score.emission_times.tolist()):
+                writer.writerow((name, k, time, *(getattr(score, column)[r, k].item() for column in _COLUMNS)))
