@@ -142,7 +142,7 @@ def count() -> None:
                 "loaded": rows["load global"][1] / work, "stored": rows["store global"][1] / work,
             }  # fmt: skip
         found[kind] = made
-    (HERE / "device_counts.json").write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+        (HERE / "device_counts.json").write_text(json.dumps(found, indent=1) + "\n", "utf-8")
 
 
 @dataclasses.dataclass

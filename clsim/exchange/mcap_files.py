@@ -117,7 +117,7 @@ def write_mcap(
     times = np.arange(int(duration * rate) + 1) / rate
     times = times[times <= _known_until(recording.paths)]
     with atomic_path(path) as temporary, temporary.open("wb") as out:
-        writer = Writer(out)
+        writer: Any = Writer(out)  # its methods have no types
         kinds = {name: writer.register_msgdef(name, _definition(name)) for name in _KINDS}
         streams = [_sound(recording, begin), _poses(recording.paths, times, begin, frame)]
         streams.append(_ranges(recording.paths, times, begin, frame))

@@ -142,3 +142,8 @@ INTERVALS = {
     "resolution": DOUBLE, "smallest_move": DOUBLE, "graze": DOUBLE, "budget": INT,
     "states": changed("progress", "paths"), "found": made("interval", "found"), "found_count": changed("int", "1"),
 }  # fmt: skip
+EDGE_INTERVALS = {
+    "others": taken("int", "paths, other_count"), "other_count": INT,
+    "edges": taken("edge_of_room", "edges of the room"), "edge_of": taken("int", "paths, 2"),
+    "face_of": taken("int", "paths, 2"), "end_of": taken("int", "paths"), "from_receiver": INT, "far": DOUBLE,
+}  # fmt: skip

@@ -16,6 +16,7 @@ from clsim.opencl.arguments import (
     BRANCHES,
     CROSSINGS,
     DOUBLE,
+    EDGE_INTERVALS,
     ENVELOPE,
     FADES,
     FLOAT,
@@ -58,11 +59,18 @@ class Program:
 _TRIPLES = ("common/float64.h", "common/triple.h")
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
+_INTERVAL_FILES = (
+    *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
+)  # fmt: skip
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
 _GAINS = ("common/gains.h",)
 _MASK = ("common/mask.h",)
 
+_INTERVAL_CONSTANTS = {
+    "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE", "TOUCHING",
+    "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
+}  # fmt: skip
 _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
 _NODE_CONSTANTS = {
     "CELL", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS",
@@ -178,15 +186,13 @@ PROGRAMS = {
     "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), MEETINGS, frozenset({"PARALLEL"})),
     "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), CROSSINGS, frozenset(_CROSSING_CONSTANTS)),
     "intervals": Program(
-        (
-            *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
-            "paths/intervals.cl",
-        ),
-        INTERVALS,
-        frozenset(_DELAY_CONSTANTS | {
-                "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL",
-                "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
-            }),
+        (*_INTERVAL_FILES, "paths/evaluate.h", "paths/spans.h", "paths/intervals.cl"), INTERVALS,
+        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS),
+    ),
+    "edge_intervals": Program(
+        (*_INTERVAL_FILES, "paths/edge.h", "paths/edge_evaluate.h", "paths/spans.h", "paths/edge_intervals.cl"),
+        EDGE_INTERVALS | INTERVALS,
+        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {"CONTRACTIONS", "CONTRACTED", "HALF_TURN"}),
     ),
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),

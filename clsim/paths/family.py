@@ -51,6 +51,8 @@ class PathFamily(ABC):
         To which wall that happens (specular) or to which of `object_names`; filled up with -1.
     columns : tuple of str
         A kind's own fields with a row per path.
+    costly : bool
+        Whether responses cost so much that they are taken at few instants where they change slowly, see `HostTracks`.
     object_names : tuple of str
         Of things that are no walls.
     """
@@ -65,6 +67,7 @@ class PathFamily(ABC):
     objects: NDArray[np.signedinteger[Any]]
 
     columns: ClassVar[tuple[str, ...]] = ()
+    costly: ClassVar[bool] = False
 
     @abstractmethod
     def arrivals(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
-from clsim.paths.diffraction.search import edge_paths
+from clsim.paths.diffraction.search import double_edge_paths, edge_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import PathFamily
 
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
-LARGEST_DIFFRACTION = 1
+LARGEST_DIFFRACTION = 2
 ENGINES = ("opencl", "reference")
 
 
@@ -49,8 +49,8 @@ def find_paths(
     max_order : int
         Largest number of reflections, 0 for the direct sound alone.
     diffraction : int
-        Largest number of edges that a path turns round: 0, or 1 for paths with one edge and up to `max_order`
-        reflections before and after it.
+        Largest number of edges that a path turns round: 0, 1 for paths with one edge and up to `max_order` reflections
+        before and after it, or 2 for those over two edges of one face as well.
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3.
     path_limit : int
@@ -102,8 +102,8 @@ def find_paths(
     legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
     search = PathSearch(max_order, edges, legs, limit, finder, resolution, engine, device, report)
     found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
-    if edges:
-        found = (*found, edge_paths(scene, search, found))
+    for kind in (edge_paths, double_edge_paths)[:edges]:
+        found = (*found, kind(scene, search, found))
     if scene.scatterers:
         found = (*found, scattered_paths(scene, search, _specular_paths))
     return PathSet(scene, found)

@@ -20,7 +20,7 @@ class PathSearch:
     max_order : int
         Largest number of reflections; at least 0, and how many there may be is the finder's to say.
     diffraction : int
-        Largest number of edges that a path turns round, 0 or 1.
+        Largest number of edges that a path turns round, 0 to 2.
     scattering_order : int
         Largest number of reflections before a scatterer, and of those after it.
     path_limit : int

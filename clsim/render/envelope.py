@@ -167,7 +167,7 @@ def design_envelope(emission: Emission) -> EnvelopeFilters:
     signal, options = emission.signal, emission.options
     assert options.baseband is not None
     baseband = Baseband(*options.baseband)
-    half, removed_db = half_band(emission.source, signal, signal.energy_spectrum(), baseband, emission.max_rate)
+    half, removed_db = half_band(emission.source, signal, emission.spectrum(), baseband, emission.max_rate)
     carrier, _, rate = baseband
     # What would be folded onto what is held, or is the image of the carrier.
     stop = min(rate or 0.0, 2.0 * carrier) - half

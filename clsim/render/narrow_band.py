@@ -1,4 +1,4 @@
-"""A narrow part of what a source emits, and the rest: one band-pass splits them, and their sum is the signal."""
+"""Narrow parts of what a source emits, and the rest: band-passes split them, and their sum is the signal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
 _RIPPLE_DB = 15.0  # the same of the band-pass: what it leaves of a steady tone is silence
-_LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
+LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
 _SILENT = 1e-9  # energy of the rest in a window relative to the whole, below which nothing is designed for it
 
 
@@ -42,26 +42,63 @@ class NarrowBand:
         Frequencies off the carrier from which on nothing is passed, Hz.
     low_pass : ndarray (n,)
         The band-pass about 0 Hz, without delay, of odd length, at the signal's sampling rate.
-    silence : float
-        Level relative to what sounds within some 40 ms, below which the rest is silent.
     """
 
     baseband: Baseband
     flat: float
     half: float
     low_pass: Floats
-    silence: float
 
     @classmethod
     def designed(cls, baseband: Baseband, flat: float, half: float, rate: float, error_db: float) -> NarrowBand:
         """Return a band at a sampling rate, Hz, for an error asked of all that is rendered."""
         low_pass = low_pass_between(flat, half, rate, MARGIN_DB + _RIPPLE_DB - error_db)
-        return cls(baseband, flat, half, low_pass, 10 ** ((error_db - MARGIN_DB) / 20))
+        return cls(baseband, flat, half, low_pass)
 
     @property
     def reach(self) -> int:
         """Samples by which the band-pass looks to either side."""
         return len(self.low_pass) // 2
+
+    def left(self, frequencies: Floats) -> Floats:
+        """Return what the band-pass leaves of evenly spaced frequencies (F,) up to half the sampling rate, Hz."""
+        away = np.abs(frequencies - self.baseband.carrier)
+        left, bins = np.where(away <= self.flat, 0.0, 1.0), np.flatnonzero((away > self.flat) & (away < self.half))
+        rate = 2.0 * float(frequencies[-1])
+        turns = np.outer(away[bins] * (2.0 * math.pi / rate), np.arange(-self.reach, self.reach + 1))
+        left[bins] = 1.0 - np.cos(turns) @ self.low_pass
+        return left
+
+    def band_pass(self, rate: float) -> Floats:
+        """Return the taps (n,) of the band-pass at a sampling rate, Hz."""
+        step = 2.0 * math.pi * self.baseband.carrier / rate
+        return np.asarray(2.0 * self.low_pass * np.cos(step * np.arange(-self.reach, self.reach + 1)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """Bands that are taken out of a signal, none overlapping another, and what is left of it.
+
+    Attributes
+    ----------
+    bands : tuple of NarrowBand
+        One or more.
+    silence : float
+        Level relative to what sounds within some 40 ms, below which the rest is silent.
+    """
+
+    bands: tuple[NarrowBand, ...]
+    silence: float
+
+    @classmethod
+    def into(cls, bands: tuple[NarrowBand, ...], error_db: float) -> Split:
+        """Return what takes bands out, for an error asked of all that is rendered."""
+        return cls(bands, 10 ** ((error_db - MARGIN_DB) / 20))
+
+    @property
+    def reach(self) -> int:
+        """Samples by which the band-passes look to either side."""
+        return max(band.reach for band in self.bands)
 
     def rest(self, signal: Signal, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of what is left of a signal, exactly zero where that is silent.
@@ -71,7 +108,7 @@ class NarrowBand:
         Silence is looked for in cells of 16 samples, relative to the level of what sounds within 20 to 40 ms.
         """
         begin, end = first // CELL * CELL, -(-last // CELL) * CELL
-        window = math.ceil(max(_LEVEL_TIME * signal.sampling_rate, self.reach) / CELL) * CELL
+        window = math.ceil(max(LEVEL_TIME * signal.sampling_rate, self.reach) / CELL) * CELL
         before, after = begin // window - 1, -(-end // window) + 1
         offset = before * window
         whole, left = signal.read(offset, after * window), np.zeros(end - begin)
@@ -87,38 +124,37 @@ class NarrowBand:
 
     def rest_of(self, sound: ShortTimeSpectra) -> ShortTimeSpectra:
         """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""
-        away = np.abs(sound.frequencies - self.baseband.carrier)
-        left, bins = np.where(away <= self.flat, 0.0, 1.0), np.flatnonzero((away > self.flat) & (away < self.half))
-        rate = 2.0 * float(sound.frequencies[-1])
-        turns = np.outer(away[bins] * (2.0 * math.pi / rate), np.arange(-self.reach, self.reach + 1))
-        left[bins] = 1.0 - np.cos(turns) @ self.low_pass
+        left = np.ones(len(sound.frequencies))
+        for band in self.bands:
+            left *= band.left(sound.frequencies)
         energy = sound.energy * left**2
         loud = energy.sum(axis=1) > _SILENT
         return ShortTimeSpectra(sound.frequencies, energy[loud], sound.weights[loud])
 
     def _band_pass(self, signal: Signal) -> NDArray[Any]:
-        """Return the band-pass, (1, n) float32."""
-        step = 2.0 * math.pi * self.baseband.carrier / signal.sampling_rate
-        taps = 2.0 * self.low_pass * np.cos(step * np.arange(-self.reach, self.reach + 1))
+        """Return all band-passes together, (1, n) float32."""
+        taps = np.zeros(2 * self.reach + 1)
+        for band in self.bands:
+            taps[self.reach - band.reach : self.reach + band.reach + 1] += band.band_pass(signal.sampling_rate)
         return np.asarray(taps[None], dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestFilters(SourceFilters):
-    """Filters for what a narrow part leaves of a source's signal; pairs at rest are convolved with all of it.
+    """Filters for what narrow parts leave of a source's signal; pairs at rest are convolved with all of it.
 
     Attributes
     ----------
-    narrow : NarrowBand
+    split : Split
         What is left out.
     """
 
-    narrow: NarrowBand
+    split: Split
 
     @property
     def filter_half(self) -> int:
         """Samples by which what is heard is longer than the signal to either side, without the delay filters."""
-        return int(self.filters.shape[1] // 2) + self.oversampling * (self.narrow.reach + CELL)
+        return int(self.filters.shape[1] // 2) + self.oversampling * (self.split.reach + CELL)
 
     @property
     def unheld_db(self) -> float:
@@ -127,11 +163,12 @@ class RestFilters(SourceFilters):
 
     def sounding(self, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of the rest."""
-        return self.narrow.rest(self.signal, first, last)
+        return self.split.rest(self.signal, first, last)
 
     def digest(self) -> str:
         """Return a text that changes with any tap."""
-        return SourceFilters.digest(self) + hashlib.sha256(self.narrow.low_pass.tobytes()).hexdigest()
+        taps = b"".join(band.low_pass.tobytes() for band in self.split.bands)
+        return SourceFilters.digest(self) + hashlib.sha256(taps).hexdigest()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,16 +181,22 @@ class NarrowFilters(EnvelopeFilters):
         return self.mixer.half_length
 
 
-def design_split(emission: Emission, narrow: NarrowBand) -> tuple[RestFilters, NarrowFilters]:
-    """Return the filters for what a narrow part leaves of a source's signal, and for that part.
+def design_split(emission: Emission, split: Split) -> tuple[RestFilters, tuple[NarrowFilters, ...]]:
+    """Return the filters for what narrow parts leave of a source's signal, and for each of these.
 
     Raises
     ------
     InputError
         As in `design_source_filters`.
     """
-    rest = design_source_filters(replace(emission, sound=narrow.rest_of(emission.sound)))
-    within = replace(emission.options, baseband=narrow.baseband, narrowband=None)
-    part = envelope_filters(replace(emission, options=within), narrow.half, narrow.low_pass, -math.inf)
-    columns, parts = ({f.name: getattr(made, f.name) for f in fields(made)} for made in (rest, part))
-    return RestFilters(**columns, narrow=narrow), NarrowFilters(**parts)
+    rest = design_source_filters(replace(emission, sound=split.rest_of(emission.sound)))
+    parts = []
+    for band in split.bands:
+        within = replace(emission.options, baseband=band.baseband, narrowband=None)
+        part = envelope_filters(replace(emission, options=within), band.half, band.low_pass, -math.inf)
+        parts.append(NarrowFilters(**_columns(part)))
+    return RestFilters(**_columns(rest), split=split), tuple(parts)
+
+
+def _columns(made: SourceFilters) -> dict[str, Any]:
+    return {f.name: getattr(made, f.name) for f in fields(made)}

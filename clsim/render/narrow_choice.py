@@ -1,7 +1,8 @@
-"""Whether what a source emits is split into a narrow part and a rest: where that pays, and where it is right."""
+"""Whether what a source emits is split into narrow parts and a rest: where that pays, and where it is right."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from clsim.errors import DeviceError
 from clsim.opencl.device import find_device
 from clsim.render.baseband import CYCLES, WIDEST, Baseband
 from clsim.render.interpolator import Bandlimited
-from clsim.render.narrow_band import MARGIN_DB, NarrowBand
+from clsim.render.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.tracks.basis import flat_basis
 
@@ -23,16 +24,18 @@ if TYPE_CHECKING:
     from clsim.render.source_filters import Emission
     from clsim.render.static_pairs import StaticPairs
     from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import SceneTracks
+    from clsim.tracks.tracks import SceneTracks, Tracks
 
 _SHARES = (1e-3, 1e-6, 1e-9)  # of the energy to either side of what is passed as it is
 _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
+_MOST_BANDS = 6
 _BINS = 10.0  # of short-time spectra: what a tone spreads in them
 _LEAST_EVERY = 8  # samples of the sound in one of the envelope
-# Processor time, ns: of a path in a sample of the sound, plainly, in a rest that sounds, and in nodes of envelopes; of
-# a path in a sample of the envelope; of upsampling and of splitting a sample; of planning twice.
-_PLAIN, _REST, _NODES, _ENVELOPE = 1.2, 4.0, 0.25, 6.0
-_UPSAMPLED, _SPLIT, _PLANNED = 10.0, 60.0, 5e8
+# Processor time, ns: of a path in a sample of the sound, plainly, and more by functions of frequency where the signal's
+# band is all there is, in a rest that sounds, and in nodes of envelopes; of a path in a sample of the envelope; of
+# upsampling and of splitting a sample; of planning twice.
+_PLAIN, _WIDE, _REST, _NODES, _ENVELOPE = 1.5, 3.0, 4.0, 0.25, 6.0
+_UPSAMPLED, _SPLIT, _PLANNED = 10.0, 60.0, 1.5e8
 _ON_GPU = 50.0  # times as fast is a GPU, for which the host upsamples as fast as for any other
 _WINDOWS, _ENDS = 48, 4  # of short-time spectra that are looked at, and of these at either end
 _SOUNDING = 0.5  # of a window in which the rest is loud
@@ -42,8 +45,8 @@ _STRETCH = 0.02  # s
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
 
-def chosen_band(emission: Emission, pairs: StaticPairs) -> tuple[NarrowBand | None, str]:
-    """Return the band of a source's signal that is rendered as complex envelope, or None, and why none in spite of all.
+def chosen_split(emission: Emission, pairs: StaticPairs) -> tuple[Split | None, str]:
+    """Return the bands of a source's signal that are rendered as complex envelopes, or None, and why none after all.
 
     Parameters
     ----------
@@ -62,38 +65,85 @@ def chosen_band(emission: Emission, pairs: StaticPairs) -> tuple[NarrowBand | No
         return None, ""
     rate, error_db = signal.sampling_rate, options.interpolator.error_db
     samples = min(signal.duration, until) * rate
-    path_samples = sum(len(tracks.pairs[i]) for i in mine) * samples / (_ON_GPU if _on_gpu(options) else 1.0)
-    # By so much a path must be faster in a sample, ns.
-    least = -math.inf if options.narrowband else (_PLANNED + samples * (_SPLIT + _UPSAMPLED * len(mine))) / path_samples
-    if least > _PLAIN:
+    path_samples = _heard(tracks, mine, until) * samples / (_ON_GPU if _on_gpu(options) else 1.0)
+    # By so much a path must be faster in a sample for each band, ns.
+    once = _PLANNED + samples * _UPSAMPLED * len(mine), samples * _SPLIT
+    of_band, of_all = (x / max(path_samples, 1.0) for x in once)
+    low, high = sound.bounds(10 ** ((error_db - 6.0) / 10))
+    most = _PLAIN + _WIDE * (high - low) / (0.5 * rate)
+    if of_band + of_all > most and not options.narrowband:
         return None, ""
-    some = _some(sound)
-    bands = dict.fromkeys(_bands(signal, sound, tracks.max_rate(index)))
-    designed = [NarrowBand.designed(*band, rate, error_db) for band in bands]
-    work = [_work(band, some, rate) for band in designed]
-    if not work or _PLAIN - min(work) < least:
+    some, fades = _some(sound), _width_of_fades(tracks, mine, error_db)
+    ways = dict.fromkeys(_ways(signal, sound, tracks.max_rate(index), fades))
+    designed = [tuple(NarrowBand.designed(*band, rate, error_db) for band in bands) for bands in ways]
+    splits = [Split.into(bands, error_db) for bands in designed]
+    gains = [_gain(split, some, rate, most) - of_band * len(split.bands) - of_all for split in splits]
+    if not gains or (max(gains) < 0.0 and not options.narrowband):
         return None, ""
-    narrow = designed[int(np.argmin(work))]
-    why = _obstacle(index, of_scene, mine, narrow, (start, start + signal.duration, until))
-    return (None, f"source {index}: rendered as a whole, without a narrow part: {why}") if why else (narrow, "")
+    split, span = splits[int(np.argmax(gains))], (start, start + signal.duration, until)
+    reasons = (_obstacle(index, of_scene, mine, band, split.silence, span) for band in split.bands)
+    why = next(filter(None, reasons), "")
+    return (None, f"source {index}: rendered as a whole, without a narrow part: {why}") if why else (split, "")
 
 
-def _bands(signal: Signal, sound: ShortTimeSpectra, max_rate: float) -> Iterator[tuple[Baseband, float, float]]:
-    """Yield bands that may hold most of a sound, with the ends of what is passed as it is, and at all, Hz."""
-    rate, spectrum = signal.sampling_rate, (sound.frequencies, sound.weights @ sound.energy)
-    for share in _SHARES:
-        low, high = shares(spectrum, share)
-        spread, carrier = _BINS * float(sound.frequencies[1]), float(round(0.5 * (low + high)))
-        if abs(signal.centre_frequency - carrier) < spread:
-            carrier = signal.centre_frequency
-        for skirt in _SKIRTS:
-            flat = 0.5 * (high - low) + spread
-            half = flat + skirt
-            # All that is emitted is received within this.
-            width = 2.0 * (half * (1.0 + max_rate) + carrier * max_rate)
-            every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
-            if every >= _LEAST_EVERY and width <= min(carrier, rate - 2.0 * carrier):
-                yield Baseband(carrier, width, rate / every), flat, half
+def _heard(tracks: Tracks, mine: list[int], until: float) -> float:
+    """Return how many paths of some pairs are heard on average until the end of the run, s."""
+    times = (np.clip([tracks.pairs[i].start, tracks.pairs[i].end], 0.0, until) for i in mine)
+    return float(sum((end - start).sum() for start, end in times)) / until
+
+
+def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
+    """Return by how far paths that begin and end spread a tone to either side within an error, Hz; 0 for none.
+
+    The energy spectrum of a raised cosine over T is that of a step, ``1 / (2 pi f)^2``, times ``cos(pi f T)^2 /
+    (1 - (2 f T)^2)^2``: beyond F there are ``1 / (320 pi^2 T^4 F^5)`` to either side together, which must be below the
+    asked error in what sounds within 20 ms even if all paths begin at once.
+    """
+    if tracks.transition == 0.0 or all(tracks.pairs[i].always_heard for i in mine):
+        return 0.0
+    return float((320.0 * math.pi**2 * tracks.transition**4 * LEVEL_TIME * 10 ** (error_db / 10)) ** -0.2)
+
+
+def _ways(
+    signal: Signal, sound: ShortTimeSpectra, max_rate: float, fades: float
+) -> Iterator[tuple[tuple[Baseband, float, float], ...]]:
+    """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz."""
+    spread, spectrum = _BINS * float(sound.frequencies[1]), (sound.frequencies, sound.weights @ sound.energy)
+    for share, skirt in itertools.product(_SHARES, _SKIRTS):
+        for ranges in ([shares(spectrum, share)], _ranges(spectrum, share, 2.0 * (spread + skirt))):
+            bands = [_band(signal, *ends, spread, skirt, max_rate, fades) for ends in ranges]
+            found = tuple(band for band in bands if band is not None)
+            if 0 < len(found) == len(ranges):
+                yield found
+
+
+def _ranges(spectrum: tuple[Floats, Floats], share: float, apart: float) -> list[tuple[float, float]]:
+    """Return ranges so far apart that hold all but twice a share of the energy, Hz; none where they are one or many."""
+    frequencies, energy = spectrum
+    order = np.argsort(energy)
+    loud = frequencies[np.sort(order[np.cumsum(energy[order]) > 2.0 * share * energy.sum()])]
+    gaps = np.flatnonzero(np.diff(loud) > apart)
+    if not 0 < len(gaps) < _MOST_BANDS:
+        return []
+    return list(zip(loud[np.r_[0, gaps + 1]].tolist(), loud[np.r_[gaps, len(loud) - 1]].tolist(), strict=True))
+
+
+def _band(
+    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float
+) -> tuple[Baseband, float, float] | None:
+    """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None."""
+    rate, carrier = signal.sampling_rate, float(round(0.5 * (low + high)))
+    if abs(signal.centre_frequency - carrier) < spread:
+        carrier = signal.centre_frequency
+    flat = 0.5 * (high - low) + spread
+    half = flat + skirt
+    # All that is emitted is received within the width, and at the rate what transitions spread.
+    width, emitted = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
+    width = max(width, WIDEST * (emitted + 2.0 * fades))
+    every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
+    if every < _LEAST_EVERY or width > min(carrier, rate - 2.0 * carrier):
+        return None
+    return Baseband(carrier, width, rate / every), flat, half
 
 
 def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
@@ -108,10 +158,15 @@ def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
     return ShortTimeSpectra(sound.frequencies, sound.energy[rows], np.concatenate([sound.weights[ends], weights]))
 
 
-def _work(narrow: NarrowBand, sound: ShortTimeSpectra, rate: float) -> float:
-    """Return the processor time for a path in a sample of the sound as envelope and rest, ns."""
-    loud = float(narrow.rest_of(sound).weights.sum() / sound.weights.sum())
-    return _NODES + _ENVELOPE * (narrow.baseband.sampling_rate or rate) / rate + _REST * _SOUNDING * loud
+def _gain(split: Split, sound: ShortTimeSpectra, rate: float, most: float) -> float:
+    """Return the processor time that a path in a sample of the sound saves as envelopes and rest, ns.
+
+    Plainly it takes `most` where the rest is silent; where that sounds, what is wide may as well be short.
+    """
+    loud = float(split.rest_of(sound).weights.sum() / sound.weights.sum())
+    plain = _PLAIN + (most - _PLAIN) * (1.0 - loud)
+    rates = [band.baseband.sampling_rate or rate for band in split.bands]
+    return plain - sum(_NODES + _ENVELOPE * each / rate for each in rates) - _REST * _SOUNDING * loud
 
 
 def _on_gpu(options: RenderOptions) -> bool:
@@ -122,15 +177,20 @@ def _on_gpu(options: RenderOptions) -> bool:
 
 
 def _obstacle(
-    index: int, tracks: SceneTracks, mine: list[int], narrow: NarrowBand, span: tuple[float, float, float]
+    index: int,
+    tracks: SceneTracks,
+    mine: list[int],
+    narrow: NarrowBand,
+    silence: float,
+    span: tuple[float, float, float],
 ) -> str:
-    """Return why envelopes at a low rate would not do; "" if they would.
+    """Return why an envelope at a low rate would not do; "" if it would. Below the level of silence nothing is heard.
 
     The span is when the signal begins and ends and when the run ends, s.
     """
     scene = tracks.scene
-    if not all(tracks.pairs[i].always_heard for i in mine):
-        return "paths begin and end"
+    if tracks.transition == 0.0 and not all(tracks.pairs[i].always_heard for i in mine):
+        return "paths begin and end at once"
     receivers = sorted({tracks.pairs[i].receiver for i in mine})
     ends = [("the source", scene.sources[index].trajectory)]
     ends += [(f"receiver {i}", scene.receivers[i].trajectory) for i in receivers]
@@ -142,12 +202,12 @@ def _obstacle(
     # exp(-2 pi sqrt(f^2 - D^2) d / v): the phase k sqrt(d^2 + v^2 t^2) has branch points at +-j d / v.
     skirt, carrier = narrow.half - narrow.flat, narrow.baseband.carrier
     shift, speed = carrier * tracks.max_rate(index), tracks.fastest(index, tracks.max_rate(index))[0]
-    needed = -math.log(narrow.silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
+    needed = -math.log(silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
     for i in receivers:
         speeds = float(tracks.speeds.source[index] + tracks.speeds.receiver[i])
         if speeds > 0.0 and _nearest(tracks, index, i, span[2], needed * speeds, speeds) < needed * speeds:
             return f"receiver {i} is passed so near, at up to {speed:.3g} m/s, that its sound is not narrow"
-    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > narrow.silence:
+    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > silence:
         return "ends move so quickly that what is heard is not narrow"
     return ""
 
@@ -182,11 +242,13 @@ def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[floa
     rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
     window, worst = np.kaiser(count, _BETA), 0.0
     outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > carrier * max_rate + narrow.half - narrow.flat
-    for begin in rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2]):
-        times = begin + np.arange(count) / rate
-        delay, _, gain = tracks.evaluate(pair, times, flat_basis(carrier), rows)
-        heard = (begin - delay[:, 0] >= span[0] - _STRETCH) & (times[-1] - delay[:, -1] <= span[1] + _STRETCH)
-        spectrum = np.fft.fft((gain[0] * np.exp(-2j * math.pi * carrier * delay) * window)[heard], axis=1)
+    begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2])
+    stretches = begins[:, None] + np.arange(count) / rate
+    delays, _, gains = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
+    for k, begin in enumerate(begins.tolist()):
+        delay, gain = (a[:, k * count : (k + 1) * count] for a in (delays, gains[0]))
+        heard = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
+        spectrum = np.fft.fft((gain * np.exp(-2j * math.pi * carrier * delay) * window)[heard], axis=1)
         level = np.maximum(np.linalg.norm(spectrum, axis=1), 1e-300)
         worst = max(worst, float((np.linalg.norm(spectrum[:, outside], axis=1) / level).max(initial=0.0)))
     return worst * 10 ** (-MARGIN_DB / 20)

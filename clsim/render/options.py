@@ -74,7 +74,7 @@ class RenderOptions:
         Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
         instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
     narrowband : bool, optional
-        Whether what a source emits in a narrow band is rendered as complex envelope at a low rate, several times
+        Whether what a source emits in narrow bands is rendered as complex envelopes at low rates, several times
         faster, and only the rest of it (onsets, ends) at the recording's; where the scene allows it, with the OpenCL
         engine and a `Bandlimited` interpolator. Left out: where an estimate says that it pays.
 

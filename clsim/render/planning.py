@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
@@ -13,7 +14,7 @@ from clsim.numerics.upsampling import Upsampler
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.envelope import design_envelope
 from clsim.render.narrow_band import NarrowFilters, design_split
-from clsim.render.narrow_choice import chosen_band
+from clsim.render.narrow_choice import chosen_split
 from clsim.render.narrow_part import narrow_parts, samples_needed
 from clsim.render.options import RenderOptions, keywords_of
 from clsim.render.path_sum import path_sum
@@ -23,6 +24,7 @@ from clsim.render.static_convolution import static_convolution
 from clsim.render.static_pairs import StaticPairs, find_static_pairs
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 from clsim.tracks.pruning import pruned
+from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
 
 if TYPE_CHECKING:
@@ -164,45 +166,50 @@ def _samples(
 
 def _source_filters(
     emissions: Sequence[tuple[Signal, float]], tracks: Tracks, pairs: StaticPairs, options: RenderOptions, until: float
-) -> tuple[tuple[SourceFilters, ...], dict[int, NarrowFilters], tuple[str, ...]]:
+) -> tuple[tuple[SourceFilters, ...], list[tuple[int, NarrowFilters]], tuple[str, ...]]:
     """Return what each source emits, and its filters, for a run that ends at `until`, s.
 
-    Also the filters of narrow parts by source, and why there are not more.
+    Also the filters of narrow parts with their sources, and why there are not more.
     """
     design = design_source_filters if options.baseband is None else design_envelope
     made: list[SourceFilters] = []
-    parts, told = {}, []
+    parts: list[tuple[int, NarrowFilters]] = []
+    told: list[str] = []
     # Matrices are small: threads of the linear algebra would wait for each other, the longer the busier the machine.
     with threadpool_limits(1, "blas"):
         for i, (emitted, start) in enumerate(emissions):
             signal = emitted.at_rate(options.sampling_rate)
             sound = ShortTimeSpectra.of(signal)
-            emission = Emission(i, signal, start, sound, tracks, options, until, pairs.holds(tracks, i))
-            narrow, why = chosen_band(emission, pairs)
+            emission = Emission(
+                i, signal, start, sound, tracks, options, until, pairs.holds(tracks, i),
+                cache(signal.energy_spectrum), cache(partial(Draw.of, tracks, i, until)),
+            )  # fmt: skip
+            split, why = chosen_split(emission, pairs)
             told += [why] if why else []
-            if narrow is None:
+            if split is None:
                 made.append(design(emission))
             else:
-                rest, parts[i] = design_split(emission, narrow)
+                rest, narrow = design_split(emission, split)
                 made.append(rest)
+                parts += [(i, filters) for filters in narrow]
     return tuple(made), parts, tuple(told)
 
 
-def _carriers(narrow: dict[int, NarrowFilters]) -> list[tuple[float, float]]:
+def _carriers(narrow: list[tuple[int, NarrowFilters]]) -> list[tuple[float, float]]:
     """Return the carriers and sampling rates of envelopes, Hz, each once."""
-    return list(dict.fromkeys((filters.carrier, filters.rate) for filters in narrow.values()))
+    return list(dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow))
 
 
 def _narrow_part(
     carrier: tuple[float, float],
-    narrow: dict[int, NarrowFilters],
+    narrow: list[tuple[int, NarrowFilters]],
     tracks: Tracks,
     pairs: StaticPairs,
     options: RenderOptions,
     samples: int,
 ) -> NarrowPart:
     """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
-    mine = {i: filters for i, filters in narrow.items() if (filters.carrier, filters.rate) == carrier}
+    mine = {i: filters for i, filters in narrow if (filters.carrier, filters.rate) == carrier}
     # Others have no paths in it; what stands for their filters is not looked at.
     first = next(iter(mine.values()))
     filters = tuple(mine.get(i, first) for i in range(tracks.source_count))

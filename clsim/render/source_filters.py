@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from clsim.render.options import RenderOptions
     from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
     from clsim.scene.signal.signal import Signal
+    from clsim.tracks.sampled import Draw
     from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
@@ -66,6 +67,10 @@ class Emission:
         End of the run, s.
     static : bool
         All its paths are convolved, so that nothing needs functions of frequency.
+    spectrum : callable
+        Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first asked.
+    drawn : callable
+        Returns paths at which responses are looked at; likewise.
     """
 
     source: int
@@ -76,6 +81,8 @@ class Emission:
     options: RenderOptions
     until: float
     static: bool
+    spectrum: Callable[[], tuple[Floats, Floats]]
+    drawn: Callable[[], Draw]
 
     @property
     def field(self) -> str:
@@ -99,7 +106,7 @@ class Emission:
         flat = flat_basis(self.signal.centre_frequency)
         if of_scene is None or not len(sound.energy):  # silence needs nothing
             return flat
-        main = shares(self.signal.energy_spectrum(), _MAIN_SHARE)
+        main = shares(self.spectrum(), _MAIN_SHARE)
         check_band_coverage(of_scene.scene, [self.source], *main, f"the signal of source {self.source}")
         if self.static:
             return flat
@@ -110,7 +117,7 @@ class Emission:
         band_at = partial(band_of, low, high, sound)
         if not at_centre:
             asked_db = min(floor_db, options.response_error_db)
-            return scene_basis(of_scene, self.source, band_at, self.until, rate, asked_db)
+            return scene_basis(of_scene, self.source, band_at, self.drawn(), self.until, rate, asked_db)
         if of_scene.paths.is_complex:
             return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)
         return flat
@@ -305,13 +312,13 @@ def _doubling(rate: float) -> Floats:
 
 def _band(emission: Emission, times: int) -> tuple[float, float, Floats]:
     """Return the end of the band that matters, Hz, the share above it in dB, and the band limit."""
-    signal, sound, interpolator = emission.signal, emission.sound, emission.options.interpolator
-    rate = signal.sampling_rate
+    sound, interpolator = emission.sound, emission.options.interpolator
+    rate = emission.signal.sampling_rate
     widest = (_WIDEST if times == 1 else _WIDEST_OVERSAMPLED) * 0.5 * rate / (1.0 + emission.max_rate)
     band = max(sound.bounds(10 ** ((interpolator.error_db - 6.0) / 10))[1], 0.05 * widest)
     if band <= widest:
         return band, -math.inf, np.ones(1)
-    spectrum = signal.energy_spectrum()
+    spectrum = emission.spectrum()
     removed_db = share_above(spectrum, widest)
     unmoved = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
     _check_received(emission, spectrum, widest, unmoved)

@@ -11,7 +11,7 @@ import numpy as np
 
 from clsim.numerics.band_filters import band_filters
 from clsim.tracks.basis import Basis, in_parts
-from clsim.tracks.sampled import GRIDS, SEED, Sample, common_delay, sampled_responses
+from clsim.tracks.sampled import GRIDS, Sample, common_delay, sampled_responses
 from clsim.tracks.shortfall import WORST_DB, Held
 
 if TYPE_CHECKING:
@@ -20,12 +20,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.tracks.sampled import Band
+    from clsim.tracks.sampled import Band, Draw
     from clsim.tracks.tracks import SceneTracks
 
 MOST_FUNCTIONS = 40
-_ROWS = 1024  # responses of which the functions are made
-_HELD_OUT = 4096  # responses at which they are checked
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
 _EMPHASES = 5  # times that instants which are held badly are given more weight
 _HOPELESS = 4.0  # times the bound, from which on another weight does not help
@@ -51,6 +49,7 @@ def scene_basis(
     tracks: SceneTracks,
     source: int,
     band_at: Callable[[int], Band],
+    drawn: Draw,
     until: float,
     sampling_rate: float,
     error_db: float,
@@ -65,6 +64,8 @@ def scene_basis(
         Index of the source.
     band_at : callable
         Returns the band of its signal at a number of frequencies.
+    drawn : Draw
+        Paths at which responses are looked at.
     until : float
         End of the run, s.
     sampling_rate : float
@@ -96,15 +97,15 @@ def scene_basis(
     allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
     late = common_delay(tracks, source, band_at(GRIDS[0]), until, sampling_rate)
     for count in GRIDS:
-        rng, band, fine = np.random.default_rng(SEED), *(replace(band_at(n), late=late) for n in (count, 3 * count))
-        sampled = sampled_responses(tracks, source, fine, until, _ROWS, rng)
+        band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
+        sampled = sampled_responses(tracks.scene, source, drawn.rows, fine)
         unresolved = _unresolved(sampled)
         if unresolved <= allowed:
             break
     held = Held(source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    held_out = sampled_responses(tracks, source, band, until, _HELD_OUT, rng)
+    held_out = sampled_responses(tracks.scene, source, drawn.held_out, band)
     sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
     count, rows = 1, _Rows.of(sampled)
     for attempt in itertools.count(1):

@@ -47,7 +47,9 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
     factors (1 where they depend on the angle), and of the directivities' largest gains, at nine frequencies of the
     signal's band. What all paths that are left out add is at most the sum of their bounds.
     """
-    bounds = [_bounds(tracks, i, until) for i in range(len(tracks.pairs))]
+    sources = {pair.source for pair in tracks.pairs}
+    bands = {i: shares(tracks.scene.sources[i].emitted.energy_spectrum(), _SHARE) for i in sources}
+    bounds = [_bounds(tracks, i, bands[pair.source], until) for i, pair in enumerate(tracks.pairs)]
     ends = [(pair.source, pair.receiver) for pair in tracks.pairs]
     strongest: dict[tuple[int, int], float] = {}  # of paths of all kinds
     for both, (_, loudest) in zip(ends, bounds, strict=True):
@@ -72,11 +74,11 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
     )
 
 
-def _bounds(tracks: SceneTracks, pair: int, until: float) -> tuple[Floats, float]:
-    """Return bounds (P,) of the gains of a pair's paths, and the strongest gain that was met."""
+def _bounds(tracks: SceneTracks, pair: int, band: tuple[float, float], until: float) -> tuple[Floats, float]:
+    """Return bounds (P,) of the gains of a pair's paths over a band, Hz, and the strongest gain that was met."""
     scene, paths = tracks.scene, tracks.pair_paths[pair]
     source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.speed_of_sound
-    frequencies = np.linspace(*shares(source.emitted.energy_spectrum(), _SHARE), _FREQUENCIES)
+    frequencies = np.linspace(*band, _FREQUENCIES)
     at = SceneResponse(scene, paths.source, frequencies)
     directivities = _peak(source.directivity, frequencies, c) * _peak(receiver.directivity, frequencies, c)
     reflected = paths.family.gain_bound(paths.rows, at) * directivities

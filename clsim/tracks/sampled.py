@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,14 +12,21 @@ import numpy as np
 from clsim.paths.response import SceneResponse
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals
+    from clsim.paths.family import PairPaths
+    from clsim.scene.scene import Scene
     from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
-    from clsim.tracks.tracks import SceneTracks
+    from clsim.tracks.tracks import SceneTracks, Tracks
 
 GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
 SEED = 20_160_914
+_ROWS = 1024  # responses of which the functions are made
+_HELD_OUT = 4096  # responses at which they are checked
 _TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 _FRAMES = 48  # of all pairs, about
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
@@ -79,7 +87,7 @@ def chebyshev_points(low: float, high: float, count: int) -> Floats:
     return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Sample:
     """Responses (n, F) of paths at instants, relative to what is heard then, weighted by how many each stands for.
 
@@ -95,22 +103,23 @@ class Sample:
         """Return the sums of the squares of values (n, m) over each frame's rows."""
         return np.asarray(np.add.reduceat(values.real**2 + values.imag**2, self.first, axis=0))
 
+    @cached_property
     def heard(self) -> Floats:
         """Return the energy (frames, W) of what is heard of each window, and of what sounds about it."""
         return np.asarray(self.by_frame(self.responses) @ self.band.energy.T + self.band.rest)
 
     def loudness(self) -> Floats:
         """Return the inverse (W,) of the energy that is heard of each window, as a mean over the frames."""
-        return np.asarray(np.mean(1.0 / np.maximum(self.heard(), _FAINTEST), axis=0))
+        return np.asarray(np.mean(1.0 / np.maximum(self.heard, _FAINTEST), axis=0))
 
     def relative(self, left: Floats | Complexes) -> Floats:
         """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
-        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.heard()).max(axis=1)))
+        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.heard).max(axis=1)))
 
     def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
         """Return the most of what is heard that is carried by each function (K, F), of squared gains (frames, K)."""
         shares = np.abs(shapes) ** 2 @ self.band.energy.T  # (K, W)
-        heard = self.heard()
+        heard = self.heard
         return np.sqrt([(np.outer(g, share) / heard).max() for g, share in zip(together.T, shares, strict=True)])
 
     def left(self, shapes: Floats | Complexes) -> float:
@@ -137,16 +146,57 @@ class Sample:
         return Sample(self.band, together, np.concatenate(first))
 
 
-def sampled_responses(
-    tracks: SceneTracks, source: int, band: Band, until: float, count: int, rng: np.random.Generator
-) -> Sample:
-    """Return about `count` responses of a source's paths, at instants of the run."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Picked:
+    """Paths of a pair at an instant, picked for what they are heard with, and how many each stands for.
+
+    Attributes
+    ----------
+    paths : PairPaths
+        Which.
+    found : Arrivals
+        Theirs at that instant.
+    times : ndarray (1,)
+        The instant, s.
+    scale : ndarray (P, 1)
+        Root of how many paths each stands for, over the level of all of the pair.
+    """
+
+    paths: PairPaths
+    found: Arrivals
+    times: Floats
+    scale: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draw:
+    """Paths of a source at instants of the run: whatever its signal and band are, the same.
+
+    Attributes
+    ----------
+    rows, held_out : tuple of Picked
+        Of which functions are made, and at which they are checked.
+    """
+
+    rows: tuple[Picked, ...]
+    held_out: tuple[Picked, ...]
+
+    @classmethod
+    def of(cls, tracks: Tracks, source: int, until: float) -> Draw:
+        """Return those of a source of a scene for a run that ends at `until`, s."""
+        of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
+        assert of_scene is not None
+        return cls(*(tuple(picked_paths(of_scene, source, until, count, rng)) for count in (_ROWS, _HELD_OUT)))
+
+
+def picked_paths(
+    tracks: SceneTracks, source: int, until: float, count: int, rng: np.random.Generator
+) -> Iterator[Picked]:
+    """Yield about `count` of a source's paths altogether, at instants of the run."""
     pairs = [i for i, g in enumerate(tracks.pairs) if g.source == source]
-    at = SceneResponse(tracks.scene, source, band.frequencies)
     if len(pairs) > _MOST_PAIRS:
         pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
     instants = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
-    picked: list[Any] = []
     for i in pairs:
         paths, start, end = tracks.pair_paths[i], tracks.pairs[i].start, tracks.pairs[i].end
         if len(start) > _MOST_PATHS:
@@ -160,13 +210,22 @@ def sampled_responses(
         for t in np.flatnonzero(level.any(axis=0)).tolist():
             rows, standing_for = _picked(level[:, t], -(-count // (len(pairs) * instants)), rng)
             one = slice(t, t + 1)
-            along = paths.part(rows).response(found.part(rows, one), times[one], at)[:, 0]
-            if band.late != 0.0:
-                along = along * np.conj(band.turn)
-            picked.append(along * (np.sqrt(standing_for) / np.linalg.norm(level[:, t]))[:, None])
-    if not picked:
+            scale = (np.sqrt(standing_for) / np.linalg.norm(level[:, t]))[:, None]
+            yield Picked(paths.part(rows), found.part(rows, one), times[one], scale)
+
+
+def sampled_responses(scene: Scene, source: int, picked: Iterable[Picked], band: Band) -> Sample:
+    """Return the responses of picked paths of a source over a band."""
+    made: list[Any] = []
+    at = SceneResponse(scene, source, band.frequencies)
+    for some in picked:
+        along = some.paths.response(some.found, some.times, at)[:, 0]
+        if band.late != 0.0:
+            along = along * np.conj(band.turn)
+        made.append(along * some.scale)
+    if not made:
         return _nothing(band)
-    return Sample(band, np.concatenate(picked), np.cumsum([0, *(len(rows) for rows in picked[:-1])]))
+    return Sample(band, np.concatenate(made), np.cumsum([0, *(len(rows) for rows in made[:-1])]))
 
 
 def _nothing(band: Band) -> Sample:
@@ -203,7 +262,8 @@ def common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sam
     level = np.sqrt(band.energy.max(axis=0))
     weight = np.interp(even, band.frequencies[::-1], np.maximum(level / level.max(), _FAINT)[::-1]) * np.hanning(count)
     spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
-    rows = sampled_responses(tracks, source, spread, until, _LATE_ROWS, np.random.default_rng(SEED)).responses
+    picked = picked_paths(tracks, source, until, _LATE_ROWS, np.random.default_rng(SEED))
+    rows = sampled_responses(tracks.scene, source, picked, spread).responses
     energy = np.sum(np.abs(np.fft.ifft(rows * weight, axis=1)) ** 2, axis=0)
     # The transform goes round: time begins opposite to where most of the energy is, which is late rather than early.
     turns = np.angle(energy @ np.exp(2j * math.pi * np.arange(count) / count)) / (2.0 * math.pi)

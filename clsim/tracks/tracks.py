@@ -72,7 +72,7 @@ class Tracks(ABC):
 
     @abstractmethod
     def evaluate(
-        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> tuple[Floats, Floats, Floats]:
         """Return delays, their derivatives and gains of a pair's paths or some of them.
 
@@ -86,6 +86,8 @@ class Tracks(ABC):
             K functions of frequency of which responses are sums.
         rows : ndarray (P,) of int, optional
             Paths of the pair; all of them when left out.
+        every : int
+            Gains are asked for at the first of so many times, and so on.
 
         Returns
         -------
@@ -93,9 +95,24 @@ class Tracks(ABC):
             From emission to reception, s.
         rate : ndarray (P, T)
             Its derivative by the time of reception, s/s.
-        gains : ndarray (K, P, T)
+        gains : ndarray (K, P, ceil(T / every))
             Received over emitted pressure, by functions of the basis.
         """
+
+    def costly(self, pair: int) -> bool:
+        """Return whether the gains of a pair's paths cost much, see `PathFamily`.
+
+        Parameters
+        ----------
+        pair : int
+            Index of the source and receiver, in `pairs`.
+
+        Returns
+        -------
+        bool
+            Whether they do.
+        """
+        return False
 
     @abstractmethod
     def max_rate(self, source: int) -> float:
@@ -261,15 +278,22 @@ class SceneTracks(Tracks):
         """The scene."""
         return self.paths.scene
 
+    def costly(self, pair: int) -> bool:
+        """Return what the kind of paths says."""
+        return self.pair_paths[pair].family.costly
+
     def evaluate(
-        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> tuple[Floats, Floats, Floats]:
         """Return delay, its derivative and gains, in float64 without approximation."""
         paths = self.pair_paths[pair] if rows is None else self.pair_paths[pair].part(rows)
         receiver = self.scene.receivers[paths.receiver]
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
         found = paths.arrivals(times + clock_error, self.motion, self.amplitude)
-        response = paths.response(found, times + clock_error, SceneResponse(self.scene, paths.source, basis.nodes))
+        some = found if every == 1 else found.part(np.arange(len(paths)), slice(None, None, every))
+        response = paths.response(
+            some, (times + clock_error)[::every], SceneResponse(self.scene, paths.source, basis.nodes)
+        )
         gain = np.moveaxis(basis.gains(response), -1, 0)
         return found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0), gain
 
@@ -339,7 +363,7 @@ class SampledTracks(Tracks):
     transition: float
 
     def evaluate(
-        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None
+        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> tuple[Floats, Floats, Floats]:
         """Return the splines' values, one gain for all frequencies; outside its stretch a path goes on straight."""
         shape = (len(self.pairs[pair]), len(times))
@@ -352,6 +376,7 @@ class SampledTracks(Tracks):
             delay[which] = values[:, :, 0].T + slopes[:, :, 0].T * (times - inside)
             rate[which] = slopes[:, :, 0].T
             gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -reach, reach)
+        gain = gain[:, ::every]
         if rows is None:
             return delay, rate, gain[None]
         return delay[rows], rate[rows], gain[None, rows]

@@ -1,5 +1,6 @@
 // Whether a path is valid at an instant, and its clearance: how far source and receiver may both move before that can
-// change. The twin of visibility.py.
+// change. The twin of visibility.py. With AT_EDGE the last leg ends on an edge of the room: walls that hold this place end
+// there, and hide nothing of it.
 
 // The reflections: on their walls, and in order. Returns whether all are; `clear` is that of the surest that is not.
 static int reflects(const room* walls, __global const int* sequence, double reach, unfolded* path, double* clear)
@@ -78,9 +79,11 @@ static int passes(const room* walls, __global const int* sequence, double reach,
         const triple a = along(path, leg, path->tau[leg]), b = along(path, leg, path->tau[leg + 1]);
         const double first = path->tau[leg] + path->slack[leg], last = path->tau[leg + 1] - path->slack[leg + 1];
         const triple from = along(path, leg, first), to = along(path, leg, last);  // what is always part of the leg
+        const int ends = AT_EDGE && leg == ORDER;
         for (int box = 0; box < walls->tree.count;) {
             const int wall = next_wall(&walls->tree, &box, a, b, walls->tolerance);
             if (wall < 0 || same_plane(walls, sequence, leg, wall) || !blocks(walls, wall, a, b)) continue;
+            if (ends && fabs(height(walls->plane[wall], b)) <= TOUCHING * walls->tolerance) continue;
             valid = 0;
             const double before = height(walls->plane[wall], from), behind = height(walls->plane[wall], to);
             if (first < last && before * behind < 0.0) {
@@ -96,6 +99,20 @@ static int passes(const room* walls, __global const int* sequence, double reach,
         }
     }
     return valid;
+}
+
+// As `edges_apart`, of edges that do not touch b.
+static double edges_apart_off(const room* walls, int wall, triple a, triple b, double enough, double most)
+{
+    const triple u = difference(b, a);
+    const double on = TOUCHING * walls->tolerance;
+    double least = most;
+    for (int i = walls->first_edge[wall]; least > enough && i < walls->first_edge[wall + 1]; i++) {
+        const triple from = at_row(walls->edge[i].from), to = at_row(walls->edge[i].to);
+        const double squared = segments_apart(a, u, from, difference(to, from));
+        if (squared < least && point_apart(b, from, to) > on * on) least = squared;
+    }
+    return least;
 }
 
 // Distance from the legs, drawn out at their ends by what these can move, to any edge; looked for up to 2 `reach`.
@@ -114,7 +131,9 @@ static double edge_clearance(const room* walls, double reach, const unfolded* pa
             // Edges lie in the plane of their wall: a leg that stays on one side of it is no nearer to them.
             const double first = height(walls->plane[wall], a), last = height(walls->plane[wall], b);
             if (first * last > 0.0 && fmin(fabs(first), fabs(last)) > clear + walls->thickness) continue;
-            clear = sqrt(edges_apart(walls, wall, a, b, 0.0025 * reach * reach, clear * clear));
+            const double enough = 0.0025 * reach * reach;
+            clear = sqrt(AT_EDGE && leg == ORDER ? edges_apart_off(walls, wall, a, path->to[leg], enough, clear * clear)
+                                                 : edges_apart(walls, wall, a, b, enough, clear * clear));
             if (clear < 0.05 * reach) return clear;
         }
     }

@@ -108,3 +108,22 @@ def test_bounds_of_gains_hold(paths: PathSet) -> None:
 def test_completed_scenes_tell_it(scene: Path, tmp_path: Path) -> None:
     text = completed_scene(clsim.load_scene(scene), tmp_path, duration=0.09, chunk=18432)
     assert "diffraction = 1" in text
+
+
+def test_pruned_baseband_and_impulse_responses_know_them(paths: PathSet, device: None) -> None:
+    """The shelf sees nothing of the beacon: each way of rendering hears it round the edge, and all agree."""
+    wanted = clsim.render(paths, 192e3, duration=0.08).pressure[1].astype(np.float64)
+    pruned = clsim.render(paths, 192e3, duration=0.08, prune_below_db=-60.0).pressure[1]
+    assert error_db(pruned, wanted) < -50.0
+    envelope = clsim.render(paths, 192e3, duration=0.08, baseband=(40e3, 4e3)).pressure[1]
+    middle = slice(round(0.05 * 192e3), round(0.06 * 192e3))
+    level = np.sqrt(2.0 * np.mean(wanted[middle] ** 2))
+    held = np.abs(envelope[round(0.05 * len(envelope) / 0.08) : round(0.06 * len(envelope) / 0.08)])
+    np.testing.assert_allclose(held, level, rtol=1e-3)
+    table = paths.table(np.array([0.05]), motion="quasi-static")
+    heard = np.flatnonzero((table.receiver == 1) & table.heard[:, 0])
+    response = clsim.impulse_responses(paths, 192e3, at=0.05, band=(30e3, 50e3))
+    first = table.delay[heard, 0].min()
+    assert response.first_arrivals[0, 1] == pytest.approx(first, abs=1e-9)
+    sound, sample = np.abs(response.samples[0, 1]), round(first * 192e3)
+    assert sound[sample - 20 : sample + 20].max() > 10.0 * sound[: sample - 200].max()

@@ -173,7 +173,7 @@ MUTANTS = {
     "half as certain": ("int done = clear > reach ||", "int done = clear > 0.5 * reach ||"),
     "half more than is certain": ("CERTAIN * clear / reach", "1.5 * clear / reach"),
     "grazing from millimetres": ("!done && clear < graze &&", "!done && clear < 1e4 * graze &&"),
-    "grazing by one end": ("== valid && evaluate(&s, now.end, 0.0, &unused, &unused) == valid", "== valid"),
+    "grazing by one end": ("== valid && evaluate(s, now.end, 0.0, &unused, &unused) == valid", "== valid"),
     "silence kept": ("push(p, from, until, 1, valid);", "push(p, from, until, 1, 1);"),
     "gaps between intervals": ("if (begin == p->end) {", "if (begin >= p->end && p->end > 0.0) {"),
     "another receiver": ("1 + receiver_of[path]", "1"),

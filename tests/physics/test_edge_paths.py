@@ -147,6 +147,26 @@ def test_no_jump_where_reflections_begin_and_end() -> None:
     assert decibels(jumps(alone, times[~swaps], TONE).max()) > -6.0
 
 
+def test_edge_paths_begin_and_end_quietly() -> None:
+    """At most -40 dB of the strongest path where one begins; nothing where one goes over into another."""
+    paths = l_room(2)
+    edge, first = paths.families[1], len(paths.families[0])
+    events = np.unique(np.concatenate([edge.start, edge.end]))
+    events = events[np.isfinite(events)]
+    found = jumps(paths, events, TONE)
+    names = paths.table(np.zeros(1)).name_way
+    loud, swaps = [], 0
+    for t, jump in zip(events, found, strict=True):
+        begins, ends = np.flatnonzero(edge.start == t), np.flatnonzero(edge.end == t)
+        swap = bool(ends.size) and np.array_equal(*(np.sort(edge.objects[rows]) for rows in (begins, ends)))
+        swaps += swap and not np.array_equal(edge.objects[begins], edge.objects[ends])
+        if decibels(jump) > (-75.0 if swap else -40.0):
+            ways = [names(first + row) for row in (*ends, *begins)]
+            loud.append(f"{ways} at {t:.6f} s: {decibels(jump):.1f} dB")
+    assert not loud, "\n".join(loud)
+    assert swaps == 4, "walls met in another order"
+
+
 def test_edge_paths_of_the_highest_order_keep_two_terms() -> None:
     edge = l_room(1).families[1]
     reflections = edge.order - 1
@@ -212,3 +232,30 @@ def test_any_change_of_any_column_changes_the_digest() -> None:
             changed = np.array(value)
             changed.flat[0] = 3 if not np.issubdtype(value.dtype, np.floating) else 0.123
             assert replace(family, **{column.name: changed}).digest() != family.digest(), column.name
+
+
+def test_device_and_host_find_the_same(device: None) -> None:
+    """Past a screen before a wall: the same pieces, whose ends agree to the resolution."""
+    wall = clsim.MeshRoom([(0, 0, 0), (8, 0, 0), (8, 0, 3), (0, 0, 3)], [(0, 1, 2), (0, 2, 3)], HARD)
+    screen = clsim.MeshRoom(
+        [(4.5, 1, 0.4), (4.6, 2.2, 0.4), (4.5, 2.2, 2.0), (4.4, 1, 2)], [(0, 1, 2), (0, 2, 3)], HARD
+    )
+    tone = clsim.Signal.tone(TONE, 0.2, RATE)
+    source = clsim.Source("s", tone, clsim.Trajectory.line((6.0, 2.4, 1.2), (6.2, 1.0, 1.3), 0.3))
+    receiver = clsim.Receiver("r", clsim.Trajectory.line((3.3, 0.6, 1.5), (3.2, 3.2, 1.4), 0.3))
+    scene = clsim.Scene(clsim.MeshRoom.joined([wall, screen]), clsim.Air(), [source], [receiver])
+    step, found = 1e-4, []
+    for engine in ("opencl", "reference"):
+        edge = clsim.find_paths(scene, 1, diffraction=1, engine=engine, resolution=step).families[1]
+        keep = np.flatnonzero(edge.end - edge.start > 3.0 * step)
+        found.append(edge.part(keep))
+    one, other = found
+    assert len(one) > 20
+    assert np.isfinite(one.start).sum() > 10
+    for name in ("objects", "lit", "end_side"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for name in ("start", "end"):
+        a, b = getattr(one, name), getattr(other, name)
+        np.testing.assert_array_equal(np.isfinite(a), np.isfinite(b))
+        here = np.isfinite(a)
+        assert np.abs(a[here] - b[here]).max() < 2.0 * step

@@ -80,6 +80,13 @@ def apart_db(one: np.ndarray, other: np.ndarray) -> float:
 
 
 TONE = clsim.Signal.tone(40e3, 0.1, RATE)
+BEACONS = clsim.Signal.from_array(
+    sum(
+        clsim.Signal.tone(f, 0.1, RATE, fade=fade).read(0, 19200)
+        for f, fade in ((25e3, 0.0), (40e3, 0.01), (48e3, 0.0))
+    ),
+    RATE,
+)
 ELECTRONICS = clsim.Electronics(clock_ppm=40.0, clock_offset=1e-3, high_cut=70e3, gain_db=20.0)
 
 
@@ -94,6 +101,7 @@ ELECTRONICS = clsim.Electronics(clock_ppm=40.0, clock_offset=1e-3, high_cut=70e3
         pytest.param(scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.1, RATE), TONE), {}, [(0, 2)],
                      id="two narrow sources and a wide one"),
         pytest.param(scene(TONE, clsim.Signal.tone(25e3, 0.08, RATE)), {}, [(0,), (1,)], id="two carriers"),
+        pytest.param(scene(BEACONS), {}, [(0,), (0,), (0,)], id="three carriers of one source"),
         pytest.param(scene(clsim.Signal.pulses(clsim.Signal.tone(40e3, 0.03, RATE), 0.07, 3)), {}, [(0,)],
                      id="bursts with pauses"),
     ],
@@ -206,15 +214,13 @@ def test_slow_shaking_is_narrow() -> None:
     assert planned(one, order=1).narrow_parts
 
 
-def test_paths_that_begin_and_end_are_rendered_plainly() -> None:
+def test_paths_that_begin_and_end_at_once_are_rendered_plainly() -> None:
     paths = clsim.find_paths(scene(TONE), 1)
-    tracks = clsim.track(paths)
     family = paths.families[0]
     heard = replace(family, start=np.where(np.arange(len(family.start)) == 3, 0.1, family.start))
-    plan = clsim.plan_render(replace(paths, families=(heard,)), RATE, **NARROW)
-    assert len(tracks.pairs) == len(plan.tracks.pairs)
+    plan = clsim.plan_render(replace(paths, families=(heard,)), RATE, transition=0.0, **NARROW)
     assert not plan.narrow_parts
-    assert any(line.endswith("paths begin and end") for line in plan.describe())
+    assert any(line.endswith("paths begin and end at once") for line in plan.describe())
 
 
 @pytest.mark.parametrize(

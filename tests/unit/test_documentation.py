@@ -38,6 +38,7 @@ OWN = {
     "band_filters": "derived: least squares of a filter's real and imaginary part",
     "band_taper": "a product of two functions of scipy",
     "bank_error": "a maximum",
+    "double_breadths": "derived: of distances that are known, for ways that are rolled out",
     "end_detour": "derived: differences of lengths without cancellation",
     "fit_delay": "derived: least squares of phases of neighbours' products",
     "largest_hole": "a maximum",

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angles, transition, wedge_terms
-from clsim.paths.heights import Folds
-from clsim.paths.propagation import arrivals_by, straight
+from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
+from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
+from clsim.paths.diffraction.ways_over import WaysOver
+from clsim.paths.propagation import arrivals_by
 from clsim.paths.two_sided import TwoSidedPaths
+from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals
     from clsim.paths.family import Rows
     from clsim.paths.response import SceneResponse
+
+    Integers = NDArray[np.signedinteger[Any]]
 
 _LOUDEST = 3.0  # over the partners: four terms of a half at most, one of which may be continued beyond its boundary
 
@@ -60,6 +65,8 @@ class EdgePaths(TwoSidedPaths):
         "end_place", "end_side",
     )  # fmt: skip
 
+    costly: ClassVar[bool] = True
+
     @property
     def is_complex(self) -> bool:
         """True: the field at an edge has a phase of its own."""
@@ -81,14 +88,25 @@ class EdgePaths(TwoSidedPaths):
         of two legs to a place at rest.
         """
         source, receiver = (end.trajectory for end in self.ends(rows))
-        times = np.asarray(times, dtype=np.float64)
-        index, folds = np.arange(len(self))[rows], None
-        if self.scene.air.layers:
-            planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
-            folds = [Folds(planes, walls) for walls in self.walls_of_sides(index)]
-        return arrivals_by(
-            lambda heard_at: _WaysOver(self, index, heard_at, folds), self.medium(int(self.source[rows][0])),
-            (source, receiver), times, motion, amplitude,
+        times, retarded = np.asarray(times, dtype=np.float64), motion == "retarded"
+        index, medium = np.arange(len(self))[rows], self.medium(int(self.source[rows][0]))
+        if self.scene.air.layers or medium.fluctuation is not None:
+            return arrivals_by(partial(WaysOver, self, index), medium, (source, receiver), times, motion, amplitude)
+        views = self._view("before", index), self._view("after", index)
+        ways = edge_ways(
+            views, self._beyond(index), self.end_place[index], source, receiver.position(times), times, medium, retarded
+        )
+        leaving, back = ways.parts
+        direction, onwards = views[0].back(leaving), -views[1].back(back)
+        sound, receding = ways.sound, ways.sound.growth(onwards, receiver.velocity(times))
+        departure, length = sound.normal(direction), ways.length
+        if sound.carried is not None:
+            length = length * np.sum(departure * direction, axis=-1)
+        ratio = 1.0 / (1.0 - ways.mach) if retarded else np.ones(ways.delay.shape)
+        rate, factor = (receding - ways.mach) * ratio, ratio ** MACH_EXPONENT[amplitude]
+        return Arrivals(
+            ways.delay, rate, departure, -sound.normal(onwards), length, sound.through, None, ways.emission_time,
+            factor, ratio,
         )  # fmt: skip
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
@@ -103,14 +121,10 @@ class EdgePaths(TwoSidedPaths):
         source, receiver = self.ends(rows)
         shape = found.delay.shape
         emitted_at = source.trajectory.position(found.emission_time.ravel()).reshape(*shape, 3)
-        velocity = source.trajectory.velocity(found.emission_time.ravel()).reshape(*shape, 3)
-        speed = self.scene.air.speed_of_sound
-        mach = np.sum(found.departure * velocity, axis=-1) / speed
-        late = found.emission_time != times  # as received; quasi-static sound is emitted at once
-        wave = 2.0 * np.pi * at.frequencies / speed / (1.0 - np.where(late, mach, 0.0))[..., None]
+        wave = 2.0 * np.pi * at.frequencies / self.scene.air.speed_of_sound * found.frequency_ratio[..., None]
         response: Complexes = self._edge_field(
-            index, self.image("before", index, emitted_at),
-            self.image("after", index, receiver.trajectory.position(times)[None]), wave, at,
+            index, self._view("before", index).places(emitted_at),
+            self._view("after", index).places(receiver.trajectory.position(times)), wave, at,
         )  # fmt: skip
         response *= at.air(found) * found.mach_factor[..., None]
         self.reflect(response, index, found, at)
@@ -124,79 +138,81 @@ class EdgePaths(TwoSidedPaths):
         now = np.array([time])
         emitted_at = source.position(self.arrivals(index, now, motion).emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        apex = self.apex(index, *(self.image(s, index, x) for s, x in (("before", emitted_at), ("after", heard_at))))
-        return self.vertices_by(index, emitted_at, apex, heard_at)
+        first, last = self._apexes(index, emitted_at, heard_at)
+        planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
+        before, after = self.walls_of_sides(index)
+        there = path_vertices(planes, before, emitted_at, first)
+        back, more = path_vertices(planes, after, heard_at, last), int(first is not last)
+        found = np.full((len(index), self.objects.shape[1] + 2, 3), np.nan)
+        for p, (walls, others) in enumerate(zip(before, after, strict=True)):
+            n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
+            found[p, : n + 2] = there[p, : n + 2]
+            found[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
+        return found
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return the lengths (P,) of the shortest ways between places (P, 3) and others, m."""
         index = np.arange(len(self))[rows]
-        (first, _), (second, _) = self.legs(
-            index, self.image("before", index, source), self.image("after", index, receiver)
-        )
-        return np.asarray(first + second)
+        apexes = self._apexes(index, source, receiver)
+        ends = (self._image(side, index, x) for side, x in (("before", source), ("after", receiver)))
+        legs = sum(np.linalg.norm(end - apex, axis=1) for end, apex in zip(ends, apexes, strict=True))
+        return np.asarray(legs + np.linalg.norm(apexes[1] - apexes[0], axis=1))
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field at an edge."""
         return _LOUDEST * at.largest_reflection(self.walls[rows])
 
-    def _cylindrical(self, index: NDArray[np.int64], places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return r (...), θ (...) and z (...) of places (..., 3) about the edges of paths (...)."""
-        frame = self.frame[index]
-        away = places - frame[..., 0, :]
-        x, y, z = (np.sum(away * frame[..., axis, :], axis=-1) for axis in (1, 2, 3))
-        angle, low = np.arctan2(y, x), 0.5 * np.pi * (self.n[index] - 2.0)
-        return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
+    def _isometry(self, side: str, index: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        if side == "before":
+            return self.before_matrix[index], self.before_offset[index]
+        return self.after_matrix[index], self.after_offset[index]
 
-    def apex(self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats) -> Floats:
-        """Return where ways between places (..., 3) meet the edges of paths (...), or the ends that they run over."""
-        (r_s, _, z_s), (r_r, _, z_r) = (self._cylindrical(index, x) for x in (emitted_at, heard_at))
+    def _view(self, side: str, index: NDArray[np.int64]) -> EdgeView:
+        """Return how the edges of paths see an end."""
+        return EdgeView.of(*self._isometry(side, index), self.frame[index])
+
+    def _image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
+        """Return where places (P, 3) are seen by the edge of each path."""
+        matrix, offset = self._isometry(side, index)
+        return np.asarray(np.einsum("pij,pj->pi", matrix, places) + offset)
+
+    def _beyond(self, index: NDArray[np.int64]) -> tuple[RolledOut, RolledOut] | None:
+        """Return how two edges of paths see what is beyond each other, or None for paths over one."""
+        return None
+
+    def _apexes(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
+        """Return where ways between places (P, 3) meet their first edge, and their last, (P, 3) m."""
+        (r_s, _, z_s), (r_r, _, z_r) = (
+            self._cylindrical(index, self._view(side, index).places(x[:, None])[..., 0])
+            for side, x in (("before", source), ("after", receiver))
+        )
         end = self.end_place[index]
         place = np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
-        return np.asarray(self.frame[index][..., 0, :] + place[..., None] * self.frame[index][..., 3, :])
+        apex = np.asarray(self.frame[index, 0] + place[:, None] * self.frame[index, 3])
+        return apex, apex
 
-    def legs(
-        self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats
-    ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Return lengths (...) and directions (..., 3) of the ways to the edges of paths (...) and on from there."""
-        apex = self.apex(index, emitted_at, heard_at)
-        return straight(emitted_at, apex), straight(apex, heard_at)
+    def _cylindrical(self, index: NDArray[np.int64], seen: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return r, θ and z of coordinates (3, P, ...) about the edges of paths (P,)."""
+        x, y, z = seen
+        low = (0.5 * np.pi * (self.n[index] - 2.0)).reshape(-1, *[1] * (x.ndim - 1))
+        angle = np.arctan2(y, x)
+        return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
 
     def _edge_field(
         self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse
     ) -> Any:
-        """Return the field (P, T, F) at the edge, of places (P, T, 3) and wave numbers (P, T, F), without its phase."""
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = (self._cylindrical(index[:, None], x) for x in (emitted_at, heard_at))
+        """Return the field (P, T, F) of ends seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = (self._cylindrical(index, x) for x in (emitted_at, heard_at))
         way = edge_way(r_s, z_s, r_r, z_r)
         n, lit = self.n[index], self.lit[index]
         weight, root = wedge_terms(n[:, None], lit_angles(n[:, None], t_s, t_r), lit[:, None])
-        factors = self._face_factors(index, np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
-        scale, field = np.sqrt(wave * way.breadth[..., None]), np.zeros(wave.shape, dtype=np.complex128)
-        for term in range(lit.shape[1]):
-            kept = np.flatnonzero(lit[:, term])
-            each = 0.5 * weight[kept, :, term, None] * transition(root[kept, :, term, None] * scale[kept])
-            field[kept] += each * factors[term - 2][kept] if term >= 2 else each
+        factors = face_factors(self.faces[index], np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
+        field = sum_of_terms(lit, weight, root, wave * way.breadth[..., None], factors)
         field /= way.length[..., None]
         over_end = np.flatnonzero(self.end_side[index])
         if len(over_end):
             field[over_end] *= self._end_factor(index, over_end, way, (r_s, z_s), (r_r, z_r), wave)
         return field
-
-    def _face_factors(self, index: NDArray[np.int64], cosine: Floats, at: SceneResponse) -> list[Any]:
-        """Return the reflection factors (P, T, F) of the 0-face and of the n-face.
-
-        The cosine (P, T) is that of the angle of incidence of a reflection where it comes or goes, the same for both
-        ends elsewhere.
-        """
-        found = []
-        for walls in self.faces[index].T:
-            factor: Any = np.broadcast_to(
-                at.reflection(walls[:, None])[:, None], (*cosine.shape, len(at.frequencies))
-            ).astype(np.complex128)
-            for wall in np.unique(walls[at.angular[walls]]):
-                here = np.flatnonzero(walls == wall)
-                factor[here] = at.reflection_at(wall, np.abs(cosine[here]))
-            found.append(factor)
-        return found
 
     def _end_factor(
         self, index: NDArray[np.int64], rows: NDArray[np.int64], way: EdgeWay,
@@ -212,44 +228,29 @@ class EdgePaths(TwoSidedPaths):
         return -0.5 * side[..., None] * transition(root[..., None] * np.sqrt(wave[rows]))
 
 
-class _WaysOver:
-    """Ways over the edges of paths `index` (P,) to a receiver at places (T, 3)."""
+def sum_of_terms(lit: NDArray[np.int8], weight: Floats, root: Floats, phase: Floats, factors: list[Any]) -> Any:
+    """Return the sum (P, T, F) of the terms (P, T, 4) at an edge, with phases over squared roots (P, T, F)."""
+    scale, field = np.sqrt(phase), np.zeros(phase.shape, dtype=np.complex128)
+    for term in range(lit.shape[1]):
+        kept = np.flatnonzero(lit[:, term])
+        each = 0.5 * weight[kept, :, term, None] * transition(root[kept, :, term, None] * scale[kept])
+        field[kept] += each * factors[term - 2][kept] if term >= 2 else each
+    return field
 
-    def __init__(
-        self, paths: EdgePaths, index: NDArray[np.int64], received_at: Floats, folds: list[Folds] | None
-    ) -> None:
-        self._paths, self._index, self._received_at, self._folds = paths, index, received_at, folds
-        heard_at = received_at
-        self._heard_at = paths.image("after", index, heard_at[None])
 
-    def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        (first, direction), (second, _) = self._legs(p, t, start)
-        return first + second, np.einsum("pji,p...j->p...i", self._paths.before_matrix[self._index[p]], direction)
+def face_factors(faces: NDArray[np.int64], cosine: Floats, at: SceneResponse) -> list[Any]:
+    """Return the reflection factors (P, T, F) of the 0-face and of the n-face (P, 2).
 
-    def arrive(self, start: Floats) -> Floats:
-        _, (_, direction) = self._legs(slice(None), slice(None), start)
-        return np.asarray(np.einsum("pji,ptj->pti", self._paths.after_matrix[self._index], direction))
-
-    def _legs(self, p: Any, t: Any, start: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        edges, emitted_at, heard_at = self._seen(p, t, start)
-        return self._paths.legs(edges, emitted_at, heard_at)
-
-    def seen(self) -> Floats:
-        apart = self._heard_at - self._paths.before_offset[self._index][:, None]
-        return np.asarray(np.einsum("pji,ptj->pti", self._paths.before_matrix[self._index], apart))
-
-    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        assert self._folds is not None
-        edges, emitted_at, heard_at = self._seen(p, t, start)
-        apex = self._paths.apex(edges, emitted_at, heard_at)
-        first, second = straight(emitted_at, apex)[0][..., None], straight(apex, heard_at)[0][..., None]
-        before, low = self._folds[0].bends(p, start, apex)
-        after, high = self._folds[1].bends(p, self._received_at[t], apex)  # from the receiver's side
-        shares = [first * before, first + second * (1.0 - after[..., -2::-1])]
-        return np.concatenate(shares, axis=-1) / (first + second), np.concatenate([low, high[..., -2::-1]], axis=-1)
-
-    def _seen(self, p: Any, t: Any, start: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Return the edges, and both ends as these see them."""
-        index, heard_at = self._index[p], self._heard_at[p, t]
-        edges = index[:, None] if heard_at.ndim == 3 else index  # all times of a path, or one each
-        return edges, self._paths.image("before", index, np.broadcast_to(start, heard_at.shape)), heard_at
+    The cosine (P, T) is that of the angle of incidence of a reflection where it comes or goes, the same for both ends
+    elsewhere.
+    """
+    found = []
+    for walls in faces.T:
+        factor: Any = np.broadcast_to(
+            at.reflection(walls[:, None])[:, None], (*cosine.shape, len(at.frequencies))
+        ).astype(np.complex128)
+        for wall in np.unique(walls[at.angular[walls]]):
+            here = np.flatnonzero(walls == wall)
+            factor[here] = at.reflection_at(wall, np.abs(cosine[here]))
+        found.append(factor)
+    return found

@@ -10,17 +10,26 @@ import numpy as np
 from clsim.acoustics.diffraction import TERMS
 from clsim.arrays import as_count, read_only
 from clsim.errors import InputError
+from clsim.paths.diffraction.columns import path_columns
+from clsim.paths.diffraction.double import DoubleEdgePaths
 from clsim.paths.diffraction.family import EdgePaths
+from clsim.paths.diffraction.intervals import EdgeSearch
+from clsim.paths.diffraction.swaps import with_swaps
 from clsim.paths.diffraction.visibility import EdgeCandidates, EdgeVisibility
-from clsim.paths.family import DIFFRACTION, NONE, SPECULAR
+from clsim.paths.family import DIFFRACTION
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
-from clsim.paths.specular.intervals import find_intervals
-from clsim.paths.specular.mesh import BEAM_LIMIT, LARGEST_MESH_ORDER, image_isometries, visibility_query
+from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.specular.mesh import (
+    BEAM_LIMIT,
+    LARGEST_MESH_ORDER,
+    float64_device,
+    visibility_query,
+)
 from clsim.paths.specular.visibility import mirrored
 from clsim.paths.trajectory_tables import BoundingSpheres
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -33,6 +42,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
+    Generator = Callable[[Walls, Sides, list[Sides], Edges, int], Iterator[tuple[float, EdgeCandidates]]]
 
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
@@ -48,7 +58,7 @@ class _Pieces:
     row: NDArray[np.int64]
     begin: Floats
     end: Floats
-    sides: NDArray[np.int8]  # (n, 5), see `EdgeVisibility.sides`
+    sides: NDArray[np.int8]  # (n, 9), see `EdgeVisibility.sides`
 
 
 def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> EdgePaths:
@@ -73,33 +83,92 @@ def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...])
     A path with as many reflections as are asked for keeps only the terms of the two boundaries past its edge: the
     partners of the two others have one reflection more, and are not there.
     """
+    rows, order, within = _rows_of(scene, search, others, _candidates)
+    edges = scene.room.edges()
+    columns = path_columns(scene, edges, order, rows)
+    return with_swaps(EdgePaths(scene=scene, **columns, edge_names=edges.names), within)
+
+
+def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> DoubleEdgePaths:
+    """Return every path over two edges that share a face with up to `max_order` reflections before and after them.
+
+    Parameters
+    ----------
+    scene : Scene
+        What sounds where.
+    search : PathSearch
+        What is asked.
+    others : tuple of PathFamily
+        Paths without edges and over one: where a path over two edges takes over from one of them, that one's time is
+        taken.
+
+    Raises
+    ------
+    InputError
+        If the order is out of range, or there are more paths or beams than the limits.
+    """
+    if scene.air.layers or scene.air.fluctuation is not None:
+        raise InputError("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
+    rows, order, within = _rows_of(scene, search, others, _double_candidates)
+    edges = scene.room.edges()
+    columns = path_columns(scene, edges, order, rows)
+    last = np.array([r["edges"][1] for r in rows], dtype=np.int64)
+    more: dict[str, Any] = {
+        "last_frame": edges.frames[last], "last_n": edges.n[last], "last_faces": edges.faces[last],
+        "last_lit": np.array([r["sides"][TERMS + 1 :] for r in rows], dtype=np.int8).reshape(-1, TERMS),
+        "shared": np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2),
+    }  # fmt: skip
+    held = {name: read_only(column) for name, column in more.items()}
+    return with_swaps(DoubleEdgePaths(scene=scene, **columns, **held, edge_names=edges.names), within)
+
+
+def _rows_of(
+    scene: Scene, search: PathSearch, others: tuple[PathFamily, ...], candidates: Generator
+) -> tuple[list[dict[str, Any]], int, float]:
+    """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
+
+    The last is how far apart the times of the same event may have been found, s.
+    """
     order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
     edges = scene.room.edges()
     rows: list[dict[str, Any]] = []
+    within = 0.0
     if len(edges):
         for source in range(len(scene.sources)):
-            rows += _source_rows(scene, edges, source, order, search, _Partners(others, source))
-    return _family(scene, edges, order, rows)
+            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), candidates)
+            rows, within = rows + found, _FARTHEST * resolution
+    rows.sort(key=lambda r: (r["source"], r["receiver"], len(r["before"]) + len(r["after"]),
+                             *r["edges"], r["end_of"], *r["before"], *r["after"], r["start"]))  # fmt: skip
+    return rows, order, within
 
 
 def _source_rows(
-    scene: Scene, edges: Edges, source: int, order: int, search: PathSearch, partners: _Partners
-) -> list[dict[str, Any]]:
-    """Return the paths of a source, one by one, sorted by receiver."""
+    scene: Scene,
+    edges: Edges,
+    source: int,
+    order: int,
+    search: PathSearch,
+    partners: _Partners,
+    generator: Generator,
+) -> tuple[list[dict[str, Any]], float]:
+    """Return the paths of a source, one by one, and to which time their ends are found, s."""
     room = scene.room.as_mesh()
     query, longest = visibility_query(scene, room, scene.sources[source], order + 1, search.resolution)
+    device = float64_device(search.engine, search.device)
+    finder = EdgeSearch(query, edges, None if device is None else DeviceSearch(query, device))
     tables, found = query.trajectory_tables, []
     spheres = BoundingSpheres(0.5 * (edges.start + edges.stop), 0.5 * edges.length)
     from_source = _sequences(room.walls, tables.sphere(0, -longest), edges, spheres, order)
-    for receiver in range(len(scene.receivers)):
-        from_receiver = _sequences(room.walls, tables.sphere(receiver + 1), edges, spheres, order)
-        for candidates in _candidates(room.walls, from_source, from_receiver, edges, order, receiver):
-            pieces = _pieces(query, edges, candidates, order)
-            found += [{**row, "source": source, "receiver": receiver} for row in _rows(query, edges, pieces, partners)]
-            if len(found) > search.path_limit:
-                raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
-        search.progress((source + (receiver + 1) / len(scene.receivers)) / len(scene.sources))
-    return found
+    to_receivers = [
+        _sequences(room.walls, tables.sphere(1 + r), edges, spheres, order) for r in range(len(scene.receivers))
+    ]
+    for share, candidates in generator(room.walls, from_source, to_receivers, edges, order):
+        pieces = _pieces(finder, candidates, order)
+        found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
+        if len(found) > search.path_limit:
+            raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
+        search.progress((source + share) / len(scene.sources))
+    return found, query.resolution
 
 
 def _sequences(walls: Walls, sphere: tuple[Floats, float], edges: Edges, spheres: BoundingSpheres, order: int) -> Sides:
@@ -151,49 +220,73 @@ def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDAr
 
 
 def _candidates(
-    walls: Walls, from_source: Sides, from_receiver: Sides, edges: Edges, order: int, receiver: int
-) -> Iterator[EdgeCandidates]:
-    """Yield all pairs of sequences to the same edge, and to its free ends, by numbers of walls."""
-    for n in range(order + 1):
-        for m in range(order + 1 - n):
-            parts: list[tuple[Any, Any, Any, Any]] = []
-            waiting = 0
+    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
+) -> Iterator[tuple[float, EdgeCandidates]]:
+    """Yield all pairs of sequences to an edge, and to its free ends, by numbers of walls, and the share so far."""
+    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
+    free = [(-1, *np.flatnonzero(ends).tolist()) for ends in edges.free]
+    for done, (n, m) in enumerate(numbers):
+        parts: list[tuple[Any, ...]] = []
+        waiting = 0
+        for receiver, to_receiver in enumerate(to_receivers):
             for edge in range(len(edges)):
-                ends = edges.start[edge], edges.stop[edge]
-                for end in (-1, *np.flatnonzero(edges.free[edge]).tolist()):
-                    before, after = from_source[edge][n], from_receiver[edge][m]
+                for end in free[edge]:
+                    before, after = from_source[edge][n], to_receiver[edge][m]
                     if end >= 0:  # nothing comes to an end by a wall that it lies in
-                        before, after = (x[~_in_planes(walls, ends[end], x).any(axis=1)] for x in (before, after))
+                        place = (edges.start, edges.stop)[end][edge]
+                        before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
                     i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
-                    parts.append((before[i], after[j], np.full(len(i), edge), np.full(len(i), end)))
+                    edge_and_face = np.full((len(i), 2), edge), np.full((len(i), 2), -1)
+                    parts.append((before[i], after[j], *edge_and_face, *(np.full(len(i), x) for x in (end, receiver))))
                     waiting += len(i)
                 if waiting >= _BATCH:
-                    yield _together(parts, receiver)
+                    yield done / len(numbers), _together(parts)
                     parts, waiting = [], 0
-            if waiting:
-                yield _together(parts, receiver)
+        if waiting:
+            yield (done + 1) / len(numbers), _together(parts)
 
 
-def _together(parts: list[tuple[Any, Any, Any, Any]], receiver: int) -> EdgeCandidates:
-    before, after, edge, end = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return EdgeCandidates(before, after, edge, end, np.full(len(edge), receiver))
+def _double_candidates(
+    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
+) -> Iterator[tuple[float, EdgeCandidates]]:
+    """Yield all pairs of sequences to edges that share a face, by numbers of walls; and the share so far."""
+    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
+    pairs, faces = edges.pairs()
+    for done, (n, m) in enumerate(numbers):
+        parts: list[tuple[Any, ...]] = []
+        waiting = 0
+        for receiver, to_receiver in enumerate(to_receivers):
+            for pair, face in zip(pairs, faces, strict=True):
+                before, after = from_source[pair[0]][n], to_receiver[pair[1]][m]
+                i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
+                both = (np.tile(x, (len(i), 1)) for x in (pair, face))
+                parts.append((before[i], after[j], *both, np.full(len(i), -1), np.full(len(i), receiver)))
+                waiting += len(i)
+                if waiting >= _BATCH:
+                    yield done / len(numbers), _together(parts)
+                    parts, waiting = [], 0
+        if waiting:
+            yield (done + 1) / len(numbers), _together(parts)
 
 
-def _pieces(query: VisibilityQuery, edges: Edges, candidates: EdgeCandidates, order: int) -> _Pieces:
+def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:
+    return EdgeCandidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> _Pieces:
     """Return the intervals in which candidates are there, cut at the boundaries of their terms."""
-    visibility = EdgeVisibility(edges, candidates)
-    everyone = np.arange(len(candidates.edge), dtype=np.int32)[:, None]
-    there = find_intervals(query, everyone, candidates.receiver, visibility.evaluate)
-    ignored = np.zeros((len(candidates.edge), TERMS + 1), dtype=bool)
+    there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
+    ignored = np.zeros((len(candidates.edge), 2 * TERMS + 1), dtype=bool)
     if candidates.before.shape[1] + candidates.after.shape[1] == order:
-        ignored[:, 2:TERMS] = True
-    stack, found = [(there.path, there.begin, there.end)], []
+        ignored[:, 2:TERMS] = ignored[:, TERMS + 3 :] = True
+    no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, 2 * TERMS + 1), np.int8)
+    stack, found = [(there.path, there.begin, there.end)], [no]
     while stack:
         row, begin, end = stack.pop()
         half = 0.5 * (end - begin)
-        sides, sure = visibility.sides(query, row, begin + half, half)
+        sides, sure = visibility.sides(finder.query, row, begin + half, half)
         sides[ignored[row]] = 0
-        done = sure | (2.0 * half <= query.resolution)
+        done = sure | (2.0 * half <= finder.query.resolution)
         found.append((row[done], begin[done], end[done], sides[done]))
         row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
         if len(row):
@@ -209,21 +302,24 @@ def _pieces(query: VisibilityQuery, edges: Edges, candidates: EdgeCandidates, or
 
 
 class _Partners:
-    """When paths without edges begin and end, by receiver and walls."""
+    """When other paths begin and end, by receiver, walls and edges."""
 
     def __init__(self, others: tuple[PathFamily, ...], source: int) -> None:
         self._events: dict[tuple[int, ...], list[float]] = {}
         for family in others:
-            walls = family.walls
+            met = np.where(family.interactions == DIFFRACTION, -1 - family.objects, family.objects)
             for row in np.flatnonzero(family.source == source).tolist():
                 events = [float(t) for t in (family.start[row], family.end[row]) if np.isfinite(t)]
-                if events and np.all(family.interactions[row] <= SPECULAR):
-                    key = (int(family.receiver[row]), *(w for w in walls[row].tolist() if w >= 0))
+                if events and np.all(family.interactions[row] <= DIFFRACTION):
+                    key = (int(family.receiver[row]), *met[row, : family.order[row]].tolist())
                     self._events.setdefault(key, []).extend(events)
 
-    def nearest(self, receiver: int, walls: tuple[int, ...], time: float, within: float) -> float:
-        """Return when a path begins or ends near a time, s; the time itself where none does."""
-        events = self._events.get((receiver, *walls), [])
+    def nearest(self, receiver: int, way: tuple[int, ...], time: float, within: float) -> float:
+        """Return when a path begins or ends near a time, s; the time itself where none does.
+
+        The way is by walls, and by edges, which are told as -1 less their number.
+        """
+        events = self._events.get((receiver, *way), [])
         event = min(events, key=lambda t: abs(t - time), default=np.inf)
         return event if abs(event - time) <= within else time
 
@@ -238,9 +334,10 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Part
             continue
         before, after = asked.before[row].tolist(), asked.after[row][::-1].tolist()
         time = float(begin[i])
-        for term in np.flatnonzero(pieces.sides[i, :TERMS] != pieces.sides[i - 1, :TERMS]).tolist():
-            face = [] if term < 2 else [int(edges.faces[asked.edge[row], term - 2])]
-            time = partners.nearest(int(asked.receiver[row]), (*before, *face, *after), float(begin[i]), within)
+        for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():
+            if term != TERMS:
+                way = (*before, *_instead(edges, asked, row, term), *after)
+                time = partners.nearest(int(asked.receiver[row]), way, float(begin[i]), within)
             if time != begin[i]:
                 break
         begin[i] = end[i - 1] = time
@@ -249,57 +346,15 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Part
     for i, row in enumerate(pieces.row.tolist()):
         if begin[i] < end[i]:
             yield {
-                "before": asked.before[row], "after": asked.after[row], "edge": int(asked.edge[row]),
-                "end_of": int(asked.end[row]), "start": begin[i], "end": end[i], "sides": pieces.sides[i],
+                "receiver": int(asked.receiver[row]), "before": asked.before[row], "after": asked.after[row],
+                "edges": asked.edge[row].tolist(), "faces": asked.face[row].tolist(), "end_of": int(asked.end[row]),
+                "start": begin[i], "end": end[i], "sides": pieces.sides[i],
             }  # fmt: skip
 
 
-def _family(scene: Scene, edges: Edges, order: int, rows: list[dict[str, Any]]) -> EdgePaths:
-    """Return paths as columns, sorted by source, receiver, order, objects and time."""
-    rows = sorted(rows, key=lambda r: (r["source"], r["receiver"], len(r["before"]) + len(r["after"]),
-                                       r["edge"], r["end_of"], *r["before"], *r["after"], r["start"]))  # fmt: skip
-    count = len(rows)
-    before, after = (_padded([r[side] for r in rows], order) for side in ("before", "after"))
-    edge, end = (np.array([r[name] for r in rows], dtype=np.int64) for name in ("edge", "end_of"))
-    objects = np.full((count, order + 1), -1, dtype=np.int32)
-    kinds = np.full((count, order + 1), NONE, dtype=np.int8)
-    for i, r in enumerate(rows):
-        n, m = len(r["before"]), len(r["after"])
-        thing = r["edge"] if r["end_of"] < 0 else len(edges) + 2 * r["edge"] + r["end_of"]
-        objects[i, : n + m + 1] = [*r["before"], thing, *r["after"][::-1]]
-        kinds[i, : n + m + 1] = [SPECULAR] * n + [DIFFRACTION] + [SPECULAR] * m
-    sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, TERMS + 1)
-    isometries = [(np.empty((0, 3, 3)), np.empty((0, 3)))] * 2
-    if count:
-        walls = scene.room.as_mesh().walls
-        isometries = [image_isometries(walls, w) for w in (before, after)]
-    frame = np.stack([edges.start, edges.across, edges.out, edges.along], axis=1)
-    columns: dict[str, Any] = {
-        "source": np.array([r["source"] for r in rows], dtype=np.int32),
-        "receiver": np.array([r["receiver"] for r in rows], dtype=np.int32),
-        "order": np.sum(objects >= 0, axis=1).astype(np.int32),
-        "start": np.array([r["start"] for r in rows], dtype=np.float64),
-        "end": np.array([r["end"] for r in rows], dtype=np.float64),
-        "interactions": kinds,
-        "objects": objects,
-        "before_matrix": isometries[0][0],
-        "before_offset": isometries[0][1],
-        "after_matrix": isometries[1][0],
-        "after_offset": isometries[1][1],
-        "frame": frame[edge],
-        "n": edges.n[edge],
-        "faces": edges.faces[edge],
-        "lit": sides[:, :TERMS],
-        "end_place": np.where(end < 0, np.nan, np.where(end == 0, 0.0, edges.length[edge])),
-        "end_side": sides[:, TERMS],
-    }
-    held = {name: read_only(column) for name, column in columns.items()}
-    return EdgePaths(scene=scene, **held, edge_names=edges.names)
-
-
-def _padded(sequences: list[NDArray[np.int32]], width: int) -> NDArray[np.int32]:
-    """Return sequences (n, width), filled up with -1."""
-    found = np.full((len(sequences), width), -1, dtype=np.int32)
-    for row, sequence in zip(found, sequences, strict=True):
-        row[: len(sequence)] = sequence
-    return found
+def _instead(edges: Edges, asked: EdgeCandidates, row: int, term: int) -> list[int]:
+    """Return what the partner of a term has in place of the edges: nothing, a face, or the other one of two edges."""
+    one, other = asked.edge[row].tolist()
+    if asked.face[row, 0] >= 0:
+        return [-1 - (other if term < TERMS else one)]
+    return [] if term < 2 else [int(edges.faces[one, term - 2])]

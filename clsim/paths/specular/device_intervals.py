@@ -24,7 +24,7 @@ from clsim.paths.specular.intervals import (
     merged,
 )
 from clsim.paths.specular.occlusion import INNER
-from clsim.paths.specular.visibility import EVER, PARALLEL
+from clsim.paths.specular.visibility import EVER, PARALLEL, TOUCHING
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS
 from clsim.paths.trajectory_tables import PERTURBATIONS
 
@@ -88,19 +88,46 @@ class DeviceSearch:
 
     def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
         """Return the intervals in which paths are valid; arguments as in `find_intervals`."""
+        spans = self._query.first[receiver], self._query.last[receiver]
+        columns = {"sequences": sequence, "receiver_of": receiver.astype(np.int32)}
+        return self.settle("intervals", {"AT_EDGE": 0}, columns, spans, {})
+
+    def settle(
+        self, program: str, constants: dict[str, Any], columns: dict[str, NDArray[Any]], spans: tuple[Floats, Floats],
+        others: dict[str, Any],
+    ) -> Intervals:  # fmt: skip
+        """Return the intervals that a program finds.
+
+        Parameters
+        ----------
+        program : str
+            Which; one that subdivides time.
+        constants : dict
+            Its own ones.
+        columns : dict
+            Arguments with a row for each path, sequences of walls (n, N) among them.
+        spans : tuple of ndarray (n,)
+            Times from and up to which each path is looked at, s.
+        others : dict
+            Its other arguments.
+        """
         import pyopencl as cl
 
         parts = []
-        paths = min(_PATHS, self._evaluations(sequence.shape[1]), self._room_for(progress(_DEPTH).itemsize))
+        order = columns["sequences"].shape[1]
+        paths = min(_PATHS, self._evaluations(order), self._room_for(progress(_DEPTH).itemsize))
         try:
-            for first in range(0, len(sequence), paths):
+            for first in range(0, len(spans[0]), paths):
                 here = slice(first, first + paths)
-                parts.append((first, *self._search(sequence[here], receiver[here])))
+                some = {name: column[here] for name, column in columns.items()}
+                states = _beginning(spans[0][here], spans[1][here])
+                parts.append((first, *self._search(program, constants, some, states, others)))
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(f"the device failed while paths were validated: {error}") from error
-        path = np.concatenate([p["path"].astype(np.int64) + first for first, p, _ in parts])
-        begin, end = (np.concatenate([p[name] for _, p, _ in parts]) for name in ("begin", "end"))
-        return merged(path, begin, end, sum(evaluations for _, _, evaluations in parts))
+        no = np.empty(0, dtype=INTERVAL)
+        path = np.concatenate([no["path"], *(p["path"].astype(np.int64) + first for first, p, _ in parts)])
+        begin, end = (np.concatenate([no[name], *(p[name] for _, p, _ in parts)]) for name in ("begin", "end"))
+        return merged(path.astype(np.int64), begin, end, sum(evaluations for _, _, evaluations in parts))
 
     def _evaluations(self, order: int) -> int:
         """Return how many evaluations of paths of an order a launch may have: legs are near all boxes, twice."""
@@ -112,23 +139,25 @@ class DeviceSearch:
         """Return how many structures of a size are kept in a buffer, which is an eighth of the memory at most."""
         return max(1, int(min(self._info.largest_buffer_bytes, self._info.memory_bytes / 8)) // size)
 
-    def _search(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> tuple[NDArray[Any], int]:
+    def _search(
+        self, program: str, own: dict[str, Any], columns: dict[str, NDArray[Any]], states: NDArray[Any],
+        others: dict[str, Any],
+    ) -> tuple[NDArray[Any], int]:  # fmt: skip
         """Search some paths in launches of bounded length; return their intervals and the evaluations."""
         import pyopencl as cl
 
-        query, context, flags = self._query, self._queue.context, cl.mem_flags
-        states = self._beginning(query.first[receiver], query.last[receiver])
+        context, flags, sequence = self._queue.context, cl.mem_flags, columns["sequences"]
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
-            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(query.medium.wind is not None),
+            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(self._query.medium.wind is not None),
             "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
-            "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
+            "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL, "TOUCHING": TOUCHING,
             "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
             "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),
         }  # fmt: skip
-        kernel = self._compiler.kernel("intervals", constants)
-        columns = {"sequences": np.append(sequence, 0).astype(np.int32), "receiver_of": receiver.astype(np.int32)}
-        paths = {name: self._upload(column) for name, column in columns.items()}
+        kernel = self._compiler.kernel(program, constants | own)
+        # No buffer is empty, also of paths without walls.
+        paths = {name: self._upload(np.append(column, 0).astype(np.int32)) for name, column in columns.items()}
         on_device = self._upload(states)
         active = np.flatnonzero(states["depth"]).astype(np.int32)
         parts = []
@@ -138,7 +167,7 @@ class DeviceSearch:
             found = cl.Buffer(context, flags.READ_WRITE, INTERVAL.itemsize * room)
             count = self._upload(np.zeros(1, dtype=np.int32))
             kernel(
-                self._queue, work(len(active), group=GROUP), **self._arguments, **paths, active=active,
+                self._queue, work(len(active), group=GROUP), **self._arguments, **paths, **others, active=active,
                 active_count=len(active), budget=budget, states=on_device, found=found, found_count=count,
             )  # fmt: skip
             made = np.empty(1, dtype=np.int32)
@@ -160,16 +189,17 @@ class DeviceSearch:
                 f"{sequence[worst].tolist()} needs more; it runs along an edge: move an end, or ask less finely",
             )
 
-    def _beginning(self, first: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[Any]:
-        """Return what each path starts from: one interval, the whole time."""
-        states = np.zeros(len(last), dtype=progress(_DEPTH))
-        states["begin"], states["end"] = 1.0, -1.0
-        states["depth"] = first < last
-        states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = first, last
-        return states
-
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
+
+
+def _beginning(first: Floats, last: Floats) -> NDArray[Any]:
+    """Return what each path starts from: one interval, the whole time."""
+    states = np.zeros(len(last), dtype=progress(_DEPTH))
+    states["begin"], states["end"] = 1.0, -1.0
+    states["depth"] = first < last
+    states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = first, last
+    return states
 
 
 def _triple(vector: Floats) -> str:

@@ -99,6 +99,7 @@ def find_intervals(
     sequence: NDArray[np.int32],
     receiver: NDArray[np.int64],
     evaluation: Evaluation | None = None,
+    spans: tuple[Floats, Floats] | None = None,
 ) -> Intervals:
     """Return the intervals in which paths are valid.
 
@@ -112,10 +113,13 @@ def find_intervals(
         Receiver of each path.
     evaluation : callable, optional
         What says whether other paths than those by walls are valid, and how far their ends may move; as `evaluate`.
+    spans : tuple of ndarray (n,), optional
+        Times from and up to which each path is looked at, s; those of its receiver when left out.
     """
     evaluate_at = evaluation or evaluate
-    path = np.flatnonzero(query.first[receiver] < query.last[receiver])
-    stack = [(path, query.first[receiver[path]], query.last[receiver[path]])]
+    first, last = spans or (query.first[receiver], query.last[receiver])
+    path = np.flatnonzero(first < last)
+    stack = [(path, first[path], last[path])]
     found: list[tuple[Any, Any, Any]] = [(path[:0], np.empty(0), np.empty(0))]
     evaluations = 0
     while stack:
@@ -142,10 +146,10 @@ def find_intervals(
         middle, half, valid = middle[split], half[split], valid[split]
         share = CERTAIN * clear[split] / np.maximum(reach[split], 1e-300)
         share[(share < LEAST_SHARE) | (share * half < 0.5 * query.resolution)] = 0.0
-        first, last = middle - share * half, middle + share * half
-        known = valid & (last > first)
-        found.append((path[known], first[known], last[known]))
-        rest = np.concatenate([path, path]), np.concatenate([begin, last]), np.concatenate([first, end])
+        left, right = middle - share * half, middle + share * half
+        known = valid & (right > left)
+        found.append((path[known], left[known], right[known]))
+        rest = np.concatenate([path, path]), np.concatenate([begin, right]), np.concatenate([left, end])
         real = rest[2] > rest[1]
         if real.any():
             stack.append((rest[0][real], rest[1][real], rest[2][real]))

@@ -111,7 +111,7 @@ class MeshSearch:
         """
         query, longest = visibility_query(scene, room, source, self.max_order, self.resolution)
         ends, last = query.trajectory_tables, query.last
-        device = _float64_device(self.engine, self.device)
+        device = float64_device(self.engine, self.device)
         plant = _planter(room.walls, ends, device)
         shoot = self._shoots(plant, room.walls.size, ends)
         parts: list[FoundPaths] = []
@@ -256,7 +256,7 @@ def report(progress: Progress, first: float, last: float, share: float) -> None:
     progress(first + share * (last - first))
 
 
-def _float64_device(engine: str, name: str | None) -> tuple[DeviceInfo, Any] | None:
+def float64_device(engine: str, name: str | None) -> tuple[DeviceInfo, Any] | None:
     """Return the device that validates paths, None for NumPy: asked for, or where no device has float64."""
     if engine == "opencl":
         try:

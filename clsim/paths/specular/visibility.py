@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.paths.specular.occlusion import INNER
+from clsim.scene.room.walls import INSIDE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 
 EVER = 1e300  # m, next to no bound
+TOUCHING = 100.0  # tolerances of a wall's outline; what is nearer to the end of a path at an edge touches it
 PARALLEL = 1e-14  # square of the sine of an angle below which segments are parallel
 
 
@@ -163,13 +165,17 @@ def turned(walls: Walls, wall: Ints, directions: Floats) -> Floats:
     return np.asarray(directions - 2.0 * np.sum(directions * normal, axis=1, keepdims=True) * normal)
 
 
-def path_status(walls: Walls, sequence: Ints, source: Floats, receiver: Floats, reach: Reach) -> tuple[Bools, Floats]:
+def path_status(
+    walls: Walls, sequence: Ints, source: Floats, receiver: Floats, reach: Reach, at_edge: bool = False
+) -> tuple[Bools, Floats]:
     """Return which paths are valid, and their clearances.
 
     Parameters
     ----------
     walls, sequence, source, receiver, reach
         As in `unfold`.
+    at_edge : bool
+        Whether the last legs end on edges of the room: walls that hold these places hide nothing of them.
 
     Returns
     -------
@@ -182,10 +188,10 @@ def path_status(walls: Walls, sequence: Ints, source: Floats, receiver: Floats, 
     paths = unfold(walls, sequence, source, receiver, reach)
     valid, clear = _reflects(walls, sequence, paths)
     rows = np.flatnonzero(valid)
-    free, blocked_clear = _passes(walls, sequence[rows], paths.part(rows))
+    free, blocked_clear = _passes(walls, sequence[rows], paths.part(rows), at_edge)
     valid[rows], clear[rows] = free, blocked_clear
     rows = np.flatnonzero(valid)
-    clear[rows] = _edge_clearance(walls, paths.part(rows))
+    clear[rows] = _edge_clearance(walls, paths.part(rows), at_edge)
     return valid, clear
 
 
@@ -227,7 +233,7 @@ def moves_within(apart: Floats, move: Floats) -> Floats:
         return np.where(move > 0.0, np.minimum(apart / np.where(move > 0.0, move, 1.0), EVER), EVER)
 
 
-def _passes(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Floats]:
+def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tuple[Bools, Floats]:
     """Return which paths no wall crosses, and the clearance of the surest obstacle of the others."""
     count, order = sequence.shape
     valid, clear = np.ones(count, dtype=bool), np.zeros(count)
@@ -238,6 +244,8 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Float
         for wall in range(len(walls)):
             rows = np.flatnonzero(~_same_plane(walls, sequence, leg, wall))
             rows = rows[_blocks(walls, wall, a[rows], b[rows])]
+            if at_edge and leg == order:
+                rows = rows[np.abs(b[rows] @ walls.normal[wall] - walls.offset[wall]) > TOUCHING * INSIDE * walls.size]
             valid[rows] = False
             some = rows[first[rows] < last[rows]]
             path, normal = paths.part(some), walls.normal[wall]
@@ -281,14 +289,19 @@ def _blocks(walls: Walls, wall: int, a: Floats, b: Floats) -> Bools:
     return blocked
 
 
-def _edge_clearance(walls: Walls, paths: Unfolded) -> Floats:
+def _edge_clearance(walls: Walls, paths: Unfolded, at_edge: bool) -> Floats:
     """Return distances from the legs, drawn out at their ends by what these can move, to the nearest edge."""
     clear = 2.0 * paths.reach.most
-    for leg in range(paths.start.shape[1]):
+    legs = paths.start.shape[1]
+    for leg in range(legs):
         a = paths.along(leg, np.maximum(paths.tau[:, leg] - paths.slack[:, leg], 0.0))
         b = paths.along(leg, np.minimum(paths.tau[:, leg + 1] + paths.slack[:, leg + 1], 1.0))
         for wall in range(len(walls)):
-            clear = np.minimum(clear, _edges_apart(walls, wall, a, b))
+            apart = segments_apart(walls.edges_of(wall), a, b)
+            if at_edge and leg == legs - 1:
+                end = paths.stop[:, leg]
+                apart[segments_apart(walls.edges_of(wall), end, end) <= TOUCHING * INSIDE * walls.size] = np.inf
+            clear = np.minimum(clear, apart.min(axis=1, initial=np.inf))
     return clear
 
 

@@ -6,6 +6,7 @@ For devices without float64, and for tracks that were computed elsewhere.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 GAIN_ERROR = {4: 0.02, 8: 0.03}  # of the last differences of gains, by the terms of delays; see `block_error`
+SMOOTH_SHARE = 0.1  # of the square of the error between nodes: what gains of neighbouring blocks may add to it
 SMOOTH_ERROR = 0.03  # of the fourth differences of gains between cells, see `cell_polynomials`
 
 
@@ -147,6 +149,44 @@ def cell_polynomials(gain: Floats, cell: int, blocks: int) -> tuple[Floats, Floa
         scale = (0.5 / blocks) ** order / math.factorial(order)
         terms.append(scale * polynomial.polyval(middle, taken, tensor=True))
     return np.stack(terms), SMOOTH_ERROR * np.abs(np.diff(near, 4, axis=-1)[..., 0])
+
+
+def between(gain: Floats, every: int) -> tuple[Floats, Floats]:
+    """Return gains at all nodes, from those at every so many, and a bound of their error.
+
+    Parameters
+    ----------
+    gain : ndarray (..., n)
+        At every so many nodes, at least five of them.
+    every : int
+        Nodes from one to the next.
+
+    Returns
+    -------
+    gain : ndarray (..., every (n - 1) + 1)
+        At all of them.
+    error : ndarray (...)
+        The largest, as in `cell_polynomials`.
+
+    Notes
+    -----
+    Between two nodes the polynomial of degree 4 through the five about them is taken.
+    """
+    weights = _between(gain.shape[-1], every)
+    return gain @ weights, SMOOTH_ERROR * np.abs(np.diff(gain, 4, axis=-1)).max(axis=-1)
+
+
+@cache
+def _between(count: int, every: int) -> Floats:
+    """Return Lagrange's weights (count, nodes) of every so many nodes at each of them."""
+    weights = np.zeros((count, every * (count - 1) + 1))
+    for node in range(weights.shape[1]):
+        cell = min(node // every, count - 2)
+        first = min(max(cell - 1, 0), count - 5)
+        for one in range(first, first + 5):
+            others = np.setdiff1d(np.arange(first, first + 5), [one])
+            weights[one, node] = np.prod((node / every - others) / (one - others))
+    return weights
 
 
 def _nodes(values: Floats) -> list[Floats]:

@@ -13,7 +13,7 @@ from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
-from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR
+from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL
 from clsim.render.opencl.surroundings import VECTOR, Surroundings
 from clsim.render.plan import Plan, node_times
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from clsim.scene.ends import Receiver
     from clsim.tracks.tracks import SceneTracks
 
-_SMOOTH_SHARE = 0.1  # of the square of the error between nodes: what gains of neighbouring blocks may add to it
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
 # A receiver at a node, as in nodes/image.h.
 RECEIVER_NODE = np.dtype(
@@ -256,7 +255,7 @@ class DeviceTracks:
             return 0.0
         if around.receiver_kind != OMNI:
             turn = max(turn, _largest_turn(receivers["axes"][..., 0, :]), _largest_turn(receivers["axes"][..., 1, :]))
-        return _SMOOTH_SHARE * 10 ** (self._plan.motion_error_db / 10) if turn <= _MOST_TURN else 0.0
+        return SMOOTH_SHARE * 10 ** (self._plan.motion_error_db / 10) if turn <= _MOST_TURN else 0.0
 
     def _mach(self, source: int) -> float:
         """Return a bound of a source's speed over that of sound, by as much as frequencies on the way follow it."""

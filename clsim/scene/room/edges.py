@@ -74,6 +74,11 @@ class Edges:
         """Where each ends, (E, 3) m."""
         return np.asarray(self.start + self.length[:, None] * self.along)
 
+    @property
+    def frames(self) -> Floats:
+        """Start of each, m, and its vectors `across`, `out` and `along`, (E, 4, 3)."""
+        return np.stack([self.start, self.across, self.out, self.along], axis=1)
+
     def cylindrical(self, edge: NDArray[np.int64], places: Floats) -> tuple[Floats, Floats, Floats]:
         """Return distances r (...), angles θ (...) and heights z (...) of places (..., 3) about edges (...).
 
@@ -84,6 +89,42 @@ class Edges:
         angle = np.arctan2(y, x)
         low = 0.5 * np.pi * (self.n[edge] - 2.0)  # half of the wedge below its 0-face
         return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
+
+    def inward(self, edge: NDArray[np.int64], face: NDArray[np.integer[Any]]) -> Floats:
+        """Return unit vectors (..., 3) from edges (...) into their 0-faces, where `face` (...) is 0, or n-faces."""
+        angle = np.pi * self.n[edge] * (np.asarray(face) == 1)
+        return np.asarray(np.cos(angle)[..., None] * self.across[edge] + np.sin(angle)[..., None] * self.out[edge])
+
+    def beyond(
+        self, edge: NDArray[np.int64], face: NDArray[Any], other: NDArray[np.int64], other_face: NDArray[Any],
+        r: Floats, z: Floats,
+    ) -> tuple[Floats, Floats]:  # fmt: skip
+        """Return r (...) and z (...) of what is beyond other edges, at `r` and `z` about them, as edges (...) see it.
+
+        Both share a face, into whose plane all is rolled out; where `face` is -1 they are the same edge.
+        """
+        inward, other_inward = self.inward(edge, face), self.inward(other, other_face)
+        place = self.start[other] + z[..., None] * self.along[other] - r[..., None] * other_inward
+        away = place - self.start[edge]
+        seen = (np.sum(away * axis, axis=-1) for axis in (inward, self.along[edge]))
+        one = np.asarray(face) < 0
+        return np.where(one, r, next(seen)), np.where(one, z, next(seen))
+
+    def pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return edges (n, 2) that share a face, in either order, and which face of each that is (n, 2), 0 or 1.
+
+        Edges of sheets and changes of material are left out: they bound no face between two turns to the same side.
+        """
+        solid = np.flatnonzero((self.n > 1.0) & (self.n < 2.0))
+        same = self.faces[solid][:, None, :, None] == self.faces[solid][None, :, None, :]
+        first, second, one, other = np.nonzero(same & ~np.eye(len(solid), dtype=bool)[:, :, None, None])
+        edge, face = np.stack([solid[first], solid[second]], axis=1), np.stack([one, other], axis=1)
+        faced = np.ones(len(edge), dtype=bool)
+        for a, b in ((0, 1), (1, 0)):  # each before the other one, in the face
+            away = np.stack([x[edge[:, b]] - self.start[edge[:, a]] for x in (self.start, self.stop)], axis=1)
+            ahead = np.einsum("nei,ni->ne", away, self.inward(edge[:, a], face[:, a]))
+            faced &= ahead.max(axis=1) > _BESIDE * self.length[edge[:, a]]
+        return edge[faced], face[faced]
 
     def describe(self) -> list[str]:
         """Return what edges there are, a line each."""

@@ -28,6 +28,10 @@ STRUCTURES = {
     # Arrays of numbers in Python: Walls.edge and TrajectoryTables.
     "edge_ends": ("intervals", np.dtype([("from", "f8", 3), ("to", "f8", 3)])),
     "table_place": ("intervals", np.dtype([("first_knot", "i8"), ("first_speed", "i8"), ("knots", "i8")])),
+    "edge_of_room": (
+        "edge_intervals",
+        np.dtype([*((name, "f8", 3) for name in ("start", "across", "out", "along")), ("length", "f8"), ("n", "f8")]),
+    ),
     "table_scale": ("intervals", np.dtype([("first_knot", "f8"), ("knot_rate", "f8"), ("fastest", "f8")])),
 }
 

@@ -1,0 +1,120 @@
+"""Paths over two edges of one face, such as round a pillar or a thick screen, among any reflections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from clsim.acoustics.diffraction import double_breadths, edge_way, lit_angles, wedge_terms
+from clsim.paths.diffraction.family import EdgePaths, face_factors, sum_of_terms
+from clsim.paths.diffraction.ways import EdgeView, RolledOut
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.family import Rows
+    from clsim.paths.response import SceneResponse
+
+_LOUDEST = 18.0  # over a path without edges
+_SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DoubleEdgePaths(EdgePaths):
+    """Paths over two edges that share a face; columns of `EdgePaths` are those of the first one.
+
+    Attributes
+    ----------
+    last_frame : ndarray (paths, 4, 3)
+        Start of the second edge, m, and its vectors.
+    last_n : ndarray (paths,)
+        Its exterior angle over π.
+    last_faces : ndarray (paths, 2) int
+        Its walls.
+    last_lit : ndarray (paths, 4) int8
+        Of its terms, as `lit`.
+    shared : ndarray (paths, 2) int
+        Which face of the first and of the second edge both share: 0 for the 0-face, 1 for the n-face.
+    """
+
+    last_frame: Floats
+    last_n: Floats
+    last_faces: NDArray[np.int64]
+    last_lit: NDArray[np.int8]
+    shared: NDArray[np.int64]
+
+    columns: ClassVar[tuple[str, ...]] = (
+        *EdgePaths.columns, "last_frame", "last_n", "last_faces", "last_lit", "shared",
+    )  # fmt: skip
+
+    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
+        """Return the reflection factors' magnitudes (P, F) times the largest field beyond two edges."""
+        return _LOUDEST * at.largest_reflection(self.walls[rows])
+
+    def _view(self, side: str, index: NDArray[np.int64]) -> EdgeView:
+        frame = self.frame if side == "before" else self.last_frame
+        return EdgeView.of(*self._isometry(side, index), frame[index])
+
+    def _beyond(self, index: NDArray[np.int64]) -> tuple[RolledOut, RolledOut]:
+        frames, angles = (self.frame[index], self.last_frame[index]), np.pi * np.stack([self.n, self.last_n], axis=1)
+        turned = np.where(self.shared[index] == 1, angles[index], 0.0)
+        inward = [
+            np.cos(angle)[:, None] * frame[:, 1] + np.sin(angle)[:, None] * frame[:, 2]
+            for frame, angle in zip(frames, turned.T, strict=True)
+        ]
+        one, other = (frames[0], inward[0]), (frames[1], inward[1])
+        return RolledOut.of(*one, *other), RolledOut.of(*other, *one)
+
+    def _apexes(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
+        ends = [self._view(side, index).places(x[:, None]) for side, x in (("before", source), ("after", receiver))]
+        (r_s, z_s), (r_r, z_r) = ((np.hypot(x, y), z) for x, y, z in ends)
+        beyond = self._beyond(index)
+        first = edge_way(r_s, z_s, *beyond[0](r_r, z_r)).apex
+        last = edge_way(r_r, z_r, *beyond[1](r_s, z_s)).apex
+        one, other = (
+            frame[index, 0] + place * frame[index, 3] for frame, place in ((self.frame, first), (self.last_frame, last))
+        )
+        return np.asarray(one), np.asarray(other)
+
+    def _edge_field(
+        self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse
+    ) -> Any:
+        """Return the field (P, T, F) beyond both edges, without its phase.
+
+        Along a rigid face all is twice as loud as what comes from either side, which the second edge has twice again:
+        what the two edges make of it is halved, and for other faces divided by one and the face's factor. Paths whose
+        terms by faces are left out have neither.
+        """
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = (
+            _cylindrical(n[index], seen) for n, seen in ((self.n, emitted_at), (self.last_n, heard_at))
+        )
+        beyond = self._beyond(index)
+        heard, sent = beyond[0](r_r, z_r), beyond[1](r_s, z_s)
+        ways = edge_way(r_s, z_s, *heard), edge_way(r_r, z_r, *sent)
+        face = self.shared[index, :, None] * np.pi * np.stack([self.n, self.last_n], axis=1)[index, :, None]
+        edges = (
+            (self.n[index], t_s, face[:, 0], self.lit[index], self.faces[index]),
+            (self.last_n[index], face[:, 1], t_r, self.last_lit[index], self.last_faces[index]),
+        )
+        terms = [
+            wedge_terms(n[:, None], lit_angles(n[:, None], came, went), lit[:, None]) for n, came, went, lit, _ in edges
+        ]
+        breadths = double_breadths(ways, (r_s, r_r), (heard[0], sent[0]), (terms[0][1], terms[1][1]))
+        field: Any = 1.0 / ways[0].length[..., None]
+        for (_, came, went, lit, faces), (weight, root), breadth in zip(edges, terms, breadths, strict=True):
+            cosine = np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape)
+            factors = face_factors(faces, cosine, at)
+            field = field * sum_of_terms(lit, weight, root, wave * breadth[..., None], factors)
+        both = 1.0 + np.where(self.shared[index, 1, None, None] == 1, factors[1], factors[0])
+        both = np.where(np.any(self.lit[index, 2:], axis=1)[:, None, None], both, 1.0)
+        return field / np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
+
+
+def _cylindrical(n: Floats, seen: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return r, θ and z of coordinates (3, P, T) about edges (P,)."""
+    x, y, z = seen
+    low, angle = (0.5 * np.pi * (n - 2.0))[:, None], np.arctan2(y, x)
+    return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z

@@ -1,0 +1,203 @@
+"""Ways over edges between ends that move, in the frames of the edges: nothing is solved but the time of emission."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.acoustics.diffraction import edge_way
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+    from clsim.paths.propagation import Medium, Passage
+    from clsim.scene.motion.motion import Motion
+
+_NEWTON_LIMIT = 60
+_CONVERGED = 1e-15  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeView:
+    """How the edges of P paths see one end: as coordinates along `across`, `out` and `along` of each edge.
+
+    Attributes
+    ----------
+    turn : ndarray (P, 3, 3)
+        From directions in the room to those in each edge's frame, seen by the walls between.
+    shift : ndarray (P, 3)
+        Where the room's origin is seen, m.
+    """
+
+    turn: Floats
+    shift: Floats
+
+    @staticmethod
+    def of(matrix: Floats, offset: Floats, frame: Floats) -> EdgeView:
+        """Return the view by the walls of isometries (P, 3, 3) and (P, 3), of edges with frames (P, 4, 3)."""
+        axes = frame[:, 1:]
+        return EdgeView(axes @ matrix, np.einsum("paj,pj->pa", axes, offset - frame[:, 0]))
+
+    def places(self, places: Floats) -> Floats:
+        """Return coordinates (3, P, T) of places (T, 3) that are the same for all paths, or (P, T, 3), m."""
+        return np.asarray(self.directions(places) + self.shift.T[:, :, None])
+
+    def directions(self, vectors: Floats) -> Floats:
+        """Return components (3, P, T) of vectors (T, 3) that are the same for all paths, or (P, T, 3)."""
+        seen = self.turn @ np.swapaxes(vectors, -1, -2)
+        return np.moveaxis(seen, 1, 0)
+
+    def back(self, components: Floats) -> Floats:
+        """Return vectors (P, T, 3) in the room of components (3, P, T)."""
+        turned = np.swapaxes(self.turn, 1, 2) @ np.moveaxis(components, 0, 1)
+        return np.swapaxes(turned, 1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RolledOut:
+    """How edges see what is beyond others with which they share a face, all rolled out into the plane of that face.
+
+    Attributes
+    ----------
+    offset : ndarray (P, 2)
+        r and z of what is at r = z = 0 about the other edge, m.
+    matrix : ndarray (P, 2, 2)
+        From r and z about the other edge.
+    """
+
+    offset: Floats
+    matrix: Floats
+
+    @staticmethod
+    def of(frame: Floats, inward: Floats, other: Floats, other_inward: Floats) -> RolledOut:
+        """Return it for edges with frames (P, 4, 3) and directions (P, 3) into the face, and for the others."""
+        axes = np.stack([inward, frame[:, 3]], axis=1)
+        columns = np.stack([-other_inward, other[:, 3]], axis=2)
+        return RolledOut(np.einsum("pai,pi->pa", axes, other[:, 0] - frame[:, 0]), axes @ columns)
+
+    def __call__(self, r: Floats, z: Floats) -> tuple[Floats, Floats]:
+        """Return r and z (P, T) as the edges see what is at r and z about the others, m."""
+        (a, b), (c, d) = np.moveaxis(self.matrix, 0, 2)[..., None]
+        return self.offset[:, :1] + a * r + b * z, self.offset[:, 1:] + c * r + d * z
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeWays:
+    """Ways of P paths at T times, as each edge sees them.
+
+    Attributes
+    ----------
+    source, receiver : ndarray (3, P, T)
+        Coordinates of both images, that of the source at emission, m.
+    places : tuple of ndarray (P, T)
+        Where each way meets the first edge and the last, which may be the same, m from its start.
+    emission_time : ndarray (P, T)
+        s.
+    delay, length : ndarray (P, T)
+        s, and m.
+    sound : Passage
+        What the air makes of it.
+    mach : ndarray (P, T)
+        Of the source towards the way.
+    """
+
+    source: Floats
+    receiver: Floats
+    places: tuple[Floats, Floats]
+    emission_time: Floats
+    delay: Floats
+    length: Floats
+    sound: Passage
+    mach: Floats
+
+    @property
+    def parts(self) -> tuple[Floats, Floats]:
+        """Unit vectors (3, P, T) from the source to the edge, and from the receiver to it."""
+        ends = zip((self.source, self.receiver), self.places, strict=True)
+        first, last = (_towards(end, place)[0] for end, place in ends)
+        return first, last
+
+
+def edge_ways(
+    views: tuple[EdgeView, EdgeView], beyond: tuple[RolledOut, RolledOut] | None, end_place: Floats, source: Motion,
+    receiver: Floats, times: Floats, medium: Medium, retarded: bool,
+) -> EdgeWays:  # fmt: skip
+    """Return the ways of P paths between a source and a receiver.
+
+    Parameters
+    ----------
+    views : tuple of EdgeView
+        Of the source, and of the receiver.
+    beyond : tuple of RolledOut, optional
+        How the first edge sees what is beyond the last one, and this what is beyond the first, of paths over two.
+    end_place : ndarray (P,)
+        Of the ends that paths run over, m; NaN for paths over the edge itself, by the shortest way.
+    source : Motion
+        How the source moves.
+    receiver : ndarray (T, 3)
+        Where the receiver is, m.
+    times : ndarray (T,)
+        Of reception, s.
+    medium : Medium
+        What sound travels in.
+    retarded : bool
+        Whether the source is where it was when the sound was emitted, or where it is at reception.
+
+    Notes
+    -----
+    As the way over the edge itself is the shortest, the change of its apex does not change it: Newton's steps for the
+    time of emission take the source's speed along the first part.
+    """
+    heard_at = views[1].places(receiver)
+    over_end = np.flatnonzero(~np.isnan(end_place))
+    shape = heard_at.shape[1:]
+    emission_time = np.broadcast_to(times, shape)
+    positions, velocities = source.position(times), source.velocity(times)
+    delay = np.zeros(shape)
+    for step_count in range(_NEWTON_LIMIT):
+        emitted_at = views[0].places(positions)
+        places, length = _met(emitted_at, heard_at, beyond)
+        towards, first = _towards(emitted_at, places[0])
+        if len(over_end):
+            place = np.array(np.broadcast_to(places[0], shape))
+            place[over_end] = end_place[over_end, None]
+            places, (towards, first) = (place, place), _towards(emitted_at, place)
+            length = first + _towards(heard_at, place)[1]
+        length = np.broadcast_to(length, shape)
+        sound = medium.passage(length, receiver - positions)
+        speed = np.einsum("ipt,ipt->pt", towards, np.broadcast_to(views[0].directions(velocities), towards.shape))
+        mach = np.broadcast_to(speed, shape) / sound.speed
+        if sound.carried is not None:
+            mach = mach + np.sum(sound.carried * velocities, axis=-1)
+        if not retarded:
+            return EdgeWays(emitted_at, heard_at, places, emission_time, sound.time, length, sound, mach)
+        step = (sound.time - delay) / (1.0 - mach)
+        delay = delay + step
+        if step_count and not np.any(np.abs(step) > _CONVERGED + 4e-16 * np.abs(times)):
+            break
+        if np.isinf(source.end):
+            continue
+        emission_time = times - delay
+        flat = emission_time.ravel()
+        positions, velocities = (f(flat).reshape(*shape, 3) for f in (source.position, source.velocity))
+    return EdgeWays(emitted_at, heard_at, places, times - delay, delay, length, sound, mach)
+
+
+def _met(
+    emitted_at: Floats, heard_at: Floats, beyond: tuple[RolledOut, RolledOut] | None
+) -> tuple[tuple[Floats, Floats], Floats]:
+    """Return where the shortest ways meet the first and the last edge, and their lengths, each (P, T) m."""
+    source, receiver = ((np.hypot(x, y), z) for x, y, z in (emitted_at, heard_at))
+    if beyond is None:
+        way = edge_way(*source, *receiver)
+        return (way.apex, way.apex), way.length
+    way = edge_way(*source, *beyond[0](*receiver))
+    return (way.apex, edge_way(*receiver, *beyond[1](*source)).apex), way.length
+
+
+def _towards(end: Floats, place: Floats) -> tuple[Floats, Floats]:
+    """Return unit vectors (3, P, T) from ends (3, P, T) to places on edges (P, T), and the distances (P, T), m."""
+    away = np.stack(np.broadcast_arrays(-end[0], -end[1], place - end[2]))
+    distance = np.sqrt(np.einsum("ipt,ipt->pt", away, away))
+    return away / np.maximum(distance, 1e-300), distance
