@@ -178,8 +178,10 @@ class _Paths(Model):
     path_limit: int = DEFAULT_PATH_LIMIT
 
     def arguments(self) -> dict[str, Any]:
-        """Return the arguments of `find_paths`."""
-        return super().arguments() | {"scattering_order": self.scattering_order or 0}
+        """Return the arguments of `find_paths` that are given or have a default here."""
+        return {
+            name: value for name, value in super().arguments().items() if (name, value) != ("scattering_order", None)
+        }
 
 
 class SceneModel(Model):
