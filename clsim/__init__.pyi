@@ -8,6 +8,7 @@ from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import PathTable
+from clsim.paths.scattering.truth import ScattererTruth, scatterer_truth
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
@@ -29,6 +30,7 @@ from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
+from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
@@ -67,6 +69,8 @@ __all__ = [
     "RenderOptions",
     "Rendering",
     "RoomMeasures",
+    "Scatterer",
+    "ScattererTruth",
     "Scene",
     "Shoebox",
     "Signal",
@@ -92,6 +96,7 @@ __all__ = [
     "render_tracks",
     "room_measures",
     "run_study",
+    "scatterer_truth",
     "track",
     "write_mcap",
 ]

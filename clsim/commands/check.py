@@ -33,7 +33,7 @@ def execute(options: argparse.Namespace) -> int:
     passing = [] if file.scene.room.is_convex else [_comings_and_goings(planned.paths)]
     for line in [*passing, *planned.plan.describe()]:
         print(line)
-    for field, item in file.scene.named_ends():
+    for field, item in [*file.scene.named_ends(), *file.scene.named_scatterers()]:
         for note in item.trajectory.notes:
             print(f"{field}.trajectory: {note}")
     print("the scene file is valid")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,11 +58,11 @@ class Arrivals:
     mach_factor: Floats
     frequency_ratio: Floats
 
-    def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Arrivals:
+    def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Self:
         """Return what some of the paths bring at some of the times."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}
         some: dict[str, Any] = {name: None if x is None else x[rows, times] for name, x in columns.items()}
-        return Arrivals(**some)
+        return replace(self, **some)
 
 
 def slices_of(times: int, paths: int) -> list[slice]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from clsim.paths.arrivals import Arrivals
     from clsim.paths.propagation import Medium
     from clsim.scene.ends import Receiver, Source
+    from clsim.scene.scatterer import Scatterer
     from clsim.scene.scene import Scene
 
 
@@ -291,8 +292,10 @@ class PeakSpeeds:
 Instant = Any  # a time, or times (P,), s
 
 
-def ends_at(ends: Sequence[Source] | Sequence[Receiver], which: NDArray[np.int32], times: Instant) -> Floats:
-    """Return the positions (P, 3) of sources or receivers (P,) at a time, or at times (P,), m."""
+def ends_at(
+    ends: Sequence[Source] | Sequence[Receiver] | Sequence[Scatterer], which: NDArray[np.int32], times: Instant
+) -> Floats:
+    """Return the positions (P, 3) of sources, receivers or scatterers (P,) at a time, or at times (P,), m."""
     out = np.empty((len(which), 3))
     new = np.ones(len(which), dtype=bool)  # neighbours that are the same are looked at once
     new[1:] = which[1:] != which[:-1]

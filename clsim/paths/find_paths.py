@@ -9,6 +9,7 @@ from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
 from clsim.paths.diffraction.search import double_edge_paths, edge_paths
 from clsim.paths.path_set import PathSet
+from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
 from clsim.paths.specular.mesh import FINDERS, mesh_paths
 from clsim.paths.specular.shoebox import shoebox_paths
@@ -31,6 +32,7 @@ def find_paths(
     max_order: int,
     *,
     diffraction: int = 0,
+    scattering_order: int = 0,
     path_limit: int = DEFAULT_PATH_LIMIT,
     finder: str = "auto",
     resolution: float | None = None,
@@ -49,6 +51,8 @@ def find_paths(
     diffraction : int
         Largest number of edges that a path turns round: 0, 1 for paths with one edge and up to `max_order` reflections
         before and after it, or 2 for those over two edges of one face as well.
+    scattering_order : int
+        Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3.
     path_limit : int
         Number of paths above which the search is refused or given up.
     finder : {"auto", "beam-tree", "shooting"}
@@ -95,10 +99,13 @@ def find_paths(
     limit = as_count("path_limit", path_limit, at_least=1)
     edges = as_count("diffraction", diffraction, at_most=LARGEST_DIFFRACTION)
     report = progress or (lambda share: None)
-    search = PathSearch(max_order, edges, limit, finder, resolution, engine, device, report)
+    legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
+    search = PathSearch(max_order, edges, legs, limit, finder, resolution, engine, device, report)
     found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
         found = (*found, kind(scene, search, found))
+    if scene.scatterers:
+        found = (*found, scattered_paths(scene, search, _specular_paths))
     return PathSet(scene, found)
 
 

@@ -121,8 +121,9 @@ def viewed(
         Called with 1 for every frame.
     """
     scene = paths.scene
-    times = frame_times(scene.named_ends(), duration, frames)
-    ends = viewed_ends(scene.named_ends(), times)
+    things = [*scene.named_ends(), *scene.named_scatterers()]
+    times = frame_times(things, duration, frames)
+    ends = viewed_ends(things, times)
     shown: list[ViewedPaths] = []
     kept: list[int] = []
     for i, time in enumerate(times):

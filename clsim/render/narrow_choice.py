@@ -194,6 +194,7 @@ def _obstacle(
     receivers = sorted({tracks.pairs[i].receiver for i in mine})
     ends = [("the source", scene.sources[index].trajectory)]
     ends += [(f"receiver {i}", scene.receivers[i].trajectory) for i in receivers]
+    ends += [(f"scatterer {i}", scatterer.trajectory) for i, scatterer in enumerate(scene.scatterers)]
     for what, trajectory in ends:
         if len(trajectory.breaks):
             return f"the velocity of {what} jumps"

@@ -15,18 +15,19 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.ends import End
     from clsim.scene.room.protocol import Room
+    from clsim.scene.scatterer import Scatterer
 
 _ALONG = 1e-6  # cosine below which a direction runs along a wall
 
 
-def find_mount(room: Room, end: End) -> Mount | None:
+def find_mount(room: Room, end: End | Scatterer) -> Mount | None:
     """Return the wall that an end sits in, and on which side; None for one that is not flush.
 
     Parameters
     ----------
     room : Room
         Where it is.
-    end : Source or Receiver
+    end : Source, Receiver or Scatterer
         At 0 s.
 
     Raises

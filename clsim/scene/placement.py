@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.errors import InputError, warn
+from clsim.numerics.quaternions import rotate
+from clsim.scene.ends import Source
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.instants import Instants
 from clsim.scene.places import first_approach, first_refused, nearest_within
@@ -15,14 +17,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clsim.arrays import Floats
-    from clsim.scene.ends import End, Receiver, Source
+    from clsim.scene.ends import End, Receiver
     from clsim.scene.room.protocol import Room
+    from clsim.scene.scatterer import Scatterer
+
+    Placed = End | Scatterer
 
 _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
 _SCAN_BLOCK = 65536  # instants among which the nearest approach is sought
 
 
-def check_motions(room: Room, ends: Sequence[tuple[str, End]], slowest: float) -> None:
+def check_motions(room: Room, ends: Sequence[tuple[str, Placed]], slowest: float) -> None:
     """Refuse trajectories that leave the room, meet a wall, or are as fast as sound, with time and place."""
     static = [i for i, (_, item) in enumerate(ends) if item.trajectory.is_static and item.flush is False]
     checked = set(range(len(ends)))
@@ -33,7 +38,7 @@ def check_motions(room: Room, ends: Sequence[tuple[str, End]], slowest: float) -
         _check_motion(room, *ends[i], slowest)
 
 
-def _check_motion(room: Room, field_name: str, item: End, slowest: float) -> None:
+def _check_motion(room: Room, field_name: str, item: Placed, slowest: float) -> None:
     try:
         mount = find_mount(room, item)
     except InputError as error:
@@ -60,7 +65,7 @@ def _check_motion(room: Room, field_name: str, item: End, slowest: float) -> Non
         )
 
 
-def _places(ends: Sequence[End]) -> Floats:
+def _places(ends: Sequence[Placed]) -> Floats:
     """Return the positions (n, 3) of ends that never move, m."""
     return np.stack([end.trajectory.position(0.0) for end in ends])
 
@@ -97,6 +102,49 @@ def _too_close(
         f"but {source.name!r} comes within {distance[i]:.3g} m of {receiver.name!r} "
         f"at {times[i] + shift[i]:.6g} s",
     )
+
+
+def check_scatterers(
+    scatterers: Sequence[tuple[str, Scatterer]], ends: Sequence[tuple[str, End]], nearest: float, slowest: float
+) -> None:
+    """Refuse scatterers that end before a signal, turn as fast as sound, or come to ends nearer than a distance, m."""
+    last = max((item.end for _, item in ends if isinstance(item, Source)), default=0.0)
+    for field_name, scatterer in scatterers:
+        if last > scatterer.trajectory.end * (1 + 1e-12) + 1e-9:
+            raise InputError(
+                f"{field_name}.trajectory",
+                f"must last as long as all signals, which end at {last:g} s, "
+                f"but ends at {scatterer.trajectory.end:g} s",
+            )
+        surface = scatterer.peak_speeds()[1]
+        if surface >= slowest:
+            raise InputError(
+                f"{field_name}.trajectory",
+                f"must keep the surface below the speed of sound, {slowest:.6g} m/s, but that of "
+                f"{scatterer.name!r} may move at {surface:.6g} m/s",
+            )
+        for _, end in ends:
+            _check_apart(field_name, scatterer, end, nearest)
+
+
+def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float) -> None:
+    motion, other = scatterer.trajectory, end.trajectory
+    moving = [t.end for t in (motion, other) if not t.is_static]
+    instants = Instants(0.0, min(moving, default=0.0), _SCAN_RATE)
+    whom = _places([end]) if other.is_static else other
+    if first_approach(motion, whom, scatterer.shape.radius + nearest, instants) is None:
+        return  # the whole of a sphere about it stays away
+    for first in range(0, instants.count, _SCAN_BLOCK):
+        times = instants.times(np.arange(first, min(first + _SCAN_BLOCK, instants.count)))
+        away, turned = other.position(times) - motion.position(times), motion.orientation(times)
+        own = np.stack([np.sum(rotate(turned, axis) * away, axis=-1) for axis in np.eye(3)], axis=-1)
+        inside = np.flatnonzero(scatterer.shape.holds(own, nearest))
+        if len(inside):
+            raise InputError(
+                f"{field_name}.trajectory",
+                f"must stay at least {nearest:g} m away from sources and receivers (min_distance), but {end.name!r} is "
+                f"in {scatterer.name!r} or nearer to it at {_place(other.position(times), times, int(inside[0]))}",
+            )
 
 
 def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:

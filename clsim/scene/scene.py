@@ -12,9 +12,10 @@ from clsim.errors import InputError
 from clsim.pictures.notebook import html_table, inline_page
 from clsim.scene.air import Air
 from clsim.scene.ends import End, Receiver, Source
-from clsim.scene.placement import check_distances, check_motions, check_sides, first_place
+from clsim.scene.placement import check_distances, check_motions, check_scatterers, check_sides, first_place
 from clsim.scene.plausibility import warn_of_units
 from clsim.scene.room.protocol import Room, checked_room
+from clsim.scene.scatterer import Scatterer, as_scatterers
 from clsim.scene.view import scene_page
 
 _MOST_LISTED = 64  # sources and receivers in a table
@@ -34,7 +35,9 @@ class Scene:
     sources, receivers : sequence
         At least one of each, with unique names.
     min_distance : float
-        Distance below which a source may not come to a receiver, m.
+        Distance below which a source may not come to a receiver, and neither to a scatterer, m.
+    scatterers : sequence of Scatterer
+        What scatters and moves, with unique names.
 
     Raises
     ------
@@ -54,6 +57,7 @@ class Scene:
     sources: Sequence[Source]
     receivers: Sequence[Receiver]
     min_distance: float = 0.01
+    scatterers: Sequence[Scatterer] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sources", _checked_list("sources", self.sources, Source))
@@ -65,8 +69,9 @@ class Scene:
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
         low, high = self.room.extent
         object.__setattr__(self, "air", self.air.between(float(low[2]), float(high[2])))
+        object.__setattr__(self, "scatterers", as_scatterers(self.scatterers))
         ends = self.named_ends()
-        check_motions(self.room, ends, self.air.slowest)
+        check_motions(self.room, [*ends, *self.named_scatterers()], self.air.slowest)
         check_sides(self.room, ends)
         warn_of_units(self.room, self.sources)
         for i, source in enumerate(self.sources):
@@ -77,6 +82,7 @@ class Scene:
                     f"must last as long as the signal, which ends at {source.end:g} s, "
                     f"but ends at {source.trajectory.end:g} s",
                 )
+        check_scatterers(self.named_scatterers(), ends, distance, self.air.slowest)
         _check_bands(self)
 
     def named_ends(self) -> list[tuple[str, End]]:
@@ -90,6 +96,16 @@ class Scene:
         sources = [(f"sources[{i}]", s) for i, s in enumerate(self.sources)]
         receivers = [(f"receivers[{i}]", r) for i, r in enumerate(self.receivers)]
         return [*sources, *receivers]
+
+    def named_scatterers(self) -> list[tuple[str, Scatterer]]:
+        """Return every scatterer with the name of its field, e.g. ``"scatterers[0]"``.
+
+        Returns
+        -------
+        list of (str, Scatterer)
+            In their order.
+        """
+        return [(f"scatterers[{i}]", s) for i, s in enumerate(self.scatterers)]
 
     def show(self, frames: int = 120, height: int = 600) -> Any:
         """Return the viewer page of the room and of what moves in it, for a notebook.
@@ -113,7 +129,9 @@ class Scene:
         """
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         height = as_count("height", height, at_least=100, at_most=10_000)
-        return inline_page("show", scene_page(self.room, self.named_ends(), frames, "scene"), height)
+        return inline_page(
+            "show", scene_page(self.room, [*self.named_ends(), *self.named_scatterers()], frames, "scene"), height
+        )
 
     def _repr_html_(self) -> str:
         ends = [

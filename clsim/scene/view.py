@@ -9,11 +9,14 @@ import numpy as np
 from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from clsim.arrays import Floats
     from clsim.scene.ends import End
     from clsim.scene.room.protocol import Room
+    from clsim.scene.scatterer import Scatterer
 
-    Ends = list[tuple[str, End]]  # as `Scene.named_ends` gives them
+    Ends = Sequence[tuple[str, End | Scatterer]]  # as `Scene.named_ends` and `named_scatterers` give them
 
 _TRAIL = 400  # points of a drawn trajectory
 

@@ -17,6 +17,7 @@ from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
+from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Pair, Vector, within
@@ -131,12 +132,54 @@ class _Source(_End):
         return Source(**self.parts(base), signal=signal, start=self.start)
 
 
+class _Scatterer(Model):
+    name: str
+    trajectory: TrajectoryModel
+
+    def parts(self, base: Path) -> dict[str, Any]:
+        """Return the arguments of the constructor of this kind."""
+        return self.arguments() | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))}
+
+
+class _Point(_Scatterer):
+    kind: Literal["point"]
+    target_strength_db: float
+
+    def build(self, base: Path) -> Scatterer:
+        return Scatterer.point(**self.parts(base))
+
+
+class _Sphere(_Scatterer):
+    kind: Literal["sphere"]
+    radius: float
+    model: Literal["series", "geometrical"] = "series"
+
+    def build(self, base: Path) -> Scatterer:
+        return Scatterer.sphere(**self.parts(base))
+
+
+class _Ellipsoid(_Scatterer):
+    kind: Literal["ellipsoid"]
+    semi_axes: Vector
+
+    def build(self, base: Path) -> Scatterer:
+        return Scatterer.ellipsoid(**self.parts(base))
+
+
+ScattererModel = Annotated[_Point | _Sphere | _Ellipsoid, Field(discriminator="kind")]
+
+
 class _Paths(Model):
     max_order: int
     diffraction: int = 0
+    scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
     path_limit: int = DEFAULT_PATH_LIMIT
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of `find_paths`."""
+        return super().arguments() | {"scattering_order": self.scattering_order or 0}
 
 
 class SceneModel(Model):
@@ -152,6 +195,7 @@ class SceneModel(Model):
             Annotated[_Receiver, Tag("one")] | Annotated[_ReceiverArray, Tag("array")], Discriminator(_receiver_kind)
         ]
     ]
+    scatterers: list[ScattererModel] | None = None
     paths: _Paths
     render: RenderModel
 
@@ -209,9 +253,11 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
     entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
     receivers = [receiver for entry in entries for receiver in entry]
+    things = model.scatterers or []
+    scatterers = [within(f"scatterers[{i}]", partial(thing.build, base)) for i, thing in enumerate(things)]
     room = within("room", lambda: model.room.build(base))
     air = within("air", model.air.build)
-    scene = Scene(room, air, sources, receivers, model.min_distance)
+    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers)
     arguments = within("render", model.render.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)
@@ -294,7 +340,8 @@ def _choices(field: str) -> str:
         "pulse": PulseModel,
         "transducer": TransducerModel,
         "room": RoomModel,
+        "scatterers": ScattererModel,
     }
-    union = unions.get(field.rpartition(".")[2], InterpolatorModel)
+    union = unions.get(field.rpartition(".")[2].partition("[")[0], InterpolatorModel)
     members = get_args(get_args(union)[0])
     return ", ".join(repr(get_args(member.model_fields["kind"].annotation)[0]) for member in members)

@@ -345,8 +345,9 @@ class SceneTracks(Tracks):
                 yield batch, low - most[r], high - least[r]
 
     def last_time(self) -> float:
-        """Return the end of the first moving receiver's trajectory, or infinity."""
-        return float(min(_clock_time(r, np.array([r.trajectory.end]))[0] for r in self.scene.receivers))
+        """Return the end of the first trajectory of a moving receiver or scatterer, or infinity."""
+        scattered = min((s.trajectory.end for s in self.scene.scatterers), default=np.inf)
+        return float(min(_clock_time(r, np.array([min(r.trajectory.end, scattered)]))[0] for r in self.scene.receivers))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,8 @@ from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angle
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
 from clsim.paths.diffraction.ways_over import WaysOver
-from clsim.paths.family import DIFFRACTION, SPECULAR, PathFamily
 from clsim.paths.propagation import arrivals_by
-from clsim.paths.vertices import path_vertices
+from clsim.paths.two_sided import TwoSidedPaths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,23 +22,17 @@ if TYPE_CHECKING:
     from clsim.paths.family import Rows
     from clsim.paths.response import SceneResponse
 
-    Integers = NDArray[np.signedinteger[Any]]
-
 _LOUDEST = 3.0  # over the partners: four terms of a half at most, one of which may be continued beyond its boundary
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgePaths(PathFamily):
+class EdgePaths(TwoSidedPaths):
     """Paths over one edge, and those over an end of one; each row is a piece between two boundaries of its terms.
 
     Shortly beyond its own interval a row goes on smoothly: what it takes over there is its partner's.
 
     Attributes
     ----------
-    before_matrix, before_offset : ndarray (paths, 3, 3), (paths, 3)
-        The image of the source by the walls before the edge is at ``before_matrix @ x + before_offset``.
-    after_matrix, after_offset : ndarray (paths, 3, 3), (paths, 3)
-        The same of the receiver, by the walls after the edge from its own side.
     frame : ndarray (paths, 4, 3)
         Start of the edge, m, and its vectors `across`, `out` and `along`, see `Edges`.
     n : ndarray (paths,)
@@ -56,10 +49,6 @@ class EdgePaths(PathFamily):
         Of all edges of the room.
     """
 
-    before_matrix: Floats
-    before_offset: Floats
-    after_matrix: Floats
-    after_offset: Floats
     frame: Floats
     n: Floats
     faces: NDArray[np.int64]
@@ -135,14 +124,7 @@ class EdgePaths(PathFamily):
             self._view("after", index).places(receiver.trajectory.position(times)), wave, at,
         )  # fmt: skip
         response *= at.air(found) * found.mach_factor[..., None]
-        for walls, direction in zip(self.walls_of_sides(index), (found.departure, found.arrival), strict=True):
-            response *= at.reflection(walls)[:, None, :]
-            for bounce, normals in at.angular_bounces(walls):
-                met = walls[:, bounce]
-                for wall in np.unique(met[at.angular[met]]):
-                    here = np.flatnonzero(met == wall)
-                    cosine = np.abs(np.einsum("pti,pi->pt", direction[here], normals[here]))
-                    response[here] *= at.reflection_at(wall, cosine)
+        self.reflect(response, index, found, at)
         at.apply_directivities(response, self.ends(rows), found, times)
         return response
 
@@ -153,23 +135,14 @@ class EdgePaths(PathFamily):
         now = np.array([time])
         emitted_at = source.position(self.arrivals(index, now, motion).emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        first, last = self._apexes(index, emitted_at, heard_at)
-        planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
-        before, after = self.walls_of_sides(index)
-        there = path_vertices(planes, before, emitted_at, first)
-        back, more = path_vertices(planes, after, heard_at, last), int(first is not last)
-        found = np.full((len(index), self.objects.shape[1] + 2, 3), np.nan)
-        for p, (walls, others) in enumerate(zip(before, after, strict=True)):
-            n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
-            found[p, : n + 2] = there[p, : n + 2]
-            found[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
-        return found
+        places = self._apexes(index, emitted_at, heard_at)
+        return self.vertices_by(index, emitted_at, places, heard_at)
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return the lengths (P,) of the shortest ways between places (P, 3) and others, m."""
         index = np.arange(len(self))[rows]
         apexes = self._apexes(index, source, receiver)
-        ends = (self._image(side, index, x) for side, x in (("before", source), ("after", receiver)))
+        ends = (self.image(side, index, x) for side, x in (("before", source), ("after", receiver)))
         legs = sum(np.linalg.norm(end - apex, axis=1) for end, apex in zip(ends, apexes, strict=True))
         return np.asarray(legs + np.linalg.norm(apexes[1] - apexes[0], axis=1))
 
@@ -185,11 +158,6 @@ class EdgePaths(PathFamily):
     def _view(self, side: str, index: NDArray[np.int64]) -> EdgeView:
         """Return how the edges of paths see an end."""
         return EdgeView.of(*self._isometry(side, index), self.frame[index])
-
-    def _image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
-        """Return where places (P, 3) are seen by the edge of each path."""
-        matrix, offset = self._isometry(side, index)
-        return np.asarray(np.einsum("pij,pj->pi", matrix, places) + offset)
 
     def _beyond(self, index: NDArray[np.int64]) -> tuple[RolledOut, RolledOut] | None:
         """Return how two edges of paths see what is beyond each other, or None for paths over one."""
@@ -212,16 +180,6 @@ class EdgePaths(PathFamily):
         low = (0.5 * np.pi * (self.n[index] - 2.0)).reshape(-1, *[1] * (x.ndim - 1))
         angle = np.arctan2(y, x)
         return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
-
-    def walls_of_sides(self, index: NDArray[np.int64]) -> tuple[Integers, Integers]:
-        """Return the walls (P, N) before the edge from the source's side, and after it from the receiver's."""
-        kinds, walls = self.interactions[index], self.walls[index]
-        edge = np.argmax(kinds == DIFFRACTION, axis=1)[:, None]
-        step = np.arange(kinds.shape[1])
-        before = np.where(step < edge, walls, -1)
-        backwards = self.order[index][:, None] - 1 - step  # the last one first
-        kept = (backwards > edge) & (np.take_along_axis(kinds, np.maximum(backwards, 0), axis=1) == SPECULAR)
-        return before, np.where(kept, np.take_along_axis(walls, np.maximum(backwards, 0), axis=1), -1)
 
     def _edge_field(
         self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse

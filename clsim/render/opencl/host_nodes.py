@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
+    from clsim.render.source_filters import SourceFilters
     from clsim.tracks.basis import Basis
 
 _CELL = 4  # nodes from one at which costly gains are taken to the next
@@ -89,16 +90,12 @@ class HostTracks:
             swiftness = 2.0 * math.pi * filters.swiftness
             wrong = block_error(delay, change, sized, swiftness, block / rate, part, plan.delay_terms)
             heard = (first[here, None] < begins + block) & (last[here, None] > begins)
+            sounds = heard & _sounds(filters, times, delay, rate)
             terms = plan.delay_terms
             made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
             cubics[:, :, here] = made
-            np.maximum(
-                error,
-                _by_segment(
-                    np.where(heard, wrong, 0.0), np.abs(sized).sum(axis=0)[:, 1:-2] * heard, plan.segment // block
-                ),
-                out=error,
-            )
+            loud = np.abs(sized).sum(axis=0)[:, 1:-2] * heard
+            np.maximum(error, _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block), out=error)
             shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
         beside = 1 if plan.delay_terms == 8 else _BESIDE
         laid_out = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
@@ -129,6 +126,13 @@ class HostTracks:
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
+
+
+def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float) -> NDArray[np.bool_]:
+    """Return in which blocks (paths, blocks) of nodes (paths, blocks + 3) what is emitted can arrive."""
+    spread = filters.filter_half / rate
+    first, last = filters.start - spread, filters.start + filters.signal.duration + spread
+    return np.asarray((times[3:] - delay[:, 3:] >= first) & (times[:-3] - delay[:, :-3] <= last))
 
 
 def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:

@@ -175,6 +175,39 @@ class Motion:
             return np.tile([0.0, 0.0, 0.0, 1.0], (*time.shape, 1))
         return self.turning.orientation(time)
 
+    def angular_velocity(self, t: ArrayLike) -> Floats:
+        """Return angular velocities in the room, rad/s, shaped as in `position`; 0 without orientation.
+
+        Parameters
+        ----------
+        t : array_like (...)
+            Times, s; where the turning changes, the angular velocity after it.
+
+        Returns
+        -------
+        ndarray
+            Shape of `t` and 3 more columns.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from clsim import Trajectory
+        >>> turn = [[0, 0, 0, 1], [0, 0, np.sin(0.5), np.cos(0.5)]]
+        >>> Trajectory.waypoints([0, 2], [[1, 1, 1], [2, 1, 1]], turn).angular_velocity(1.0).round(9)
+        array([0. , 0. , 0.5])
+        """
+        time = np.asarray(t, dtype=np.float64)
+        if self.turning is None:
+            return np.zeros((*time.shape, 3))
+        return self.turning.angular_velocity(time)
+
+    @property
+    def peak_turn(self) -> float:
+        """Largest angular velocity, rad/s."""
+        if self.turning is None:
+            return 0.0
+        return float(np.linalg.norm(self.turning.angular_velocity(self.turning.times), axis=-1).max())
+
     def peak_speed(self, start: float, end: float, rate: float = 1000.0) -> tuple[float, float]:
         """Return the largest speed at evenly spaced instants to nine digits, and when it is reached.
 

@@ -50,6 +50,17 @@ class Turning:
         turned: Floats = self.base[piece] * np.cos(angle) + self.side[piece] * np.sin(angle)
         return turned
 
+    def angular_velocity(self, time: Floats) -> Floats:
+        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns.
+
+        At the end of a piece it is that of the next one; before the first and from the last orientation on it is 0.
+        """
+        inverse = self.base * np.array([-1.0, -1.0, -1.0, 1.0])
+        step = np.append(np.diff(self.times), np.inf)
+        turns = 2.0 * (self.angle / step)[:, None] * quaternion_product(self.side, inverse)[:, :3]
+        piece = np.searchsorted(self.times, time, side="right") - 1
+        return np.where((piece >= 0)[..., None], turns[piece], 0.0)
+
 
 def turning_between(times: Floats, quaternions: Floats) -> Turning:
     """Return the turning through unit quaternions (n, 4) at strictly increasing `times` (n,) s."""

@@ -1,0 +1,77 @@
+"""What a moving person costs: 14 ellipsoids in a shoebox, one image on either leg, two receivers.
+
+Processor time of planning and of rendering with the scatterers and without, from runs in turn, and what a second of sound
+costs: ``python benchmarks/scattering.py [seconds]``. Kernels are built before.
+"""
+
+import sys
+import time
+
+import numpy as np
+
+import clsim
+
+RATE = 192e3
+PARTS = [  # name, semi-axes, m, height, m, swing along the way, m, and its phase, rad
+    ("head", (0.10, 0.08, 0.12), 1.65, 0.01, 0.0), ("torso", (0.12, 0.18, 0.28), 1.25, 0.02, 0.0),
+    ("hips", (0.11, 0.17, 0.10), 0.95, 0.02, 0.0), ("neck", (0.05, 0.05, 0.06), 1.50, 0.01, 0.0),
+    *((f"{side} {name}", axes, height, swing, phase + turn)
+      for side, turn in (("left", 0.0), ("right", np.pi))
+      for name, axes, height, swing, phase in (
+          ("thigh", (0.08, 0.08, 0.22), 0.72, 0.12, 0.0), ("shank", (0.05, 0.05, 0.21), 0.32, 0.26, 0.4),
+          ("foot", (0.12, 0.05, 0.04), 0.06, 0.32, 0.5), ("upper arm", (0.05, 0.05, 0.16), 1.25, 0.08, np.pi),
+          ("forearm", (0.04, 0.04, 0.14), 0.98, 0.18, np.pi))),
+]  # fmt: skip
+
+
+def walker(duration: float) -> list[clsim.Scatterer]:
+    """Return what walks to and fro, 3 m in 5 s."""
+
+    def way(height: float, swing: float, phase: float, aside: float) -> clsim.Trajectory:
+        def place(t: np.ndarray) -> np.ndarray:
+            along = 4.0 + 1.5 * np.sin(2.0 * np.pi * t / 10.0) + swing * np.sin(2.0 * np.pi * 0.9 * t + phase)
+            return np.stack([along, 2.5 + aside + 0.2 * np.sin(t), height + 0.02 * np.cos(3.6 * np.pi * t)], axis=1)
+
+        return clsim.Trajectory.sampled(place, duration, 200.0)
+
+    return [
+        clsim.Scatterer.ellipsoid(name, axes, way(height, swing, phase, 0.1 * name.startswith("left")))
+        for name, axes, height, swing, phase in PARTS
+    ]
+
+
+def scene(duration: float, scatterers: list[clsim.Scatterer]) -> clsim.Scene:
+    """Return a room with a sonar in it."""
+    room = clsim.Shoebox((8.0, 5.0, 3.0), clsim.Material.from_reflection(0.8))
+    sound = clsim.Signal.pulses(
+        clsim.Signal.chirp(38e3, 42e3, 0.01, RATE, window="tukey"), 0.05, round(duration / 0.05)
+    )
+    source = clsim.Source("speaker", sound, clsim.Trajectory.fixed((1.0, 2.5, 1.2)))
+    ears = [clsim.Receiver(f"ear {i}", clsim.Trajectory.fixed((1.0, 2.4 + 0.2 * i, 1.2))) for i in range(2)]
+    return clsim.Scene(room, clsim.Air(), [source], ears, scatterers=scatterers)
+
+
+def measured(duration: float, scatterers: list[clsim.Scatterer]) -> tuple[int, float, float, float]:
+    """Return how many paths there are, and processor time of planning and rendering and wall time of both, s."""
+    begun, wall = time.process_time(), time.perf_counter()
+    paths = clsim.find_paths(scene(duration, scatterers), 1, scattering_order=1)
+    rendering = clsim.Rendering(clsim.plan_render(paths, RATE, duration=duration))
+    planned = time.process_time()
+    for _ in rendering.pieces():
+        pass
+    return len(paths), planned - begun, time.process_time() - planned, time.perf_counter() - wall
+
+
+def main() -> None:
+    """Print a table."""
+    duration = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
+    measured(0.2, walker(0.2))
+    for name, scatterers in (("room alone", []), ("with a person", walker(duration))):
+        count, planning, rendering, wall = measured(duration, scatterers)
+        print(
+            f"{name:14}{count:6} paths{planning:8.1f} s of planning{rendering:8.1f} s of rendering (processor){wall:8.1f} s"
+        )
+
+
+if __name__ == "__main__":
+    main()

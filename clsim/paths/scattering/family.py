@@ -1,0 +1,235 @@
+"""Paths by one scatterer, with reflections before and after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar, cast
+
+import numpy as np
+
+from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
+from clsim.paths.family import PeakSpeeds, ends_at
+from clsim.paths.propagation import delay_bounds
+from clsim.paths.scattering.way import scattered_way
+from clsim.paths.two_sided import TwoSidedPaths
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.family import Instant, Rows
+    from clsim.paths.response import SceneResponse
+
+_AT_A_TIME = 4096  # nodes that are looked at together: what is worked on stays in the cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScatteredArrivals(Arrivals):
+    """What paths by scatterers bring, with what their responses need.
+
+    Attributes
+    ----------
+    second_length : ndarray (P, T)
+        From the scatterer to the receiver, m.
+    strength, cosine : ndarray (P, T)
+        Of the scatterer, m and 1, see `Shape`.
+    """
+
+    second_length: Floats
+    strength: Floats
+    cosine: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScatteredPaths(TwoSidedPaths):
+    """Paths by one scatterer each.
+
+    Attributes
+    ----------
+    scatterer : ndarray (paths,) int
+        Index in the scene.
+    fastest : ndarray (scatterers, 2)
+        Bounds of the speeds of centres and surfaces, m/s.
+    nearest : ndarray (paths,)
+        Bound from below of the harmonic mean of the distances of both ends from the scatterer, over 2, m.
+    """
+
+    scatterer: NDArray[np.int32]
+    fastest: Floats
+    nearest: Floats
+
+    columns: ClassVar[tuple[str, ...]] = (
+        "before_matrix", "before_offset", "after_matrix", "after_offset", "scatterer", "nearest",
+    )  # fmt: skip
+
+    @property
+    def moves(self) -> bool:
+        """Whether any scatterer moves or turns."""
+        return not all(scatterer.is_static for scatterer in self.scene.scatterers)
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether the field of any scatterer, a wall or a directivity has a phase."""
+        shapes = any(scatterer.shape.is_complex for scatterer in self.scene.scatterers)
+        return shapes or super(ScatteredPaths, self).is_complex
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names of the scatterers."""
+        return tuple(scatterer.name for scatterer in self.scene.scatterers)
+
+    def arrivals(
+        self, rows: Rows, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
+    ) -> Arrivals:
+        """Return delays, directions and lengths of paths between one source and one receiver.
+
+        Notes
+        -----
+        What a moving thing scatters is received as from a moving source: the pressure is that of two points of the wave
+        equation in a row, ``1 / (d1 (1 - M_s)) f / (d2 (1 - M_c))``, with the Mach numbers of the source towards the
+        scatterer at emission, and of what scatters towards the receiver.
+        """
+        times, index = np.asarray(times, dtype=np.float64), np.arange(len(self))[rows]
+        shape = len(index), len(times)
+        columns = {
+            f.name: np.empty((*shape, 3) if f.name in ("departure", "arrival") else shape)
+            for f in fields(ScatteredArrivals)
+            if f.name != "means"
+        }
+        for which in np.unique(self.scatterer[index]):
+            mine = np.flatnonzero(self.scatterer[index] == which)
+            step = max(1, _AT_A_TIME // len(mine))
+            for first in range(0, len(times), step):
+                here = slice(first, first + step)
+                found = self._arrivals(int(which), index[mine], times[here], motion, amplitude)
+                for name, column in columns.items():
+                    column[mine, here] = found[name]
+        return ScatteredArrivals(**columns, means=None)
+
+    def _arrivals(
+        self, which: int, index: NDArray[np.int64], times: Floats, motion: str, amplitude: str
+    ) -> dict[str, Floats]:
+        """Return the columns (P, T) of arrivals by one scatterer."""
+        retarded, ends = motion == "retarded", _PairEnds(self, index, times)
+        medium = self.medium(int(self.source[index[0]]))
+        way = scattered_way(medium, self.scene.scatterers[which], ends, times, retarded)
+        mach, coming, leaving = way.mach, way.coming, way.leaving
+        onwards, departing = self.turned_back("after", index, way.second.direction), ends.leaving(way.first.direction)
+        receding = way.second.sound.growth(onwards, self.ends(index)[1].trajectory.velocity(times))
+        rate, factor, ratio = receding - leaving + coming - mach, np.ones_like(mach), np.ones_like(mach)
+        if retarded:  # not 1 less a number near 1: that would leave fewer digits
+            rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) / ((1 - leaving) * (1 - mach))
+            factor = ((1.0 - mach) * (1.0 - leaving)) ** -MACH_EXPONENT[amplitude]
+            ratio = 1.0 / (1.0 - mach)
+        departure, arrival = way.first.sound.normal(departing), -way.second.sound.normal(onwards)
+        first, second = way.first.length, way.second.length
+        if way.first.sound.carried is not None:  # as of paths by walls in wind
+            first = first * np.sum(departure * departing, axis=-1)
+            second = second * -np.sum(arrival * onwards, axis=-1)
+        return {
+            "delay": way.delay, "delay_rate": rate, "departure": departure, "arrival": arrival,
+            "length": first + second, "through": way.first.sound.through + way.second.sound.through,
+            "emission_time": times - way.delay if retarded else np.broadcast_to(times, way.delay.shape),
+            "mach_factor": factor, "frequency_ratio": ratio, "second_length": second,
+            "strength": way.strength, "cosine": way.cosine,
+        }  # fmt: skip
+
+    def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return received over emitted pressure (P, T, F): scatterers, spreading, air, walls, directivities."""
+        index, here = np.arange(len(self))[rows], cast("ScatteredArrivals", found)
+        spreading = here.strength / ((here.length - here.second_length) * here.second_length)
+        response: Any = at.air(found).astype(np.complex128 if self.is_complex else np.float64)
+        response *= (found.mach_factor * spreading)[..., None]
+        wave = 2.0 * np.pi * at.frequencies / self.scene.air.speed_of_sound
+        for which in np.unique(self.scatterer[index]):
+            mine = np.flatnonzero(self.scatterer[index] == which)
+            field = self.scene.scatterers[which].shape.field(wave, here.cosine[mine])
+            if field is not None:
+                response[mine] *= field
+        self.reflect(response, index, found, at)
+        at.apply_directivities(response, self.ends(rows), found, times)
+        return cast("Floats", response)
+
+    def vertices(self, rows: Rows, time: float, motion: str = "retarded") -> Floats:
+        """Return source, points of reflection and scattering, and receiver (P, N + 2, 3) of paths of one pair."""
+        index, now = np.arange(len(self))[rows], np.array([time])
+        source, receiver = (end.trajectory for end in self.ends(rows))
+        place, delay = np.empty((len(index), 3)), np.empty(len(index))
+        medium = self.medium(int(self.source[index[0]]))
+        for which in np.unique(self.scatterer[index]):
+            mine = np.flatnonzero(self.scatterer[index] == which)
+            ends = _PairEnds(self, index[mine], now)
+            way = scattered_way(medium, self.scene.scatterers[which], ends, now, motion == "retarded")
+            place[mine], delay[mine] = way.place[:, 0], way.delay[:, 0]
+        emitted_at = source.position(time - delay if motion == "retarded" else np.full(len(index), time))
+        return self.vertices_by(
+            index, emitted_at, (place, place), np.broadcast_to(receiver.position(now), emitted_at.shape)
+        )
+
+    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
+        """Return how long paths (P,) are by the centres of scatterers at 0 s, with their ends at places (P, 3), m."""
+        return self._lengths(np.arange(len(self))[rows], source, receiver, 0.0)
+
+    def _lengths(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> Floats:
+        """Return the same at a time, or at times (P,)."""
+        centre = ends_at(self.scene.scatterers, self.scatterer[index], times)
+        sides = (("before", source), ("after", receiver))
+        return np.asarray(sum(np.linalg.norm(self.image(side, index, x) - centre, axis=1) for side, x in sides))
+
+    def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
+        """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
+
+        Notes
+        -----
+        The way by the surface is shorter than that by the centre, by at most the diameter of a sphere that holds the
+        thing. A scatterer was elsewhere by its speed times a delay when the sound met it, which both legs see.
+        """
+        scene, index = self.scene, np.arange(len(self))[rows]
+        source, receiver = self.source[index], self.receiver[index]
+        middle, half = 0.5 * (start + end), 0.5 * (end - start)
+        places = ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle)
+        radius = np.array([scatterer.shape.radius for scatterer in scene.scatterers])[self.scatterer[index]]
+        length = self._lengths(index, *places, middle) - radius
+        twice = 2.0 * self.fastest[self.scatterer[index], 0]
+        emitting = speeds.source[source] + twice
+        return delay_bounds(self.speed_range, length, half * (emitting + speeds.receiver[receiver]) + radius, emitting)
+
+    def max_rate(self, source_speed: float, receiver_speed: float) -> float:
+        """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
+        c, most = self.speed_range.slowest, float(self.fastest[:, 1].max())
+        squeezed = (c + receiver_speed) * (c + most) / ((c - most) * (c - source_speed))
+        return squeezed - 1.0
+
+    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
+        """Return the reflection factors' magnitudes (P, F) times a bound of what scatterers send back."""
+        index, c = np.arange(len(self))[rows], self.scene.air.speed_of_sound
+        wave, sizes = 2.0 * np.pi * at.frequencies / c, []
+        for scatterer, (_, surface) in zip(self.scene.scatterers, self.fastest, strict=True):
+            field = scatterer.shape.field(wave, np.linspace(0.0, 1.0, 257))
+            most = 1.0 if field is None else np.abs(field).max(axis=0)
+            sizes.append(np.broadcast_to(scatterer.shape.strongest * most / (1.0 - surface / c) ** 2, len(wave)))
+        bound = np.array(sizes)[self.scatterer[index]] / self.nearest[index][:, None]
+        return np.asarray(bound * at.largest_reflection(self.walls[index]))
+
+
+class _PairEnds:
+    """Both ends of paths `index` (P,) between one source and one receiver, as scatterers see them."""
+
+    def __init__(self, paths: ScatteredPaths, index: NDArray[np.int64], times: Floats) -> None:
+        self._paths, self._index = paths, index
+        self._source, receiver = (end.trajectory for end in paths.ends(index))
+        self.receiver = receiver.position(times)
+        self.heard_at = np.ascontiguousarray(paths.image("after", index, self.receiver[None]))
+
+    def emitted(self, times: Floats) -> tuple[Floats, Floats, Floats | None]:
+        """Return images of the source, its places, and its velocities, None for rest, (P, T, 3) at times (P, T)."""
+        if self._source.is_static:
+            place = self._source.position(np.zeros((1, 1)))
+            image = self._paths.image("before", self._index, place)
+            return np.broadcast_to(image, (*times.shape, 3)), place, None
+        place = self._source.position(times)
+        return self._paths.image("before", self._index, place), place, self._source.velocity(times)
+
+    def leaving(self, direction: Floats) -> Floats:
+        """Return in which directions (P, T, 3) ways leave the source that reach the scatterer in given ones."""
+        return self._paths.turned_back("before", self._index, direction)

@@ -1,0 +1,220 @@
+"""Every path by a scatterer: the paths from the source to it and from it to the receiver, in pairs."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.errors import InputError
+from clsim.paths.family import NONE, SCATTERING, SPECULAR
+from clsim.paths.propagation import medium_of, straight
+from clsim.paths.scattering.family import ScatteredPaths
+from clsim.paths.specular.family import SpecularPaths
+from clsim.scene.ends import Receiver, Source
+from clsim.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.family import PathFamily
+    from clsim.paths.search import PathSearch
+    from clsim.scene.motion.motion import Motion
+
+    Finder = Callable[[Scene, PathSearch], PathFamily]
+
+LARGEST_SCATTERING_ORDER = 3
+_PROBES = 10.0  # Hz, at which distances from scatterers are looked at
+_STEPS = 100
+_FOUND = 1e-13  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Paths from one source by one scatterer to one receiver: rows (n,) of both sides, and when they are heard, s."""
+
+    before: NDArray[np.int64]
+    after: NDArray[np.int64]
+    start: Floats
+    end: Floats
+
+
+def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> ScatteredPaths:
+    """Return every path by one scatterer with up to `scattering_order` reflections before it and as many after it.
+
+    Parameters
+    ----------
+    scene : Scene
+        What sounds, scatters and listens where.
+    search : PathSearch
+        What is asked.
+    find : callable
+        Finds the paths by walls alone of a scene.
+
+    Raises
+    ------
+    InputError
+        If there are more paths than the limit, or they cannot be found.
+
+    Notes
+    -----
+    Both sides are paths by walls with the scatterer's centre as an end: which walls are in the way, and when, is asked
+    of the centre. A side that comes or goes when sound meets the scatterer is heard to come or go when that sound is
+    received.
+    """
+    if scene.air.layers or scene.air.fluctuation is not None:
+        raise InputError("scatterers", "must be left out where the air depends on the height or fluctuates")
+    legs = replace(search, max_order=search.scattering_order, progress=lambda share: None)
+    before, after = _sides(scene)
+    found_before, found_after = (cast("SpecularPaths", find(side, legs)) for side in (before, after))
+    most = len(found_before) * len(found_after) // max(len(scene.scatterers), 1)
+    rows: list[dict[str, Any]] = []
+    count = 0
+    for source in range(len(scene.sources)):
+        for receiver in range(len(scene.receivers)):
+            for which in range(len(scene.scatterers)):
+                pairs = _pairs(scene, found_before, found_after, (source, which, receiver))
+                count += len(pairs.start)
+                if count > search.path_limit:
+                    raise InputError(
+                        "scattering_order",
+                        f"must give at most {search.path_limit} paths by scatterers (path_limit), but "
+                        f"{search.scattering_order} gives about {most}",
+                    )
+                rows.append(_columns(found_before, found_after, pairs, (source, which, receiver)))
+    return _family(scene, rows)
+
+
+def direct_ways(scene: Scene) -> ScatteredPaths:
+    """Return the paths by no wall by every scatterer, whatever is in the way."""
+    before, after = (SpecularPaths.direct(side) for side in _sides(scene))
+    rows = [
+        _columns(before, after, _pairs(scene, before, after, (source, which, receiver)), (source, which, receiver))
+        for source in range(len(scene.sources))
+        for receiver in range(len(scene.receivers))
+        for which in range(len(scene.scatterers))
+    ]
+    return _family(scene, rows)
+
+
+def _sides(scene: Scene) -> tuple[Scene, Scene]:
+    """Return the scene with scatterers for receivers, and with scatterers for sources: all was checked before."""
+    signal = max((source.signal for source in scene.sources), key=lambda signal: signal.sampling_rate)
+    listening = [Receiver(s.name, s.trajectory) for s in scene.scatterers]
+    sounding = [Source(s.name, signal, s.trajectory) for s in scene.scatterers]
+    with warnings.catch_warnings():  # what there is to say of room and signals was said
+        warnings.simplefilter("ignore")
+        return (
+            Scene(scene.room, scene.air, scene.sources, listening, scene.min_distance),
+            Scene(scene.room, scene.air, sounding, scene.receivers, scene.min_distance),
+        )
+
+
+def _pairs(scene: Scene, before: SpecularPaths, after: SpecularPaths, ends: tuple[int, int, int]) -> _Pairs:
+    """Return the pairs of sides by a scatterer that are there at the same time."""
+    source, which, receiver = ends
+    first = np.flatnonzero((before.source == source) & (before.receiver == which))
+    second = np.flatnonzero((after.source == which) & (after.receiver == receiver))
+    i, j = np.divmod(np.arange(len(first) * len(second)), max(len(second), 1))
+    one, two = first[i], second[j]
+    bounds = [_heard(scene, after, two, times[one], ends) for times in (before.start, before.end)]
+    start, end = np.maximum(bounds[0], after.start[two]), np.minimum(bounds[1], after.end[two])
+    order = np.lexsort((before.order[one] + after.order[two],))
+    order = order[start[order] < end[order]]
+    return _Pairs(one[order], two[order], start[order], end[order])
+
+
+def _heard(
+    scene: Scene, after: SpecularPaths, rows: NDArray[np.int64], events: Floats, ends: tuple[int, int, int]
+) -> Floats:
+    """Return when the receiver hears (n,) what the scatterer sends at times (n,) by paths after it, s."""
+    heard, known = np.array(events), np.flatnonzero(np.isfinite(events))
+    if len(known):
+        sent = scene.scatterers[ends[1]].trajectory.position(events[known])
+        images = np.einsum("pij,pj->pi", after.image_matrix[rows[known]], sent) + after.image_offset[rows[known]]
+        heard[known] += _flight(scene, (sent, images), scene.receivers[ends[2]].trajectory, events[known])
+    return heard
+
+
+def _flight(scene: Scene, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
+    """Return how long sound takes (n,) to a receiver that moves on meanwhile, s.
+
+    It is sent from places (n, 3) at times (n,), and comes from images (n, 3) of these, m.
+    """
+    medium, flight = medium_of(scene.air, scene.sources[0].emitted.centre_frequency), np.zeros(len(times))
+    for _ in range(_STEPS):  # each by the Mach number of the receiver
+        at = receiver.position(times + flight)
+        step = medium.passage(straight(places[1], at)[0], at - places[0]).time - flight
+        flight = flight + step
+        if np.abs(step).max() <= _FOUND:
+            break
+    return flight
+
+
+def _columns(before: SpecularPaths, after: SpecularPaths, pairs: _Pairs, ends: tuple[int, int, int]) -> dict[str, Any]:
+    """Return the columns of the paths of some pairs of sides."""
+    one, two = pairs.before, pairs.after
+    width = before.objects.shape[1] + after.objects.shape[1] + 1
+    objects = np.full((len(one), width), -1, dtype=np.int32)
+    kinds = np.full((len(one), width), NONE, dtype=np.int8)
+    n, m = before.order[one], after.order[two]
+    step = np.arange(width)
+    for walls, first, number in ((before.objects[one], 0 * n, n), (after.objects[two], n + 1, m)):
+        row, place = np.nonzero((step >= first[:, None]) & (step < (first + number)[:, None]))
+        objects[row, place] = walls[row, place - first[row]]
+        kinds[row, place] = SPECULAR
+    everyone = np.arange(len(one))
+    objects[everyone, n], kinds[everyone, n] = ends[1], SCATTERING
+    back = after.image_matrix[two].transpose(0, 2, 1)  # the image of the receiver, as the scatterer sees it
+    return {
+        "source": np.full(len(one), ends[0], dtype=np.int32), "receiver": np.full(len(one), ends[2], dtype=np.int32),
+        "order": (n + m + 1).astype(np.int32), "start": pairs.start, "end": pairs.end, "interactions": kinds,
+        "objects": objects, "before_matrix": before.image_matrix[one], "before_offset": before.image_offset[one],
+        "after_matrix": back, "after_offset": -np.einsum("pij,pj->pi", back, after.image_offset[two]),
+        "scatterer": np.full(len(one), ends[1], dtype=np.int32),
+    }  # fmt: skip
+
+
+def _family(scene: Scene, rows: list[dict[str, Any]]) -> ScatteredPaths:
+    """Return paths as columns."""
+    columns = {name: read_only(np.concatenate([row[name] for row in rows])) for name in rows[0]}
+    speeds = read_only(np.array([scatterer.peak_speeds() for scatterer in scene.scatterers]))
+    family = ScatteredPaths(scene, **columns, fastest=speeds, nearest=np.empty(len(columns["start"])))
+    return replace(family, nearest=read_only(_nearest(family)))
+
+
+def _nearest(family: ScatteredPaths) -> Floats:
+    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m."""
+    found, scene = np.empty(len(family)), family.scene
+    for pair in family.pairs():
+        source, receiver = scene.sources[pair.source], scene.receivers[pair.receiver]
+        for which in np.unique(family.scatterer[pair.rows]):
+            mine, scatterer = pair.index[family.scatterer[pair.rows] == which], scene.scatterers[which]
+            sides = []
+            for side, end in (("before", source), ("after", receiver)):
+                apart = _apart(family, side, mine, end, which)
+                sides.append(np.maximum(apart - scatterer.shape.radius, scene.min_distance))
+            found[mine] = 1.0 / (1.0 / sides[0] + 1.0 / sides[1])
+    return found
+
+
+def _apart(family: ScatteredPaths, side: str, rows: NDArray[np.int64], end: Source | Receiver, which: int) -> Floats:
+    """Return bounds (P,) from below of the distances of images of an end from a scatterer at any two near times, m."""
+    scatterer, c = family.scene.scatterers[which], family.speed_range.slowest
+    moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
+    last = max((t.end for t in moving), default=0.0)
+    times = np.arange(0.0, last + 1.0 / _PROBES, 1.0 / _PROBES)
+    speed = sum(1.02 * t.peak_speed(0.0, t.end)[0] for t in moving)
+    least = np.full(len(rows), np.inf)
+    for some in np.array_split(times, -(-len(times) // 1000)):
+        places = family.image(side, rows, end.trajectory.position(some)[None])
+        apart = np.linalg.norm(places - scatterer.trajectory.position(some), axis=2)
+        least = np.minimum(least, apart.min(axis=1))
+    # Sound takes d / c from one to the other, in which either moves on.
+    return (least - 0.5 * speed / _PROBES) / (1.0 + speed / c)

@@ -1,0 +1,105 @@
+"""What a sonar should find out of every scatterer: range, radial speed and bearing, as each pair of ends hears it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from clsim.arrays import as_choice, as_floats, read_only
+from clsim.errors import InputError
+from clsim.paths.arrivals import MOTIONS
+from clsim.paths.scattering.search import direct_ways
+
+if TYPE_CHECKING:
+    from clsim.arrays import Floats
+    from clsim.paths.scattering.family import ScatteredArrivals
+    from clsim.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScattererTruth:
+    """The way by every scatterer between every source and receiver, by no wall, (scatterers, sources, receivers, T).
+
+    Attributes
+    ----------
+    times : ndarray (T,)
+        Times of reception, s.
+    delay : ndarray (scatterers, sources, receivers, T)
+        From emission to reception, s, also where a wall is in the way.
+    doppler_factor : ndarray (scatterers, sources, receivers, T)
+        Received over emitted frequency.
+    range : ndarray (scatterers, sources, receivers, T)
+        From where it scatters to the receiver, m.
+    radial_speed : ndarray (scatterers, sources, receivers, T)
+        Speed of sound times the change of the delay by time of reception, over 2, m/s: for a source and a receiver at
+        one place at rest how fast the scatterer goes away.
+    bearing : ndarray (scatterers, sources, receivers, T, 3)
+        Unit vectors from the receiver to where it scatters, in the room.
+    scatterer_names, source_names, receiver_names : tuple of str
+        What the axes mean.
+    """
+
+    times: Floats
+    delay: Floats
+    doppler_factor: Floats
+    range: Floats
+    radial_speed: Floats
+    bearing: Floats
+    scatterer_names: tuple[str, ...]
+    source_names: tuple[str, ...]
+    receiver_names: tuple[str, ...]
+
+
+def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> ScattererTruth:
+    """Return the truth about the scatterers of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        With scatterers.
+    times : array_like (T,)
+        Times of reception, s, by the scene's clock.
+    motion : {"retarded", "quasi-static"}
+        As in `render`.
+
+    Returns
+    -------
+    ScattererTruth
+        Of every scatterer, source and receiver.
+
+    Raises
+    ------
+    InputError
+        If the scene has no scatterers, times are no finite numbers (T,), or the motion is no known word.
+
+    Examples
+    --------
+    >>> import clsim
+    >>> room = clsim.Shoebox((8.0, 6.0, 3.0), clsim.Material.from_reflection(0.9))
+    >>> tone = clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3)
+    >>> at = clsim.Trajectory.fixed((1.0, 3.0, 1.5))
+    >>> ends = [clsim.Source("s", tone, at)], [clsim.Receiver("r", clsim.Trajectory.fixed((1.0, 3.1, 1.5)))]
+    >>> ball = clsim.Scatterer.sphere("ball", 0.05, clsim.Trajectory.fixed((3.0, 3.05, 1.5)))
+    >>> scene = clsim.Scene(room, clsim.Air(speed_of_sound=340.0), *ends, scatterers=[ball])
+    >>> clsim.scatterer_truth(scene, [0.1]).range.round(4).ravel().tolist()
+    [1.9506]
+    """
+    times = as_floats("times", times, (None,))
+    as_choice("motion", motion, MOTIONS)
+    if not scene.scatterers:
+        raise InputError("scene", "must hold scatterers, but has none")
+    shape = len(scene.scatterers), len(scene.sources), len(scene.receivers), len(times)
+    delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
+    for pair in direct_ways(scene).pairs():
+        found = cast("ScatteredArrivals", pair.arrivals(times, motion))
+        here = (slice(None), pair.source, pair.receiver)
+        delay[here], rate[here], bearing[here] = found.delay, found.delay_rate, found.arrival
+        away[here] = found.second_length
+    return ScattererTruth(
+        times, read_only(delay), read_only(1.0 - rate), read_only(away),
+        read_only(0.5 * scene.air.speed_of_sound * rate), read_only(bearing),
+        tuple(s.name for s in scene.scatterers), tuple(s.name for s in scene.sources),
+        tuple(r.name for r in scene.receivers),
+    )  # fmt: skip

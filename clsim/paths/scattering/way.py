@@ -1,0 +1,195 @@
+"""Ways of sound from a source by a moving scatterer to a receiver: two delay equations, the later one first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.paths.propagation import straight
+
+if TYPE_CHECKING:
+    from clsim.acoustics.scattering import Glint
+    from clsim.arrays import Floats
+    from clsim.paths.propagation import Medium, Passage
+    from clsim.scene.scatterer import Scatterer
+
+_ROUNDS = 60
+_CLOSE = 1e-9  # s; the next step is about its square over a second
+_SETTLED = 1e-3  # rad of a specular point; its way is the shortest: wrong by the fourth power of this after the step
+
+
+class Ends(Protocol):
+    """The ends of P paths as a scatterer sees them, at T times of reception."""
+
+    heard_at: Floats  # images of the receiver (P, T, 3), m
+    receiver: Floats  # where it is (T, 3), m
+
+    def emitted(self, times: Floats) -> tuple[Floats, Floats, Floats | None]:
+        """Return images of the source, its places, and its velocities, None for rest, (P, T, 3) at times (P, T)."""
+        ...
+
+    def leaving(self, direction: Floats) -> Floats:
+        """Return in which directions (P, T, 3) ways leave the source that reach the scatterer in given ones."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Leg:
+    """The way from an end to a scatterer, or on from there: length, m, direction as the scatterer sees it, passage."""
+
+    length: Floats
+    direction: Floats
+    sound: Passage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """Sound by a scatterer, of any shape (...), as it is received at some time.
+
+    Attributes
+    ----------
+    delay : ndarray (...)
+        Since it was emitted, s.
+    first, second : Leg
+        To the scatterer, and on from there.
+    mach, coming, leaving : ndarray (...)
+        Mach numbers of the source towards the scatterer, and of the scatterer off it and towards the receiver.
+    place : ndarray (..., 3)
+        Where it was scattered, m.
+    strength, cosine : ndarray (...)
+        See `Shape`.
+    """
+
+    delay: Floats
+    first: Leg
+    second: Leg
+    mach: Floats
+    coming: Floats
+    leaving: Floats
+    place: Floats
+    strength: Floats
+    cosine: Floats
+
+
+class Body:
+    """A scatterer as ends see it, and what was found of it when last looked at.
+
+    Parameters
+    ----------
+    scatterer : Scatterer
+        Which.
+    """
+
+    def __init__(self, scatterer: Scatterer) -> None:
+        self._shape, self._trajectory = scatterer.shape, scatterer.trajectory
+        self._turned = scatterer.trajectory.has_orientation and scatterer.shape.radius > 0.0
+        self._glint: Glint | None = None
+        self._ends: tuple[Floats, Floats] | None = None
+
+    @property
+    def change(self) -> float:
+        """By how much the specular point has turned when it was last looked for, rad."""
+        return 0.0 if self._glint is None else self._glint.change
+
+    def seen(self, times: Floats, source: Floats, receiver: Floats, weight: Floats | float) -> tuple[Floats, Floats]:
+        """Return place and velocity (..., 3) of what scatters at times (...) for ends (..., 3).
+
+        The weight of the way to the receiver is that of `ellipsoid_glint`.
+        """
+        centre, velocity = self._trajectory.position(times), self._trajectory.velocity(times)
+        away = [end - centre for end in (source, receiver)]
+        if self._turned:
+            axes = _axes(self._trajectory.orientation(times))
+            away = [np.einsum("...ij,...i->...j", axes, v) for v in away]
+        source, receiver = (np.ascontiguousarray(v.reshape(-1, 3).T) for v in away)
+        flat = weight.ravel() if isinstance(weight, np.ndarray) else weight
+        self._glint = self._shape.glint(source, receiver, self._glint, flat)
+        self._ends = source, receiver
+        if self._glint is None:
+            return centre, velocity
+        offset = self._glint.place.T.reshape(*times.shape, 3)
+        if self._turned:
+            offset = np.einsum("...ij,...j->...i", axes, offset)
+            velocity = velocity + np.cross(self._trajectory.angular_velocity(times), offset)
+        return centre + offset, velocity
+
+    def strength(self, shape: tuple[int, ...]) -> list[Floats]:
+        """Return strength and cosine, of a shape, of what was last seen."""
+        assert self._ends is not None
+        return [values.reshape(shape) for values in self._shape.strength(*self._ends, self._glint)]
+
+
+def _axes(quaternions: Floats) -> Floats:
+    """Return matrices (..., 3, 3) that turn as unit quaternions x y z w (..., 4) do."""
+    x, y, z, w = np.moveaxis(quaternions, -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def scattered_way(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats, retarded: bool) -> Way:
+    """Return the ways (P, T) of sound by a scatterer that is received at times (T,), s.
+
+    Parameters
+    ----------
+    medium : Medium
+        What sound travels in.
+    scatterer : Scatterer
+        By which.
+    ends : Ends
+        Of the paths.
+    times : ndarray (T,)
+        Of reception, s.
+    retarded : bool
+        Whether all is where it was when the sound passed, or where it is at reception.
+
+    Notes
+    -----
+    With the place x that scatters, ``late = travel time from x(t - late) to the receiver`` and ``delay - late = travel
+    time from the source at t - delay to x(t - late)``, both by Newton's method together with the specular point: as its
+    way is the shortest, that it moves over the surface changes no time, and x moves as the thing does.
+    """
+    body, shape = Body(scatterer), ends.heard_at.shape[:2]
+    weight: Floats | float = 1.0
+    now, centre = np.broadcast_to(times, shape), scatterer.trajectory.position(times)
+    late = medium.passage(straight(centre, ends.heard_at)[0], ends.receiver - centre).time
+    image, real, _ = ends.emitted(now)
+    first_time = medium.passage(straight(image, centre)[0], centre - real).time
+    for _ in range(_ROUNDS):
+        event = times - late if retarded else now
+        image, real, source_velocity = ends.emitted(event - first_time if retarded else event)
+        place, velocity = body.seen(event, image, ends.heard_at, weight)
+        second = _leg(medium, place, ends.heard_at, ends.receiver - place)
+        first = _leg(medium, image, place, place - real)
+        coming, leaving = (leg.sound.growth(leg.direction, velocity) for leg in (first, second))
+        mach = np.zeros(shape)
+        if source_velocity is not None:
+            mach = first.sound.growth(ends.leaving(first.direction), source_velocity)
+        later, more = second.sound.time - late, first.sound.time - first_time
+        if retarded:
+            weight = (1.0 - coming) / (1.0 - leaving)
+            later = later / (1.0 - leaving)
+            more = (more + later * (mach - coming)) / (1.0 - mach)
+        late, first_time = late + later, first_time + more
+        moved = max(np.abs(later).max(initial=0.0), np.abs(more).max(initial=0.0)) if retarded else 0.0
+        if moved <= _CLOSE and body.change <= _SETTLED:
+            break
+    else:
+        raise InputError(
+            "scatterers",
+            f"must be seen from both ends, but no way by {scatterer.name!r} was found from {times[0]:.6g} to "
+            f"{times[-1]:.6g} s",
+        )
+    return Way(late + first_time, first, second, mach, coming, leaving, place, *body.strength(shape))
+
+
+def _leg(medium: Medium, start: Floats, stop: Floats, apart: Floats) -> Leg:
+    """Return the straight way between places (..., 3), whose real ones are so far apart (..., 3), m."""
+    length, direction = straight(start, stop)
+    return Leg(length, direction, medium.passage(length, apart))

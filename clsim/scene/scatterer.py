@@ -1,0 +1,341 @@
+"""Things that scatter sound: points, spheres and ellipsoids that move through the room."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+
+from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength, sphere_field, sphere_strength
+from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only
+from clsim.errors import InputError
+from clsim.scene.motion.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from clsim.acoustics.scattering import Glint
+    from clsim.arrays import Complexes, Floats
+
+MODELS = ("series", "geometrical")
+_STRONGEST = 60.0  # dB re 1 m, a target strength that no thing in a room exceeds
+_LARGEST_KA = 2000.0  # of a series
+
+
+class Shape(Protocol):
+    """What a scatterer does to a wave, in its own frame."""
+
+    @property
+    def radius(self) -> float:
+        """Of a sphere about the centre that holds it, m."""
+        ...
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether its field has a phase of its own."""
+        ...
+
+    @property
+    def strongest(self) -> float:
+        """Bound of the strength in any direction, m."""
+        ...
+
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
+        """Return where ends (3, n) see it, see `ellipsoid_glint`; None for its centre."""
+        ...
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return how strongly (n,) it scatters between ends (3, n), m, and the cosine (n,) that `field` takes."""
+        ...
+
+    def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
+        """Return by what its strength is multiplied (..., F) at wave numbers (F,) 1/m and cosines (...); None for 1."""
+        ...
+
+    def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
+        """Return which places (n, 3) are in it, or nearer to it than a margin, m."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PointShape:
+    """A point of one strength, m, at all frequencies and in all directions."""
+
+    strongest: float
+    radius: ClassVar[float] = 0.0
+    is_complex: ClassVar[bool] = False
+
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
+        """Return None: it is its own centre."""
+        return None
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return the one strength (n,), m, and 1."""
+        one = np.ones(source.shape[1])
+        return self.strongest * one, one
+
+    def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
+        """Return None: it has no field of its own."""
+        return None
+
+    def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
+        """Return which places (n, 3) are nearer than a margin, m."""
+        return np.asarray(np.linalg.norm(places, axis=-1) < margin)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EllipsoidShape:
+    """A rigid ellipsoid with semi-axes (3,) m, by geometrical optics."""
+
+    semi_axes: Floats
+    is_complex: ClassVar[bool] = False
+
+    @property
+    def radius(self) -> float:
+        """The longest semi-axis, m."""
+        return float(self.semi_axes.max())
+
+    @property
+    def strongest(self) -> float:
+        """Half the largest geometric mean of both radii of curvature, where it is flattest, m."""
+        return float(0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2)
+
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
+        """Return its specular point."""
+        return ellipsoid_glint(self.semi_axes, source, receiver, near, weight)
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return the strength (n,) at its specular point, m, and 1."""
+        found = glint or self.glint(source, receiver, None, 1.0)
+        return ellipsoid_strength(self.semi_axes, source, receiver, found), np.ones(source.shape[1])
+
+    def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
+        """Return None: geometrical optics are the same at all frequencies."""
+        return None
+
+    def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
+        """Return which places (n, 3) are in the ellipsoid whose semi-axes are longer by a margin, m."""
+        return np.asarray(np.linalg.norm(places / (self.semi_axes + margin), axis=-1) < 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SphereShape:
+    """A rigid sphere of a radius, m, by the series over its modes."""
+
+    radius: float
+    is_complex: ClassVar[bool] = True
+
+    @property
+    def strongest(self) -> float:
+        """Half the radius; what goes on behind a sphere is stronger, and is bounded by `field`, m."""
+        return 0.5 * self.radius
+
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
+        """Return its specular point."""
+        return ellipsoid_glint(np.full(3, self.radius), source, receiver, near, weight)
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return the strength (n,) that its field is relative to, m, and the cosine (n,) of half the angle."""
+        found = glint or self.glint(source, receiver, None, 1.0)
+        return sphere_strength(self.radius, source, receiver, found)
+
+    def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
+        """Return the field of its modes over that of geometrical optics."""
+        most = self.radius * float(wave.max())
+        if most > _LARGEST_KA:
+            raise InputError(
+                "radius",
+                f"must be at most {_LARGEST_KA:g} / wave number for a series, but ka is {most:.6g} for "
+                f'{self.radius:g} m; say model="geometrical"',
+            )
+        return sphere_field(self.radius, wave, cosine)
+
+    def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
+        """Return which places (n, 3) are in the sphere, or nearer to it than a margin, m."""
+        return np.asarray(np.linalg.norm(places, axis=-1) < self.radius + margin)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scatterer:
+    """A thing that scatters sound, made by `point`, `sphere` or `ellipsoid`.
+
+    It is no obstacle: sound goes on behind it as if it were not there, and what one scatterer sends to another is left
+    out.
+
+    Parameters
+    ----------
+    name : str
+        Unique among the scene's scatterers.
+    shape : Shape
+        What it does to a wave.
+    trajectory : Trajectory
+        Where its centre is and how it is turned.
+
+    Raises
+    ------
+    InputError
+        If the name is empty, or the trajectory is none or begins after 0 s.
+    """
+
+    name: str
+    shape: Shape
+    trajectory: Trajectory
+    flush: ClassVar[bool] = False  # it sits in no wall
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise InputError("name", f"must be a text that is not empty, but is {self.name!r:.80}")
+        if not isinstance(self.trajectory, Trajectory):
+            raise InputError("trajectory", f"must be a Trajectory, but is {self.trajectory!r:.80}")
+        if self.trajectory.start > 0.0:
+            raise InputError("trajectory", f"must begin at 0 s or before, but begins at {self.trajectory.start:g} s")
+
+    @staticmethod
+    def point(name: str, target_strength_db: float, trajectory: Trajectory) -> Scatterer:
+        """Return a point that scatters alike in all directions and at all frequencies.
+
+        Parameters
+        ----------
+        name : str
+            Unique among the scene's scatterers.
+        target_strength_db : float
+            20 lg of the pressure at 1 m from it over that of the wave that meets it, dB; at most 60.
+        trajectory : Trajectory
+            Where it is.
+
+        Returns
+        -------
+        Scatterer
+            A point.
+
+        Raises
+        ------
+        InputError
+            If a value is of another kind or out of bounds.
+
+        Examples
+        --------
+        >>> from clsim import Scatterer, Trajectory
+        >>> Scatterer.point("bat", -40.0, Trajectory.fixed((2.0, 1.0, 1.0))).shape.strongest
+        0.01
+        """
+        level = as_number("target_strength_db", target_strength_db, at_most=_STRONGEST, unit="dB")
+        return Scatterer(name, PointShape(10.0 ** (level / 20.0)), trajectory)
+
+    @staticmethod
+    def sphere(name: str, radius: float, trajectory: Trajectory, model: str = "series") -> Scatterer:
+        """Return a rigid sphere.
+
+        Parameters
+        ----------
+        name : str
+            Unique among the scene's scatterers.
+        radius : float
+            m, above 0.
+        trajectory : Trajectory
+            Where its centre is.
+        model : {"series", "geometrical"}
+            The series over its modes, exact over frequency at distances of many radii, or geometrical optics.
+
+        Returns
+        -------
+        Scatterer
+            A sphere.
+
+        Raises
+        ------
+        InputError
+            If a value is of another kind or out of bounds.
+
+        Examples
+        --------
+        >>> from clsim import Scatterer, Trajectory
+        >>> Scatterer.sphere("ball", 0.05, Trajectory.fixed((2.0, 1.0, 1.0))).shape
+        SphereShape(radius=0.05)
+        """
+        size = as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m")
+        as_choice("model", model, MODELS)
+        shape: Shape = SphereShape(size) if model == "series" else EllipsoidShape(read_only(np.full(3, size)))
+        return Scatterer(name, shape, trajectory)
+
+    @staticmethod
+    def ellipsoid(name: str, semi_axes: ArrayLike, trajectory: Trajectory) -> Scatterer:
+        """Return a rigid ellipsoid, by geometrical optics: what is sent back by its specular point.
+
+        Parameters
+        ----------
+        name : str
+            Unique among the scene's scatterers.
+        semi_axes : array_like (3,)
+            Along its own x, y and z, m, above 0.
+        trajectory : Trajectory
+            Where its centre is, and how it is turned.
+
+        Returns
+        -------
+        Scatterer
+            An ellipsoid.
+
+        Raises
+        ------
+        InputError
+            If a value is of another kind or out of bounds.
+
+        Examples
+        --------
+        >>> from clsim import Scatterer, Trajectory
+        >>> hand = Scatterer.ellipsoid("hand", (0.09, 0.05, 0.02), Trajectory.fixed((2.0, 1.0, 1.0)))
+        >>> hand.shape.radius
+        0.09
+        """
+        axes = as_floats("semi_axes", semi_axes, (3,), within=FARTHEST)
+        for i, axis in enumerate(axes.tolist()):
+            as_number(f"semi_axes[{i}]", axis, above=0.0, unit="m")
+        return Scatterer(name, EllipsoidShape(read_only(axes)), trajectory)
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
+        return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
+
+    @property
+    def is_static(self) -> bool:
+        """Whether it neither moves nor turns in a way that matters."""
+        alike = self.shape.radius == 0.0 or isinstance(self.shape, SphereShape)
+        return self.trajectory.is_static and (alike or not self.trajectory.turns)
+
+    def peak_speeds(self) -> tuple[float, float]:
+        """Return bounds of the speeds of its centre and of its surface, m/s, which are sampled and 2 % larger."""
+        speed = 1.02 * self.trajectory.peak_speed(*self._known)[0] if not self.trajectory.is_static else 0.0
+        return speed, speed + 1.02 * self.trajectory.peak_turn * self.shape.radius
+
+    @property
+    def _known(self) -> tuple[float, float]:
+        """From when to when its trajectory goes on, s."""
+        from clsim.scene.motion.curves import CONTINUATION
+
+        return self.trajectory.start - CONTINUATION, self.trajectory.end + CONTINUATION
+
+
+def as_scatterers(values: Any) -> tuple[Scatterer, ...]:
+    """Return scatterers of names of their own.
+
+    Raises
+    ------
+    InputError
+        If they are none, or a name is used twice.
+    """
+    from collections.abc import Sequence
+
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise InputError("scatterers", f"must be a list, but is {values!r:.80}")
+    seen: dict[str, int] = {}
+    for i, value in enumerate(values):
+        if not isinstance(value, Scatterer):
+            raise InputError(f"scatterers[{i}]", f"must be a Scatterer, but is {value!r:.80}")
+        if value.name in seen:
+            raise InputError(f"scatterers[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
+        seen[value.name] = i
+    return tuple(values)

@@ -1,0 +1,258 @@
+"""What everything else makes of scatterers: tables, pages, files, engines, baseband, resumed runs, walls in the way."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.cli import main
+from clsim.output.table import read_table, write_table
+from clsim.paths.path_set import PathSet
+from clsim.paths.view import viewed
+from clsim.render.static_pairs import find_static_pairs
+from clsim.tracks.pruning import pruned
+
+RATE = 96e3
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [6.0, 5.0, 3.0]
+walls = { reflection = 0.8 }
+[[sources]]
+name = "sonar"
+signal = { kind = "chirp", start = 24e3, stop = 26e3, duration = 0.02, sampling_rate = 96e3, window = "hann" }
+trajectory = { kind = "fixed", position = [1.0, 2.0, 1.0] }
+[[receivers]]
+name = "ear"
+trajectory = { kind = "fixed", position = [1.0, 2.2, 1.0] }
+[[scatterers]]
+kind = "ellipsoid"
+name = "hand"
+semi_axes = [0.02, 0.05, 0.09]
+trajectory = { kind = "line", start = [3.0, 2.0, 1.0], end = [2.9, 2.2, 1.1], duration = 0.2 }
+[[scatterers]]
+kind = "sphere"
+name = "ball"
+radius = 0.03
+trajectory = { kind = "fixed", position = [3.0, 3.0, 1.0] }
+[[scatterers]]
+kind = "point"
+name = "bat"
+target_strength_db = -30.0
+trajectory = { kind = "circle", center = [3.0, 2.5, 2.0], radius = 0.3, period = 0.5, duration = 0.2 }
+[paths]
+max_order = 1
+scattering_order = 1
+[render]
+sampling_rate = 96e3
+duration = 0.06
+chunk = 18432
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Return the scene file, read."""
+    path = tmp_path_factory.mktemp("scatterers") / "scene.toml"
+    path.write_text(SCENE, "utf-8")
+    return clsim.load_scene(path)
+
+
+@pytest.fixture(scope="module")
+def paths(file: Any) -> PathSet:
+    """Return its paths."""
+    return clsim.find_paths(file.scene, **file.paths)
+
+
+def test_tables_vertices_and_pages_know_them(paths: PathSet, tmp_path: Path) -> None:
+    table = paths.table(np.array([0.05, 0.1]))
+    assert len(paths) == 7 + 3 * 7 * 7
+    assert paths.object_names[-3:] == ("hand", "ball", "bat")
+    row = [table.name_way(i) for i in range(len(paths))].index("z_min, hand, y_max")
+    assert paths.interactions[row].tolist() == [0, 2, 0]
+    assert paths.order[row] == 3
+    assert not table.direct[7:].any()
+    corners = paths.vertices(0.1)[row]
+    assert np.linalg.norm(np.diff(corners, axis=0), axis=1).sum() == pytest.approx(
+        table.delay[row, 1] * paths.scene.air.speed_of_sound, rel=1e-3
+    )
+    assert corners[1, 2] == pytest.approx(0.0, abs=1e-12)
+    assert corners[3, 1] == pytest.approx(5.0, abs=1e-12)
+    assert np.linalg.norm(corners[2] - [2.95, 2.1, 1.05]) < 0.1
+    write_table(table, tmp_path / "paths.npz")
+    assert read_table(tmp_path / "paths.npz").name_way(row) == "z_min, hand, y_max"
+    view = viewed(paths, duration=0.06, frames=3)
+    hand = next(end for end in view.ends if end.name == "hand")
+    np.testing.assert_allclose(hand.positions[-1], [2.97, 2.06, 1.03], atol=1e-9)
+    assert any("hand" in label for label in view.frames[0].labels)
+
+
+def test_the_truth_about_scatterers(paths: PathSet) -> None:
+    times = np.linspace(0.02, 0.1, 5)
+    truth, table = clsim.scatterer_truth(paths.scene, times), paths.table(times)
+    assert truth.scatterer_names == ("hand", "ball", "bat")
+    for which, name in enumerate(truth.scatterer_names):
+        row = [table.name_way(i) for i in range(len(paths))].index(name)
+        np.testing.assert_allclose(truth.delay[which, 0, 0], table.delay[row], rtol=1e-14)
+        np.testing.assert_allclose(truth.bearing[which, 0, 0], table.arrival[row], atol=1e-12)
+        place = [1.0, 2.2, 1.0] + truth.range[which, 0, 0, :, None] * truth.bearing[which, 0, 0]
+        np.testing.assert_allclose(place[0], paths.vertices(float(times[0]))[row, 1], atol=1e-12)
+    ball = truth.range[1, 0, 0]
+    np.testing.assert_allclose(ball, np.hypot(2.0, 0.8) - 0.03, atol=2e-4)  # bistatic, 0.2 m
+    np.testing.assert_array_equal(truth.radial_speed[1], 0.0)
+    hand = 0.5 * paths.scene.air.speed_of_sound * np.gradient(truth.delay[0, 0, 0], times)
+    np.testing.assert_allclose(truth.radial_speed[0, 0, 0, 1:-1], hand[1:-1], atol=1e-3)
+    with pytest.raises(clsim.InputError, match="must hold scatterers"):
+        clsim.scatterer_truth(
+            clsim.Scene(paths.scene.room, clsim.Air(), paths.scene.sources, paths.scene.receivers), times
+        )
+
+
+@pytest.fixture(scope="module")
+def direct(file: Any) -> PathSet:
+    """Return the paths by no wall."""
+    return clsim.find_paths(file.scene, 0)
+
+
+def test_engines_and_sums(direct: PathSet, device: None) -> None:
+    paths = direct
+    exact = clsim.render(paths, RATE, duration=0.06, engine="reference").pressure[0]
+    heard = clsim.render(paths, RATE, duration=0.06).pressure[0]
+    assert level_db(heard - exact, exact) < -85.0
+    parts = [clsim.render(PathSet(paths.scene, (f,)), RATE, duration=0.06).pressure[0] for f in paths.families]
+    assert level_db(parts[0] + parts[1] - heard, heard) < -85.0
+    assert level_db(parts[1], heard) > -50.0
+
+
+def test_pruning_knows_bounds(paths: PathSet) -> None:
+    tracks, note = pruned(clsim.track(paths), -60.0, 0.06)
+    left = sum(len(pair) for pair in tracks.pairs)
+    assert 7 < left < len(paths)
+    assert "are left out" in note
+
+
+def level_db(part: np.ndarray, whole: np.ndarray) -> float:
+    """Return the level of a signal relative to another, dB."""
+    return float(20.0 * np.log10(np.linalg.norm(part) / np.linalg.norm(whole)))
+
+
+def test_baseband_holds_the_same(direct: PathSet, device: None) -> None:
+    alone = PathSet(direct.scene, direct.families[1:])
+    wide = clsim.render(alone, RATE, duration=0.06).pressure[0]
+    narrow = clsim.render(alone, RATE, duration=0.06, baseband=clsim.Baseband(25e3, 4e3, 8e3))
+    step = round(RATE / 8e3)
+    times = np.arange(len(wide)) / RATE
+    assert len(narrow.pressure[0]) == len(wide) // step
+    middle = slice(len(narrow.pressure[0]) // 3, 2 * len(narrow.pressure[0]) // 3)
+    carrier = np.exp(2j * np.pi * 25e3 * times[::step][middle])
+    got = np.real(narrow.pressure[0][middle] * carrier)
+    assert level_db(got - wide[::step][middle], wide[::step][middle]) < -60.0
+
+
+def test_what_rests_is_convolved(direct: PathSet) -> None:
+    scene = direct.scene
+    for things, count in ((scene.scatterers[1:2], 2), (scene.scatterers, 1)):
+        some = clsim.Scene(scene.room, scene.air, scene.sources, scene.receivers, scatterers=things)
+        options = clsim.RenderOptions(RATE)
+        assert len(find_static_pairs(clsim.track(clsim.find_paths(some, 1)), options).indices) == count
+    one = PathSet(scene, direct.families[1:])
+    found = clsim.impulse_responses(one, RATE, at=0.1, lead="keep", band=(20e3, 30e3)).samples[0, 0]
+    gains = one.table(np.array([0.1]), motion="quasi-static").gain
+    # The band of 10 kHz has a taper of 5 kHz on either side, of which half counts.
+    assert np.abs(found).max() == pytest.approx(np.abs(gains).max() * 2.0 * 15e3 / RATE, rel=0.02)
+    with pytest.raises(clsim.InputError, match=r"scatterers\[0\].trajectory, up to 0.2 s"):
+        clsim.impulse_responses(direct, RATE, at=0.3)
+
+
+def test_without_scatterers_nothing_is_looked_for(paths: PathSet) -> None:
+    scene = clsim.Scene(paths.scene.room, paths.scene.air, paths.scene.sources, paths.scene.receivers)
+    found = clsim.find_paths(scene, 1, scattering_order=1)
+    assert len(found.families) == 1
+    assert found.digest() == clsim.find_paths(scene, 1).digest()
+    assert paths.families[0].digest() == found.families[0].digest()
+
+
+def test_a_run_that_was_stopped_goes_on(file: Any, tmp_path: Path, device: None) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE, "utf-8")
+    assert main(["run", str(scene), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
+    complete = (tmp_path / "a" / "scene.completed.toml").read_text("utf-8")
+    assert "scattering_order = 1" in complete
+    assert complete.count("[[scatterers]]") == 3
+    again = tmp_path / "again.toml"
+    again.write_text(complete, "utf-8")
+    assert main(["run", str(again), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
+    assert (tmp_path / "a" / "ear.wav").read_bytes() == (tmp_path / "b" / "ear.wav").read_bytes()
+
+
+def test_walls_hide_scatterers_for_as_long_as_they_are_in_the_way() -> None:
+    """A screen before a point that walks by: heard from when its sound gets past the edge, to a sample."""
+    walls = clsim.Material.from_reflection(0.5)
+    screen = clsim.MeshRoom([(2, 0, 0), (2, 2.5, 0), (2, 2.5, 3), (2, 0, 3)], [(0, 1, 2), (0, 2, 3)], walls)
+    room = clsim.MeshRoom.joined([clsim.Shoebox((6, 5, 3), walls), screen])
+    way = clsim.Trajectory.line((4.0, 1.0, 1.0), (4.0, 4.0, 1.0), 1.0)
+    at = [clsim.Trajectory.fixed((1.0, y, 1.0)) for y in (2.0, 2.2)]
+    tone = clsim.Signal.tone(40e3, 1.0, RATE)
+    scene = clsim.Scene(
+        room, clsim.Air(speed_of_sound=343.0), [clsim.Source("s", tone, at[0])], [clsim.Receiver("r", at[1])],
+        scatterers=[clsim.Scatterer.point("p", 0.0, way)],
+    )  # fmt: skip
+    paths = clsim.find_paths(scene, 0, engine="reference")
+    row = np.flatnonzero(paths.interactions[:, 0] == 2)
+    assert len(row) == 1
+    # Seen from the source past the edge at y = 2.5 m when it is at 3.5 m, which is after it is seen from the receiver.
+    event = (3.5 - 1.0) / 3.0
+    assert paths.start[row[0]] == pytest.approx(event + np.linalg.norm([3.0, 1.3, 0.0]) / 343.0, abs=2.0 / RATE)
+    assert paths.end[row[0]] == np.inf
+
+
+BAD = [
+    (lambda t: clsim.Scatterer.sphere("a", 0.0, t), "radius: must be above 0 m, but is 0"),
+    (lambda t: clsim.Scatterer.sphere("a", 0.1, t, model="exact"), "model"),
+    (lambda t: clsim.Scatterer.ellipsoid("a", (0.1, -0.1, 0.1), t), r"semi_axes\[1\]: must be above 0 m, but is -0.1"),
+    (lambda t: clsim.Scatterer.point("a", 61.0, t), "target_strength_db: must be at most 60 dB, but is 61"),
+    (lambda t: clsim.Scatterer.point(" ", 0.0, t), "name: must be a text"),
+    (lambda t: clsim.Scatterer.point("a", 0.0, (1, 2, 3)), "trajectory: must be a Trajectory"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), BAD)
+def test_what_is_no_scatterer(make: Any, message: str) -> None:
+    with pytest.raises(clsim.InputError, match=message):
+        make(clsim.Trajectory.fixed((3.0, 2.0, 1.0)))
+
+
+FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
+REFUSED = [
+    ([clsim.Scatterer.sphere("b", 1.0, FIXED((1.5, 2.0, 1.0)))], r"scatterers\[0\].*'sonar' is in 'b' or nearer.* at 0 s"),
+    ([clsim.Scatterer.ellipsoid("b", (0.5, 0.1, 0.1), LINE((3, 2.05, 1), (1.2, 2.05, 1), 0.2))], "'sonar' is in 'b'"),
+    ([clsim.Scatterer.point("b", 0.0, LINE((3, 2, 1), (7, 2, 1), 0.2))], r"scatterers\[0\].trajectory: must stay inside"),
+    ([clsim.Scatterer.point("b", 0.0, LINE((1.5, 4, 1), (2.5, 4, 1), 0.01))], "must last as long as all signals"),
+    ([clsim.Scatterer.point("b", 0.0, clsim.Trajectory.circle((3, 2.5, 1.5), 1.0, 0.015, 0.2))], "speed of sound"),
+    ([clsim.Scatterer.point("b", 0.0, FIXED((3, 2, 1)))] * 2, r"scatterers\[1\].name: must be unique"),
+    ("b", "scatterers: must be a list"), ([3], r"scatterers\[0\]: must be a Scatterer"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("scatterers", "message"), REFUSED)
+def test_what_cannot_be_in_a_scene(paths: PathSet, scatterers: Any, message: str) -> None:
+    with pytest.raises(clsim.InputError, match=message):
+        clsim.Scene(
+            paths.scene.room, clsim.Air(), paths.scene.sources, paths.scene.receivers, scatterers=scatterers
+        )  # fmt: skip
+    # Beside the flat side of an ellipsoid there is room within its longest semi-axis.
+    flat = clsim.Scatterer.ellipsoid("b", (0.02, 0.5, 0.5), FIXED((1.1, 2.0, 1.0)))
+    clsim.Scene(paths.scene.room, clsim.Air(), paths.scene.sources, paths.scene.receivers, scatterers=[flat])
+
+
+def test_files_name_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for old, new, message in (
+        ("radius = 0.03", "radius = -0.03", "scatterers[1].radius"), ('kind = "sphere"', 'kind = "cube"', "scatterers[1].kind"),
+        ("scattering_order = 1", "scattering_order = 4", "paths.scattering_order"),
+    ):  # fmt: skip
+        (tmp_path / "scene.toml").write_text(SCENE.replace(old, new), "utf-8")
+        assert main(["check", str(tmp_path / "scene.toml")]) == 2
+        assert message in capsys.readouterr().err
