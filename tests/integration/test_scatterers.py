@@ -248,6 +248,25 @@ def test_what_cannot_be_in_a_scene(paths: PathSet, scatterers: Any, message: str
     clsim.Scene(paths.scene.room, clsim.Air(), paths.scene.sources, paths.scene.receivers, scatterers=[flat])
 
 
+def test_air_that_no_leg_knows_is_refused(paths: PathSet) -> None:
+    air = clsim.Air(temperature_celsius=(20.0, 24.0), heights=(0.0, 3.0))
+    scene = clsim.Scene(
+        paths.scene.room, air, paths.scene.sources, paths.scene.receivers, scatterers=paths.scene.scatterers
+    )  # fmt: skip
+    with pytest.raises(clsim.InputError, match="scatterers: must be left out where the air depends on the height"):
+        clsim.find_paths(scene, 0)
+
+
+def test_in_wind_there_and_back_are_not_alike(paths: PathSet) -> None:
+    """Along the wind from a source to a point and back to it, ``d / (c + w) + d / (c - w)``."""
+    at = [clsim.Trajectory.fixed(p) for p in ((1.0, 2.0, 1.0), (1.0, 2.011, 1.0), (4.0, 2.0, 1.0))]
+    ends = [clsim.Source("s", paths.scene.sources[0].signal, at[0])], [clsim.Receiver("r", at[1])]
+    air = clsim.Air(speed_of_sound=340.0, wind=(10.0, 0.0, 0.0))
+    scene = clsim.Scene(paths.scene.room, air, *ends, scatterers=[clsim.Scatterer.point("p", 0.0, at[2])])
+    delay = clsim.scatterer_truth(scene, [0.1]).delay.ravel()[0]
+    assert delay == pytest.approx(3.0 / 350.0 + 3.0 / 330.0, rel=2e-5)
+
+
 def test_files_name_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for old, new, message in (
         ("radius = 0.03", "radius = -0.03", "scatterers[1].radius"), ('kind = "sphere"', 'kind = "cube"', "scatterers[1].kind"),
