@@ -55,7 +55,7 @@ class TwoSidedPaths(PathFamily, ABC):
     def vertices_by(
         self, index: NDArray[np.int64], emitted_at: Floats, places: tuple[Floats, Floats], heard_at: Floats
     ) -> Floats:
-        """Return source, points of interaction and receiver (P, N + 2, 3) by the first place and the last, (P, 3) each."""
+        """Return source, points of interaction, receiver (P, N + 2, 3) by the first place and the last, (P, 3) each."""
         planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
         before, after = self.walls_of_sides(index)
         there = path_vertices(planes, before, emitted_at, places[0])
