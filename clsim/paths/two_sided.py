@@ -52,16 +52,19 @@ class TwoSidedPaths(PathFamily, ABC):
                     response[here] *= at.reflection_at(wall, cosine)
         return response
 
-    def vertices_by(self, index: NDArray[np.int64], emitted_at: Floats, place: Floats, heard_at: Floats) -> Floats:
-        """Return source, points of interaction and receiver (P, N + 2, 3) of paths by places (P, 3)."""
+    def vertices_by(
+        self, index: NDArray[np.int64], emitted_at: Floats, places: tuple[Floats, Floats], heard_at: Floats
+    ) -> Floats:
+        """Return source, points of interaction, receiver (P, N + 2, 3) by the first place and the last, (P, 3) each."""
         planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
         before, after = self.walls_of_sides(index)
-        there, back = (path_vertices(planes, w, x, place) for w, x in ((before, emitted_at), (after, heard_at)))
+        there = path_vertices(planes, before, emitted_at, places[0])
+        back, more = path_vertices(planes, after, heard_at, places[1]), int(places[0] is not places[1])
         found = np.full((len(index), self.objects.shape[1] + 2, 3), np.nan)
         for p, (walls, others) in enumerate(zip(before, after, strict=True)):
             n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
             found[p, : n + 2] = there[p, : n + 2]
-            found[p, n + 2 : n + m + 3] = back[p, m::-1]
+            found[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
         return found
 
     def image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:

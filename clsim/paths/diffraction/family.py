@@ -14,7 +14,6 @@ from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
 from clsim.paths.diffraction.ways_over import WaysOver
 from clsim.paths.propagation import arrivals_by
 from clsim.paths.two_sided import TwoSidedPaths
-from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.family import Rows
     from clsim.paths.response import SceneResponse
-
-    Integers = NDArray[np.signedinteger[Any]]
 
 _LOUDEST = 3.0  # over the partners: four terms of a half at most, one of which may be continued beyond its boundary
 
@@ -138,23 +135,14 @@ class EdgePaths(TwoSidedPaths):
         now = np.array([time])
         emitted_at = source.position(self.arrivals(index, now, motion).emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        first, last = self._apexes(index, emitted_at, heard_at)
-        planes = self.scene.room.faces.normals, self.scene.room.faces.offsets
-        before, after = self.walls_of_sides(index)
-        there = path_vertices(planes, before, emitted_at, first)
-        back, more = path_vertices(planes, after, heard_at, last), int(first is not last)
-        found = np.full((len(index), self.objects.shape[1] + 2, 3), np.nan)
-        for p, (walls, others) in enumerate(zip(before, after, strict=True)):
-            n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
-            found[p, : n + 2] = there[p, : n + 2]
-            found[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
-        return found
+        places = self._apexes(index, emitted_at, heard_at)
+        return self.vertices_by(index, emitted_at, places, heard_at)
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return the lengths (P,) of the shortest ways between places (P, 3) and others, m."""
         index = np.arange(len(self))[rows]
         apexes = self._apexes(index, source, receiver)
-        ends = (self._image(side, index, x) for side, x in (("before", source), ("after", receiver)))
+        ends = (self.image(side, index, x) for side, x in (("before", source), ("after", receiver)))
         legs = sum(np.linalg.norm(end - apex, axis=1) for end, apex in zip(ends, apexes, strict=True))
         return np.asarray(legs + np.linalg.norm(apexes[1] - apexes[0], axis=1))
 
@@ -170,11 +158,6 @@ class EdgePaths(TwoSidedPaths):
     def _view(self, side: str, index: NDArray[np.int64]) -> EdgeView:
         """Return how the edges of paths see an end."""
         return EdgeView.of(*self._isometry(side, index), self.frame[index])
-
-    def _image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
-        """Return where places (P, 3) are seen by the edge of each path."""
-        matrix, offset = self._isometry(side, index)
-        return np.asarray(np.einsum("pij,pj->pi", matrix, places) + offset)
 
     def _beyond(self, index: NDArray[np.int64]) -> tuple[RolledOut, RolledOut] | None:
         """Return how two edges of paths see what is beyond each other, or None for paths over one."""

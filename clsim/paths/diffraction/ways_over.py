@@ -21,7 +21,7 @@ class WaysOver:
 
     def __init__(self, paths: Any, index: NDArray[np.int64], received_at: Floats) -> None:
         self._paths, self._index, self._received_at = paths, index, received_at
-        self._heard_at = self._image("after", index, received_at[None])
+        self._heard_at = paths.image("after", index, received_at[None])
         faces = paths.scene.room.faces
         planes = faces.normals, faces.offsets
         self._folds = [Folds(planes, walls) for walls in paths.walls_of_sides(index)] if paths.scene.air.layers else []
@@ -58,7 +58,7 @@ class WaysOver:
         """Return where ways meet the edges, and both ends as these see them."""
         index, heard_at = self._index[p], self._heard_at[p, t]
         edges = index[:, None] if heard_at.ndim == 3 else index  # all times of a path, or one each
-        emitted_at = self._image("before", index, np.broadcast_to(start, heard_at.shape))
+        emitted_at = self._paths.image("before", index, np.broadcast_to(start, heard_at.shape))
         frame, end = self._paths.frame[edges], self._paths.end_place[edges]
         coordinates: list[Floats] = []
         for place in (emitted_at, heard_at):
@@ -67,13 +67,3 @@ class WaysOver:
             coordinates += [np.hypot(x, y), z]
         along = np.where(np.isnan(end), edge_way(*coordinates).apex, end)
         return frame[..., 0, :] + along[..., None] * frame[..., 3, :], emitted_at, heard_at
-
-    def _image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
-        """Return where places (P, [T,] 3) are seen by the edge of each path."""
-        paths = self._paths
-        matrix, offset = (
-            (paths.before_matrix, paths.before_offset) if side == "before" else (paths.after_matrix, paths.after_offset)
-        )
-        places = np.broadcast_to(places, (len(index), *places.shape[1:]))
-        turned = np.einsum("pij,p...j->p...i", matrix[index], places)
-        return np.asarray(turned + offset[index].reshape(len(index), *[1] * (places.ndim - 2), 3))

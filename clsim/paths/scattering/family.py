@@ -162,7 +162,9 @@ class ScatteredPaths(TwoSidedPaths):
             way = scattered_way(medium, self.scene.scatterers[which], ends, now, motion == "retarded")
             place[mine], delay[mine] = way.place[:, 0], way.delay[:, 0]
         emitted_at = source.position(time - delay if motion == "retarded" else np.full(len(index), time))
-        return self.vertices_by(index, emitted_at, place, np.broadcast_to(receiver.position(now), emitted_at.shape))
+        return self.vertices_by(
+            index, emitted_at, (place, place), np.broadcast_to(receiver.position(now), emitted_at.shape)
+        )
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return how long paths (P,) are by the centres of scatterers at 0 s, with their ends at places (P, 3), m."""
