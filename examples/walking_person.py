@@ -30,8 +30,7 @@ def main() -> None:
     ear = clsim.Receiver("ear", clsim.Trajectory.fixed((0.5, 2.6, 1.0)))
     room = clsim.Shoebox((9.0, 5.0, 2.6), clsim.Material.from_reflection(0.6))
     scene = clsim.Scene(room, clsim.Air(), [sonar], [ear], scatterers=person)
-    paths = clsim.find_paths(scene, max_order=0, scattering_order=options.scattering_order)
-    echoes = clsim.PathSet(scene, paths.families[1:])  # without the direct sound
+    echoes = clsim.find_paths(scene, max_order=0, scattering_order=options.scattering_order, direct=False)
     heard = clsim.render(echoes, RATE, baseband=(CARRIER, 3.6e3), duration=DURATION)
     truth = clsim.scatterer_truth(scene, np.linspace(0.1, DURATION - 0.05, 400))
     draw(heard, truth, options.output / "walking_person.png")
