@@ -36,6 +36,7 @@ REAL = [clsim.Material.from_reflection(f) for f in (0.9, -0.8, 0.7, 0.6, -0.5, 0
 CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
 SWEEP = clsim.Signal.chirp(37e3, 43e3, 0.02, RATE, window="tukey")
 LAYOUTS = {"cpu": CPU_LAYOUT, "gpu": GPU_LAYOUT}
+DISPERSING, WINDY = clsim.Air(dispersion=True), clsim.Air(wind=(9.0, -4.0, 1.0))
 CLOCK = clsim.Electronics(clock_ppm=300.0, clock_offset=1e-5)
 
 
@@ -50,12 +51,13 @@ def world(
     walls: list | None = None,
     beams: tuple = (clsim.Omni(), clsim.Omni()),
     still: bool = False,
+    air: clsim.Air | None = None,
 ) -> clsim.Scene:
     """Return a box in which all moves, 6 cm apart, and in which the signal has been on for a while."""
     way = LINE((0.05, 0.045, 0.05), (0.06, 0.04, 0.055), 0.04)
     ear = FIXED((0.10, 0.08, 0.06)) if still else LINE((0.10, 0.08, 0.06), (0.09, 0.085, 0.06), 0.04)
     return clsim.Scene(
-        clsim.Shoebox((0.16, 0.13, 0.11), walls or REAL), clsim.Air(),
+        clsim.Shoebox((0.16, 0.13, 0.11), walls or REAL), air or clsim.Air(),
         [clsim.Source("s", signal, way, beams[0], aim=(1, 0.3, -0.2))],
         [clsim.Receiver("r", ear, beams[1], aim=(-0.8, 0.1, 0.4), electronics=None if still else CLOCK)],
     )  # fmt: skip
@@ -94,8 +96,9 @@ def functions(device: str) -> Plan:
 
 @scene
 def phased(device: str) -> Plan:
-    """Walls that depend on the angle, with phases, and so does a directivity."""
-    return plan(world(walls=[POROUS, ROUGH, *REAL[2:]], beams=(OffCentre(2e-3), clsim.FirstOrder(0.4))), device)
+    """Walls that depend on the angle, with phases, and so does a directivity, in air that disperses."""
+    beams = (OffCentre(2e-3), clsim.FirstOrder(0.4))
+    return plan(world(walls=[POROUS, ROUGH, *REAL[2:]], beams=beams, air=DISPERSING), device)
 
 
 @scene
@@ -126,12 +129,13 @@ def pulses(device: str) -> Plan:
 
 @scene
 def mesh(device: str) -> Plan:
-    """Paths searched for on the device, round a screen, with their transitions."""
+    """Paths searched for on the device, round a folded screen and over its edges, with transitions, in wind."""
     corners = [(0.08, 0.02, 0.0), (0.08, 0.0601, 0.0), (0.08, 0.0601, 0.1), (0.08, 0.02, 0.1)]
-    screen = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], REAL[0])
+    corners += [(0.09, 0.02, 0.05), (0.09, 0.0601, 0.05)]
+    screen = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 5, 2)], REAL[0])
     way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.08, 0.05), 0.04), LINE((0.10, 0.08, 0.05), (0.10, 0.09, 0.05), 0.04)
-    of = clsim.Scene(screen, clsim.Air(), [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
-    return plan(of, device, 1, responses="centre")
+    of = clsim.Scene(screen, WINDY, [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
+    return plan(clsim.find_paths(of, 1, diffraction=2, resolution=1e-4), device, responses="centre")
 
 
 @scene
@@ -155,8 +159,8 @@ def envelopes(device: str, of: clsim.Scene | PathSet, **options: Any) -> Plan:
 
 @scene
 def baseband(device: str) -> Plan:
-    """Complex envelopes."""
-    return envelopes(device, world(walls=[CURTAIN, *REAL[1:]]))
+    """Complex envelopes, in wind."""
+    return envelopes(device, world(walls=[CURTAIN, *REAL[1:]], air=WINDY))
 
 
 @scene
@@ -168,8 +172,9 @@ def baseband_pulses(device: str) -> Plan:
 
 @scene
 def pairs(device: str) -> Plan:
-    """Without float64: beams, and ends that move, with clocks."""
-    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=(clsim.Piston(0.004), Lopsided(True))), device, 0)
+    """Without float64: beams, and ends that move, with clocks, in air that disperses."""
+    beams = (clsim.Piston(0.004), Lopsided(True))
+    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=beams, air=DISPERSING), device, 0)
 
 
 @scene

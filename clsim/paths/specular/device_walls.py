@@ -97,7 +97,7 @@ class DeviceLookup:
         import pyopencl as cl
 
         found = np.empty((len(start), MOST), dtype=np.int32)
-        made = cl.Buffer(self._queue.context, cl.mem_flags.WRITE_ONLY, found.nbytes)
+        made = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, found.nbytes)  # it puts what it found in order
         kernel = self._compiler.kernel("crossings", {"MOST": MOST, "INNER": INNER, "PARALLEL": PARALLEL})
         kernel(
             self._queue, work(len(start), group=GROUP), **self._room, start=np.ascontiguousarray(start),

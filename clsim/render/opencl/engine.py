@@ -199,12 +199,32 @@ class OpenclEngine:
                 per_segment = plan.bytes_per_node(source) * (plan.segment // plan.shortest_block)
                 slots = self.limits.node_budget // per_segment
                 heard = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
-                for some in _batches(heard, slots, [self.maker(pair.index) for pair in heard]):
+                for some in self._batches(heard, slots):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         self.put(rows[:, : pressure.shape[1]], pressure)
         rows.base.release(self._queue)
+
+    def _batches(self, active: list[ActivePaths], most: int) -> list[list[ActivePaths]]:
+        """Cut pairs into batches of at most so many slots: those whose polynomials for one segment fit the budget.
+
+        All pairs of a batch have their nodes made by the same maker. No receiver is in it twice, with paths of two
+        kinds or too many for a launch: work-groups that add to the same samples would race.
+        """
+        most = max(BATCH, most)
+        batches: list[list[ActivePaths]] = []
+        count, last, there = most, None, set[int]()
+        for pair in active:
+            slots, maker = -(-len(pair.rows) // BATCH) * BATCH, self.maker(pair.index)
+            receiver = self._plan.tracks.pairs[pair.index].receiver
+            if count + slots > most or maker is not last or receiver in there:
+                batches.append([])
+                count, last, there = 0, maker, set()
+            batches[-1].append(pair)
+            there.add(receiver)
+            count += slots
+        return batches
 
     def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
         """Add the rows of all receivers, `parts` of each, to the pressure."""
@@ -392,21 +412,3 @@ def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the maximal ranges of equal values."""
     changes = (np.flatnonzero(np.diff(values)) + 1).tolist()
     return list(zip([0, *changes], [*changes, len(values)], strict=True))
-
-
-def _batches(active: list[ActivePaths], most: int, makers: Sequence[NodeMaker]) -> list[list[ActivePaths]]:
-    """Cut pairs into batches of at most so many slots: those whose polynomials for one segment fit the budget.
-
-    All pairs of a batch have their nodes made by the same maker.
-    """
-    most = max(BATCH, most)
-    batches: list[list[ActivePaths]] = []
-    count, last = most, None
-    for pair, maker in zip(active, makers, strict=True):
-        slots = -(-len(pair.rows) // BATCH) * BATCH
-        if count + slots > most or maker is not last:
-            batches.append([])
-            count, last = 0, maker
-        batches[-1].append(pair)
-        count += slots
-    return batches

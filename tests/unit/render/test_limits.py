@@ -11,6 +11,7 @@ import clsim
 from clsim.opencl import device as device_module
 from clsim.opencl.limits import LONGEST_LAUNCH, check_group
 from clsim.render.opencl import engine as engine_module
+from clsim.render.opencl.batches import fill_batch
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.limits import Limits
 from clsim.render.plan import BATCH, NODE_BUDGET, SEGMENT, Plan
@@ -83,13 +84,19 @@ def test_launches_are_short_by_estimate() -> None:
     assert Limits(made, dataclasses.replace(LAPTOP, kind="CPU"), 1).segments_in_launch(paths, 8) > 10**6
 
 
-def test_paths_are_parted_where_one_launch_of_all_is_too_long(device: None, described: Callable) -> None:
+def test_paths_are_parted_where_one_launch_of_all_is_too_long(
+    device: None, described: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = plan(duration=0.1, order=5)
     whole = OpenclEngine(made, CPU_LAYOUT).render(0, made.samples)
     described(kind="GPU", compute_units=1, clock_hz=1e6)
     engine = OpenclEngine(made, CPU_LAYOUT)
     assert engine.limits.paths_in_launch == BATCH < made.path_count // 4
+    batches = []
+    monkeypatch.setattr(engine_module, "fill_batch", lambda *given: batches.append(fill_batch(*given)) or batches[-1])
     parts = engine.render(0, made.samples)
+    assert len(batches) > 4
+    assert all(len(set(b.receiver.tolist())) == len(b.receiver) for b in batches), "launches of the same samples race"
     assert np.linalg.norm(parts - whole) < 1e-6 * np.linalg.norm(whole)
     few = Limits(made, LAPTOP, 1)
     for paths in (few.paths_in_launch, few.paths_in_launch + BATCH):
