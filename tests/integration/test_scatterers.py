@@ -217,6 +217,12 @@ def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     whole = (tmp_path / "a" / "ear.wav").read_bytes()
     assert whole == (tmp_path / "b" / "ear.wav").read_bytes()
     assert np.any(np.frombuffer(whole[100_000:140_000], dtype=np.uint8))
+    with np.load(tmp_path / "a" / "ground_truth.npz") as found:
+        truth = clsim.scatterer_truth(clsim.load_scene(scene).scene, found["times"])
+        assert found["scatterer_names"].tolist() == ["hand", "ball", "bat"]
+        np.testing.assert_array_equal(found["scatterer_range"], truth.range)
+        np.testing.assert_array_equal(found["scatterer_bearing"], truth.bearing)
+        assert not found["line_of_sight"].any()  # left out, it is not heard
     complete = (tmp_path / "a" / "scene.completed.toml").read_text("utf-8")
     assert "scattering_order = 0" in complete
     assert "direct = false" in complete
