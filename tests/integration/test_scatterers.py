@@ -15,6 +15,8 @@ from clsim.paths.view import viewed
 from clsim.render import planning
 from clsim.render.contributions import Stateless
 from clsim.render.static_pairs import find_static_pairs
+from clsim.study.content import computed
+from clsim.study.file import load_study
 from clsim.tracks.pruning import pruned
 from clsim.workflow import checkpoint
 
@@ -54,6 +56,14 @@ scattering_order = 1
 sampling_rate = 96e3
 duration = 0.06
 chunk = 18432
+"""
+STUDY = """
+format = 1
+scene = "scene.toml"
+keep = ["ground_truth"]
+[[vary]]
+field = "paths.max_order"
+values = [0]
 """
 
 
@@ -230,6 +240,20 @@ def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     again = tmp_path / "again.toml"
     again.write_text(complete, "utf-8")
     assert main(["run", str(again), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
+
+
+def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> None:
+    pytest.importorskip("zarr")
+    (tmp_path / "scene.toml").write_text(SCENE.replace("scattering_order = 1", "scattering_order = 0"), "utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, "utf-8")
+    study = load_study(tmp_path / "study.toml")
+    content = computed(study, study.members[0], None, tmp_path / "member")[0]
+    truth = clsim.scatterer_truth(file.scene, content.times.values)
+    assert content.scatterer.values.tolist() == ["hand", "ball", "bat"]
+    assert content.scatterer_radial_speed.dims == ("scatterer", "source", "receiver", "times")
+    assert content.scatterer_bearing.shape == truth.bearing.shape
+    np.testing.assert_array_equal(content.scatterer_range, truth.range)
+    assert content.scatterer_delay.attrs["units"] == "s"
 
 
 def test_a_sonar_without_its_cross_talk(file: Any, paths: PathSet, direct: PathSet) -> None:
