@@ -173,6 +173,7 @@ class _Paths(Model):
     max_order: int
     diffraction: int = 0
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
+    direct: bool | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
     path_limit: int = DEFAULT_PATH_LIMIT
@@ -180,7 +181,9 @@ class _Paths(Model):
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `find_paths` that are given or have a default here."""
         return {
-            name: value for name, value in super().arguments().items() if (name, value) != ("scattering_order", None)
+            name: value
+            for name, value in super().arguments().items()
+            if name not in ("scattering_order", "direct") or value is not None
         }
 
 
