@@ -1,5 +1,7 @@
 from clsim import score as score
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
+from clsim.exchange.flac_files import write_flac
+from clsim.exchange.mat_files import write_mat
 from clsim.exchange.mcap_files import write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices
@@ -98,5 +100,7 @@ __all__ = [
     "run_study",
     "scatterer_truth",
     "track",
+    "write_flac",
+    "write_mat",
     "write_mcap",
 ]

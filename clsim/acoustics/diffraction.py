@@ -170,8 +170,8 @@ def transition(root: Floats) -> Complexes:
 
     Examples
     --------
-    >>> transition(np.array([0.0, 100.0])).round(6).tolist()
-    [(1-0j), (0.00399-0.003989j)]
+    >>> (transition(np.array([0.0, 100.0])).round(6) + 0).tolist()
+    [(1+0j), (0.00399-0.003989j)]
     """
     root = np.asarray(root, dtype=np.float64)
     beyond = np.flatnonzero(root < _LEAST_ROOT)

@@ -41,13 +41,17 @@ class Glint:
     hidden : ndarray (n,) bool
         Whether the body is between the ends.
     change : float
-        Largest change of u by the last step, rad.
+        Largest change of u by the last step, rad; infinity for what is guessed.
     """
 
     place: Floats
     normal: Floats
     hidden: NDArray[np.bool_]
     change: float
+
+    def guessed(self, normal: Floats) -> Glint:
+        """Return what is known by vectors (3, m) near to u of other ends."""
+        return Glint(normal, _unit(normal), np.zeros(normal.shape[1], dtype=np.bool_), math.inf)
 
 
 def ellipsoid_glint(
@@ -62,7 +66,7 @@ def ellipsoid_glint(
     source, receiver : ndarray (3, n)
         Both ends in the frame of the ellipsoid, outside of it, m.
     near : Glint, optional
-        That of nearly the same ends: one step is then made from it.
+        That of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
     weight : float or ndarray (n,)
         w, of the way to the receiver: ``(1 - M1) / (1 - M2)`` for a surface that moves at Mach numbers M1 off the
         source and M2 towards the receiver.
@@ -83,8 +87,9 @@ def ellipsoid_glint(
     """
     scale = semi_axes[:, None]
     between, hidden = _between(source / scale, receiver / scale)
-    if near is None:
-        u, change = _search(scale, source, receiver, between, weight)
+    if near is None or math.isinf(near.change):
+        begin = _unit(scale * (_unit(source) + _unit(receiver))) if near is None else near.normal
+        u, change = _search(scale, source, receiver, between, begin, weight)
     else:
         u, change = _newton(scale, source, receiver, near.normal, weight, _LONGEST_STEP)
     place = scale * u
@@ -168,9 +173,11 @@ def _between(s: Floats, r: Floats) -> tuple[Floats, Any]:
     return nearest, _dot(nearest, nearest) < 1.0
 
 
-def _search(scale: Floats, s: Floats, r: Floats, between: Floats, weight: Floats | float) -> tuple[Floats, Floats]:
+def _search(
+    scale: Floats, s: Floats, r: Floats, between: Floats, begin: Floats, weight: Floats | float
+) -> tuple[Floats, Floats]:
     """Return unit vectors (3, n) of the shortest ways, and by how much the last step has changed them."""
-    u, change = _newton(scale, s, r, _unit(scale * (_unit(s) + _unit(r))), weight, _LONGEST_STEP)
+    u, change = _newton(scale, s, r, begin, weight, _LONGEST_STEP)
     rest = np.flatnonzero(change > _FAR)
     if len(rest):
         some = weight[rest] if isinstance(weight, np.ndarray) else weight

@@ -29,7 +29,7 @@ def receiver_array(name: str, positions: ArrayLike, **arguments: Any) -> list[Re
     name : str
         What all names begin with.
     positions : array_like (n, 3)
-        m.
+        m; of arrays of pyroomacoustics and Acoular, which are (3, n), the transpose: ``array.R.T``, ``mics.pos.T``.
     **arguments
         Of `Receiver`, the same for all: directivity, aim, transducer, electronics.
 
@@ -88,13 +88,13 @@ def grid_positions(x: Any, y: Any, z: Any) -> Floats:
 
 
 def positions_from_file(path: str | PathLike[str]) -> Floats:
-    """Return positions (n, 3) from a text file, m.
+    """Return positions (n, 3) from a file, m.
 
     Parameters
     ----------
     path : path-like
         Three numbers a line, parted by commas, semicolons or spaces; lines that begin with ``#`` and a first line of
-        words are passed over.
+        words are passed over. Or a microphone geometry of Acoular (XML): a ``<pos x="" y="" z=""/>`` for each.
 
     Returns
     -------
@@ -104,13 +104,47 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
     Raises
     ------
     InputError
-        If the file cannot be read, holds no positions, or a line has not three finite numbers; the message names it.
+        If the file cannot be read, holds no positions, or a line (an element) has not three finite numbers; the message
+        names it.
     """
     try:
-        lines = read_file(path, LARGEST_TEXT).decode("utf-8-sig").splitlines()
+        content = read_file(path, LARGEST_TEXT)
+        is_xml = content.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
+        found = _from_xml(path, content) if is_xml else _from_lines(path, content.decode("utf-8-sig").splitlines())
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError("path", f"{path}: cannot be read: {reason}") from error
+    if not found:
+        raise InputError("path", f"{path}: must hold positions, but holds none")
+    return as_places("positions", found, (None, 3))
+
+
+def _from_xml(path: str | PathLike[str], content: bytes) -> list[list[float]]:
+    """Return what the elements ``pos`` of a file say."""
+    from xml.etree import ElementTree
+
+    if b"<!" in content.replace(b"<!--", b""):  # entities could make a small file as large as memory
+        raise InputError("path", f"{path}: must be XML without declarations such as <!DOCTYPE")
+    try:
+        elements = list(ElementTree.fromstring(content).iter("pos"))
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise InputError("path", f"{path}: must be XML, but {error}") from error
+    found = []
+    for number, element in enumerate(elements, 1):
+        words = [element.get(axis, "") for axis in "xyz"]
+        try:
+            values = [float(word) for word in words]
+        except ValueError:
+            values = [np.nan]
+        if not np.all(np.isfinite(values)):
+            problem = f"pos {number} must have x, y and z, finite numbers, but has {words!r:.80}"
+            raise InputError("path", f"{path}: {problem}")
+        found.append(values)
+    return found
+
+
+def _from_lines(path: str | PathLike[str], lines: list[str]) -> list[list[float]]:
+    """Return what lines of three numbers say."""
     found: list[list[float]] = []
     words_passed = False
     for number, line in enumerate(lines, 1):
@@ -127,9 +161,7 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
         if len(values) != 3 or not np.all(np.isfinite(values)):
             raise InputError("path", f"{path}: line {number} must be three finite numbers, but is {line!r:.80}")
         found.append(values)
-    if not found:
-        raise InputError("path", f"{path}: must hold positions, but holds none")
-    return as_places("positions", found, (None, 3))
+    return found
 
 
 def _axis(field: str, value: Any) -> Floats:

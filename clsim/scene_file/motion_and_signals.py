@@ -137,7 +137,8 @@ class _Waypoints(Model):
 class _File(Model):
     kind: Literal["file"]
     path: str
-    format: Literal["tum", "euroc", "csv"]
+    format: Literal["tum", "euroc", "csv", "rosbag"]
+    topic: str | None = None
     smooth: bool | float = True
     time_offset: float = 0.0
     rotate: Quaternion = [0.0, 0.0, 0.0, 1.0]

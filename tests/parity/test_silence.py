@@ -141,10 +141,10 @@ def test_cells_are_those_that_filters_hear(rng: np.random.Generator) -> None:
 
 MUTANTS = {
     "bounds too narrow": ("tracks", "cell_at(s, start - longest)] <=", "cell_at(s, start - longest + 200.0)] <="),
-    "first group too late": ("tracks", "* CELL - start + shortest;\n    const double end", "* CELL - start + longest + 40.0;\n    const double end"),
+    "first group too late": ("tracks", "* CELL - start + shortest;\n    const real end", "* CELL - start + longest + 40.0;\n    const real end"),
     "next block too late": ("tracks", "* CELL - start + shortest;\n    return", "* CELL - start + longest + 800.0;\n    return"),
     "last group too early": ("tracks", "+ 1) * CELL - start + longest", "+ 1) * CELL - start + shortest - 40.0"),
-    "cells before the origin": ("tracks", "s->origin + (double)block * BLOCK;\n    return", "(double)block * BLOCK;\n    return"),
+    "cells before the origin": ("tracks", "s->origin + (real)block * s->block_samples;\n    return", "(real)block * s->block_samples;\n    return"),
     "last node forgotten": ("tracks", "solved = block + 3;", "solved = block + 4;"),
     "first group left out": ("render", "+ MASK_FIRST(mask), end", "+ MASK_FIRST(mask) + 1, end"),
     "last group left out": ("render", "g < until; g += WORKERS", "g < until - 1; g += WORKERS"),

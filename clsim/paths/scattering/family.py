@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, Rows
     from clsim.paths.response import SceneResponse
 
-_AT_A_TIME = 4096  # nodes that are looked at together: what is worked on stays in the cache
+_AT_A_TIME = 6144  # nodes that are looked at together: what is worked on stays in the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,9 +98,9 @@ class ScatteredPaths(TwoSidedPaths):
         }
         for which in np.unique(self.scatterer[index]):
             mine = np.flatnonzero(self.scatterer[index] == which)
-            step = max(1, _AT_A_TIME // len(mine))
-            for first in range(0, len(times), step):
-                here = slice(first, first + step)
+            parts = -(-len(times) * len(mine) // _AT_A_TIME)
+            for part in range(parts):
+                here = slice(part * len(times) // parts, (part + 1) * len(times) // parts)
                 found = self._arrivals(int(which), index[mine], times[here], motion, amplitude)
                 for name, column in columns.items():
                     column[mine, here] = found[name]

@@ -6,17 +6,23 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from clsim.errors import InputError
 from clsim.paths.propagation import straight
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from clsim.acoustics.scattering import Glint
     from clsim.arrays import Floats
     from clsim.paths.propagation import Medium, Passage
     from clsim.scene.scatterer import Scatterer
 
 _ROUNDS = 60
+_APART = 4  # times from one at which ways are looked for to the next: between them it is known about where they are
+_LEAST = 6 * _APART  # times, for that
+_LONGEST_GAP = 0.05  # s between these
 _CLOSE = 1e-9  # s; the next step is about its square over a second
 _SETTLED = 1e-3  # rad of a specular point; its way is the shortest: wrong by the fourth power of this after the step
 
@@ -81,18 +87,20 @@ class Body:
     ----------
     scatterer : Scatterer
         Which.
+    glint : Glint, optional
+        What is known of its specular points.
     """
 
-    def __init__(self, scatterer: Scatterer) -> None:
+    def __init__(self, scatterer: Scatterer, glint: Glint | None = None) -> None:
         self._shape, self._trajectory = scatterer.shape, scatterer.trajectory
         self._turned = scatterer.trajectory.has_orientation and scatterer.shape.radius > 0.0
-        self._glint: Glint | None = None
+        self.glint = glint
         self._ends: tuple[Floats, Floats] | None = None
 
     @property
     def change(self) -> float:
         """By how much the specular point has turned when it was last looked for, rad."""
-        return 0.0 if self._glint is None else self._glint.change
+        return 0.0 if self.glint is None else self.glint.change
 
     def seen(self, times: Floats, source: Floats, receiver: Floats, weight: Floats | float) -> tuple[Floats, Floats]:
         """Return place and velocity (..., 3) of what scatters at times (...) for ends (..., 3).
@@ -106,11 +114,11 @@ class Body:
             away = [np.einsum("...ij,...i->...j", axes, v) for v in away]
         source, receiver = (np.ascontiguousarray(v.reshape(-1, 3).T) for v in away)
         flat = weight.ravel() if isinstance(weight, np.ndarray) else weight
-        self._glint = self._shape.glint(source, receiver, self._glint, flat)
+        self.glint = self._shape.glint(source, receiver, self.glint, flat)
         self._ends = source, receiver
-        if self._glint is None:
+        if self.glint is None:
             return centre, velocity
-        offset = self._glint.place.T.reshape(*times.shape, 3)
+        offset = self.glint.place.T.reshape(*times.shape, 3)
         if self._turned:
             offset = np.einsum("...ij,...j->...i", axes, offset)
             velocity = velocity + np.cross(self._trajectory.angular_velocity(times), offset)
@@ -119,7 +127,7 @@ class Body:
     def strength(self, shape: tuple[int, ...]) -> list[Floats]:
         """Return strength and cosine, of a shape, of what was last seen."""
         assert self._ends is not None
-        return [values.reshape(shape) for values in self._shape.strength(*self._ends, self._glint)]
+        return [values.reshape(shape) for values in self._shape.strength(*self._ends, self.glint)]
 
 
 def _axes(quaternions: Floats) -> Floats:
@@ -154,13 +162,60 @@ def scattered_way(medium: Medium, scatterer: Scatterer, ends: Ends, times: Float
     With the place x that scatters, ``late = travel time from x(t - late) to the receiver`` and ``delay - late = travel
     time from the source at t - delay to x(t - late)``, both by Newton's method together with the specular point: as its
     way is the shortest, that it moves over the surface changes no time, and x moves as the thing does.
+
+    Where times are many and near to each other, ways are looked for at every fourth of them first: quintic splines
+    through these are where the others begin, and change no more than how many steps that takes.
     """
-    body, shape = Body(scatterer), ends.heard_at.shape[:2]
-    weight: Floats | float = 1.0
-    now, centre = np.broadcast_to(times, shape), scatterer.trajectory.position(times)
+    few = np.arange(0, len(times), _APART)
+    if not retarded or len(times) < _LEAST or np.any(np.diff(times) <= 0.0) or np.diff(times[few]).max() > _LONGEST_GAP:
+        return _solved(medium, scatterer, ends, times, retarded, _begin(medium, scatterer, ends, times))[0]
+    few[-1] = len(times) - 1
+    some = _Some(ends, few)
+    known = _solved(medium, scatterer, some, times[few], True, _begin(medium, scatterer, some, times[few]))[1]
+    shares = make_interp_spline(times[few], np.eye(len(few)), k=5)(times).T
+    return _solved(medium, scatterer, ends, times, True, known.between(shares))[0]
+
+
+class _Some:
+    """Ends at some of the times."""
+
+    def __init__(self, ends: Ends, which: NDArray[np.int64]) -> None:
+        self.heard_at, self.receiver = ends.heard_at[:, which], ends.receiver[which]
+        self.emitted, self.leaving = ends.emitted, ends.leaving
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """About how long sound travels from a scatterer and to it (P, T), s, and where it is reflected, by which weight."""
+
+    late: Floats
+    first_time: Floats
+    glint: Glint | None
+    weight: Floats | float
+
+    def between(self, shares: Floats) -> _Known:
+        """Return the same at other times, as sums (T, others) of these."""
+        glint = self.glint
+        if glint is not None:
+            normal = glint.normal.reshape(3, *self.late.shape) @ shares
+            glint = glint.guessed(normal.reshape(3, -1))
+        return _Known(self.late @ shares, self.first_time @ shares, glint, self.weight @ shares)
+
+
+def _begin(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats) -> _Known:
+    """Return what the centre at the times of reception says."""
+    centre = scatterer.trajectory.position(times)
     late = medium.passage(straight(centre, ends.heard_at)[0], ends.receiver - centre).time
-    image, real, _ = ends.emitted(now)
-    first_time = medium.passage(straight(image, centre)[0], centre - real).time
+    image, real, _ = ends.emitted(np.broadcast_to(times, late.shape))
+    return _Known(late, medium.passage(straight(image, centre)[0], centre - real).time, None, 1.0)
+
+
+def _solved(
+    medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats, retarded: bool, known: _Known
+) -> tuple[Way, _Known]:
+    """Return the ways by Newton's method from what is known of them, and what is known then."""
+    body, shape = Body(scatterer, known.glint), ends.heard_at.shape[:2]
+    now, late, first_time, weight = np.broadcast_to(times, shape), known.late, known.first_time, known.weight
     for _ in range(_ROUNDS):
         event = times - late if retarded else now
         image, real, source_velocity = ends.emitted(event - first_time if retarded else event)
@@ -186,7 +241,8 @@ def scattered_way(medium: Medium, scatterer: Scatterer, ends: Ends, times: Float
             f"must be seen from both ends, but no way by {scatterer.name!r} was found from {times[0]:.6g} to "
             f"{times[-1]:.6g} s",
         )
-    return Way(late + first_time, first, second, mach, coming, leaving, place, *body.strength(shape))
+    way = Way(late + first_time, first, second, mach, coming, leaving, place, *body.strength(shape))
+    return way, _Known(late, first_time, body.glint, weight)
 
 
 def _leg(medium: Medium, start: Floats, stop: Floats, apart: Floats) -> Leg:

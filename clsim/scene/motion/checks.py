@@ -100,3 +100,16 @@ def as_path(value: Any) -> Path:
     if not isinstance(value, str | PathLike) or not str(value).strip():
         raise InputError("path", f"must be the path of a file, but is {value!r:.80}")
     return Path(value)
+
+
+def as_topic(value: Any) -> str:
+    """Return the field ``topic``.
+
+    Raises
+    ------
+    InputError
+        If it is no text, or empty.
+    """
+    if not isinstance(value, str) or not value.strip():
+        raise InputError("topic", f"must name the topic of a bag, such as '/robot/pose', but is {value!r:.80}")
+    return value

@@ -1,4 +1,4 @@
-"""Poses over time from text files: TUM, EuRoC and CSV, checked row by row."""
+"""Poses over time from files: TUM, EuRoC, CSV and ROS bags, checked row by row."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from clsim.arrays import FARTHEST
 from clsim.errors import InputError, warn
 from clsim.files.input_files import LARGEST_TEXT, read_file
+from clsim.scene.motion.bags import read_bag
 from clsim.scene.motion.checks import LONGEST
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
 
-FORMATS = ("tum", "euroc", "csv")
+FORMATS = ("tum", "euroc", "csv", "rosbag")
 REPAIRS = ("times", "gaps", "nan", "jumps")
 
 _POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -41,7 +42,7 @@ class Poses:
     file : str
         Its name, for messages.
     lines : ndarray (n,)
-        Number of each row's line, from 1.
+        Number of each row's line, or message, from 1.
     stamps : ndarray (n,) of str
         Times as written in the file.
     times : ndarray (n,)
@@ -52,6 +53,8 @@ class Poses:
         Unit quaternions x y z w.
     notes : tuple of str
         What was found and repaired, a sentence each.
+    row : {"line", "message"}
+        What the file calls a row.
     """
 
     file: str
@@ -61,10 +64,11 @@ class Poses:
     positions: Floats
     orientations: Floats | None
     notes: tuple[str, ...] = ()
+    row: str = "line"
 
     def where(self, row: int) -> str:
         """Return the place of a row for a message."""
-        return f"{self.file}, line {self.lines[row]}"
+        return f"{self.file}, {self.row} {self.lines[row]}"
 
     def without(self, bad: Bools, what: str) -> Poses:
         """Return the poses without the bad rows, with a note that says which.
@@ -77,7 +81,7 @@ class Poses:
         count, first = int(np.sum(bad)), int(np.argmax(bad))
         if 2 * count >= len(bad):
             raise InputError("repair", f"would drop {count} of {len(bad)} rows of {self.file} ({what})")
-        note = f"Dropped {count} of {len(bad)} rows ({what}), the first in line {self.lines[first]}."
+        note = f"Dropped {count} of {len(bad)} rows ({what}), the first in {self.row} {self.lines[first]}."
         keep = ~bad
         return replace(
             self,
@@ -91,19 +95,28 @@ class Poses:
 
 
 def read_poses(
-    path: Any, form: str, *, scale: float, repair: tuple[str, ...], max_speed: float, max_gap: float | None
+    path: Any,
+    form: str,
+    *,
+    topic: str | None,
+    scale: float,
+    repair: tuple[str, ...],
+    max_speed: float,
+    max_gap: float | None,
 ) -> Poses:
     """Read a file and check its rows.
 
     Parameters
     ----------
     path : path-like
-        A text file.
-    form : {"tum", "euroc", "csv"}
+        A text file, or a bag.
+    form : {"tum", "euroc", "csv", "rosbag"}
         TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the
         quaternion w, x, y, z; further columns are left. CSV: a header with ``t,x,y,z`` and perhaps
         ``qx,qy,qz,qw`` in any order; further columns are left. Lines that begin with ``#`` and empty lines
-        are skipped.
+        are skipped. Bags: see `read_bag`.
+    topic : str or None
+        Of a bag, and of nothing else.
     scale : float
         Metres in the file's unit of length.
     repair : tuple of str
@@ -125,7 +138,9 @@ def read_poses(
     InputError
         For what cannot be read and each fault that is not to be repaired, with line and value.
     """
-    poses = _parse(Path(path), form, drop="nan" in repair)
+    if form != "rosbag" and topic is not None:
+        raise InputError("topic", f"must be left out for the format {form!r}, but is {topic!r:.80}")
+    poses = (_from_bag if form == "rosbag" else _parse)(Path(path), topic or form, drop="nan" in repair)
     poses = replace(poses, positions=_scaled(poses, scale))
     poses = _with_unit_quaternions(poses)
     for name, check in (
@@ -139,6 +154,23 @@ def read_poses(
     if poses.times[-1] > LONGEST:
         raise InputError("path", f"{poses.file} must not last longer than {LONGEST:g} s")
     return poses
+
+
+def _from_bag(path: Path, topic: str, drop: bool) -> Poses:
+    """Return the poses of a topic of a bag; `drop` leaves out those that are not finite."""
+    found = read_bag(path, topic)
+    times = np.array([(stamp - found.stamps[0]) / 10**9 for stamp in found.stamps])  # of whole numbers: rounded once
+    poses = Poses(
+        path.name, np.arange(1, len(times) + 1), np.array(found.stamps, dtype=np.str_), times, found.positions,
+        found.orientations, (f"Poses of {topic} in the frame {found.frame!r}.",), "message",
+    )  # fmt: skip
+    bad = ~np.all(np.isfinite(np.hstack([poses.positions, found.orientations])), axis=1)
+    if not np.any(bad):
+        return poses
+    if not drop:
+        raise InputError("path", f"{poses.where(int(np.argmax(bad)))}: must be a pose of finite numbers")
+    poses = poses.without(bad, "no finite number")
+    return replace(poses, times=poses.times - poses.times[0])
 
 
 def _parse(path: Path, form: str, drop: bool) -> Poses:
@@ -306,7 +338,7 @@ def _check_jumps(poses: Poses, repair: bool, max_speed: float) -> Poses:
         raise InputError(
             "path",
             f"{poses.where(i)}: must not be faster than {max_speed:g} m/s (max_speed), but is "
-            f"{distance[i - 1]:.4g} m away from line {poses.lines[i - 1]} after {t[i] - t[i - 1]:.4g} s, "
+            f"{distance[i - 1]:.4g} m away from {poses.row} {poses.lines[i - 1]} after {t[i] - t[i - 1]:.4g} s, "
             f"{speed[i - 1]:.4g} m/s",
         )
     bad, good = np.zeros(len(t), dtype=np.bool_), i - 1
@@ -335,12 +367,12 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
     if made_up > _LONGEST_INVENTED:
         warn(
             f'{poses.file}: repair=("gaps",) makes up {made_up:.4g} s of motion, the most of it '
-            f"{steps.max():.4g} s before line {poses.lines[int(np.argmax(steps)) + 1]}; "
+            f"{steps.max():.4g} s before {poses.row} {poses.lines[int(np.argmax(steps)) + 1]}; "
             "leave that part out, or measure it again"
         )
     gaps = "1 gap" if len(wide) == 1 else f"{len(wide)} gaps"
     note = (
-        f"Bridged {gaps} longer than {longest:.4g} s, the first before line {poses.lines[i]}, "
+        f"Bridged {gaps} longer than {longest:.4g} s, the first before {poses.row} {poses.lines[i]}, "
         f"the longest {steps.max():.4g} s."
     )
     return replace(poses, notes=(*poses.notes, note))

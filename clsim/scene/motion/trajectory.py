@@ -18,6 +18,7 @@ from clsim.scene.motion.checks import (
     as_path,
     as_places,
     as_span,
+    as_topic,
 )
 from clsim.scene.motion.curves import Circular, Static, Straight, frame_about, kinks, legs_through, spline_through
 from clsim.scene.motion.motion import Motion
@@ -269,6 +270,7 @@ class Trajectory(Motion):
         path: str | PathLike[str],
         format: str = "tum",
         *,
+        topic: str | None = None,
         smooth: bool | float = True,
         time_offset: float = 0.0,
         rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
@@ -283,10 +285,13 @@ class Trajectory(Motion):
         Parameters
         ----------
         path : path-like
-            A text file.
-        format : {"tum", "euroc", "csv"}
+            A text file, or a ROS bag.
+        format : {"tum", "euroc", "csv", "rosbag"}
             TUM: ``t x y z qx qy qz qw``. EuRoC: nanoseconds, x, y, z, qw, qx, qy, qz. CSV: a header names
-            ``t,x,y,z`` and perhaps ``qx,qy,qz,qw``, in any order.
+            ``t,x,y,z`` and perhaps ``qx,qy,qz,qw``, in any order. A bag is of ROS 2 (a folder, ``.mcap``, ``.db3``)
+            or ROS 1 (``.bag``), and read without ROS (``clsim[ros]``); times are those of the messages' headers.
+        topic : str, optional
+            Of a bag, whose messages are PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped.
         smooth : bool or float
             True removes the noise and no more (cubic smoothing spline per axis by generalised
             cross-validation, see `residual`); a number is the rms residual to leave per axis, m; False is the
@@ -335,6 +340,7 @@ class Trajectory(Motion):
         poses = files.read_poses(
             as_path(path),
             as_choice("format", format, files.FORMATS),
+            topic=topic if format != "rosbag" else as_topic(topic),
             scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
             repair=as_choices("repair", repair, files.REPAIRS),
             max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),

@@ -97,6 +97,15 @@ def test_nonsense_is_an_error_in_a_line(scene: Path, capsys, old: str, new: str,
         ("a,b,c\nd,e,f\n1,2,3\n", "line 2 must be three numbers, but is 'd,e,f'"),
         ("1,2,3\nx,y,z\n", "line 2 must be three numbers, but is 'x,y,z'"),
         (b"\xff\xfe\x00", "cannot be read"),
+        ("<MicArray></MicArray>", "must hold positions, but holds none"),
+        (
+            "<MicArray><pos x='1' y='2'/></MicArray>",
+            "pos 1 must have x, y and z, finite numbers, but has .'1', '2', ''",
+        ),
+        ("<a><pos x='1' y='2' z='3'/><pos x='inf' y='2' z='0'/></a>", "pos 2 must have x, y and z, finite numbers"),
+        ("<MicArray><pos x='1'", "must be XML, but "),
+        ("<?xml version='1.0' encoding='nonsense'?><a/>", "must be XML, but "),
+        ("<!DOCTYPE a [<!ENTITY b '1'>]><a><pos x='&b;' y='2' z='3'/></a>", "must be XML without declarations"),
     ],
 )
 def test_files_without_positions_are_refused(tmp_path: Path, text, message: str) -> None:
@@ -104,6 +113,21 @@ def test_files_without_positions_are_refused(tmp_path: Path, text, message: str)
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(clsim.InputError, match=message):
         clsim.positions_from_file(path)
+
+
+def test_positions_of_other_programs(tmp_path: Path) -> None:
+    """Acoular's XML, blanks within the numbers and comments between them; pyroomacoustics' arrays, turned."""
+    path = tmp_path / "tub.xml"
+    path.write_text(
+        '<?xml version="1.0" encoding="utf-8"?>\n<!-- made by hand -->\n<MicArray name="tub">\n'
+        '  <pos Name="Point 1" x=" 0.1" y="-2e-1" z="0"/>\n  <pos Name="Point 2" x="1" y="2" z="3.5"/>\n</MicArray>\n'
+    )
+    np.testing.assert_array_equal(clsim.positions_from_file(path), [[0.1, -0.2, 0.0], [1.0, 2.0, 3.5]])
+    others = pytest.importorskip("pyroomacoustics", reason="pyroomacoustics is not installed")
+    array = others.MicrophoneArray(np.array([[0.1, 0.2], [1.0, 1.1], [2.0, 2.2]]), 48_000)
+    ends = clsim.receiver_array("m", array.R.T)
+    places = [end.trajectory.position(0.0).tolist() for end in ends]
+    assert places == [[0.1, 1.0, 2.0], [0.2, 1.1, 2.2]]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,129 @@
+"""Recordings as FLAC: 24-bit integers without loss of level, a file for each receiver."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import LOUDEST, as_number
+from clsim.errors import InputError
+from clsim.files.atomic import atomic_path
+from clsim.files.names import file_names
+from clsim.files.sound import as_frames
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from clsim.recording import Recording
+
+_STEPS = 2**23  # of 24 bits, on either side of 0
+_FINEST = 65_535  # Hz up to which the format's frames hold any whole rate; beyond, tens
+_FASTEST = 655_350  # Hz
+_BLOCK = 2**20  # samples converted at a time
+
+
+def write_flac(recording: Recording, folder: str | PathLike[str], *, full_scale: float | None = None) -> list[Path]:
+    """Write a recording as FLAC files of 24 bits, one for each receiver.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of a sampling rate up to 65 535 Hz in whole Hz, or up to 655 350 Hz in tens of Hz: FLAC holds no other.
+    folder : path-like
+        Where ``NAME.flac`` are put; it is made where it is not there. Names are as a run's WAV files have them.
+    full_scale : float, optional
+        What 1 means in a file, Pa or V; by default, for each unit, the least power of two above all its samples, so
+        that receivers compare.
+
+    Returns
+    -------
+    list of Path
+        One per receiver.
+
+    Raises
+    ------
+    InputError
+        If the format does not hold the sampling rate, or a sample is beyond full scale: nothing is clipped.
+    OSError
+        If a file cannot be written; nothing is left of that one then.
+
+    Notes
+    -----
+    A WAV file holds floats in Pa or V; FLAC holds integers, here those nearest to sample / full scale x 2^23, wrong by
+    2^-24 of full scale at most (-144 dB). A file's comment says its full scale (``full_scale=2 Pa``), its title the
+    receiver. In baseband there are two channels, real part (I) before imaginary part (Q).
+    """
+    rate = _rate(recording.sampling_rate)
+    scales = _full_scales(recording, full_scale)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{name}.flac" for name in file_names(recording.receiver_names)]
+    rows = zip(paths, recording.samples, recording.receiver_names, recording.units, strict=True)
+    for path, samples, name, unit in rows:
+        _write(path, as_frames(samples[None]), rate, scales[unit], (name, unit))
+    return paths
+
+
+def _rate(value: float) -> int:
+    step = 1 if value <= _FINEST else 10
+    if not (1.0 <= value <= _FASTEST and float(value / step).is_integer()):
+        raise InputError(
+            "recording",
+            f"must have, for FLAC, a sampling rate of whole Hz up to {_FINEST} or of tens of Hz up to {_FASTEST}, "
+            f"but has {value!r} Hz: save() writes WAV",
+        )
+    return int(value)
+
+
+def _full_scales(recording: Recording, given: float | None) -> dict[str, float]:
+    """Return what 1 means for each unit, above all samples in it."""
+    if given is not None:
+        given = as_number("full_scale", given, above=0.0, at_most=LOUDEST)
+    found = {}
+    for unit in sorted(set(recording.units)):
+        rows = [row for row, own in zip(recording.samples, recording.units, strict=True) if own == unit]
+        peak = max(_peak(row) for row in rows)
+        if not math.isfinite(peak):
+            raise InputError("recording", "must be finite for FLAC, but holds a sample that is not")
+        if given is not None and round(peak / given * _STEPS) >= _STEPS:
+            raise InputError(
+                "full_scale", f"must be above all samples, whose largest is {peak:g} {unit}, but is {given:g}"
+            )
+        found[unit] = given if given is not None else _power_above(peak)
+    return found
+
+
+def _peak(row: NDArray[Any]) -> float:
+    parts = (row.real, row.imag) if np.iscomplexobj(row) else (row,)
+    return max(float(np.abs(part).max(initial=0.0)) for part in parts)
+
+
+def _power_above(peak: float) -> float:
+    """Return the least power of two whose integers hold a peak; 1 for silence."""
+    if not peak:
+        return 1.0
+    power = 2.0 ** math.frexp(peak)[1]
+    return power if round(peak / power * _STEPS) < _STEPS else 2.0 * power
+
+
+def _write(path: Path, frames: NDArray[np.float32], rate: int, scale: float, what: tuple[str, str]) -> None:
+    import soundfile
+
+    try:
+        with (
+            atomic_path(path) as temporary,
+            soundfile.SoundFile(
+                temporary, "w", samplerate=rate, channels=frames.shape[1], subtype="PCM_24", format="FLAC"
+            ) as file,
+        ):
+            file.title, file.comment = what[0], f"full_scale={scale:.17g} {what[1]}"
+            for first in range(0, len(frames), _BLOCK):
+                part = np.rint(frames[first : first + _BLOCK].astype(np.float64) * (_STEPS / scale))
+                file.write(part.astype(np.int32) << 8)  # 24 bits are the upper ones of 32
+    except RuntimeError as error:  # libsndfile
+        raise OSError(f"cannot write {path}: {error}") from error
