@@ -25,7 +25,7 @@ _TOKEN = re.compile(
     r"|(?P<word>[A-Za-z_]\w*|\d[\w.]*)|(?P<operator>\+\+|--|&&|\|\||->|<<|>>|[-+*/%&|^<>=!]=|[^\s\\])|(?P<end>(?<!\\)\n)",
     re.MULTILINE,
 )  # fmt: skip
-_UNOPTIMISED = {"tracks"}  # of which a test runs so little that optimising takes longer
+_UNOPTIMISED = {"tracks", "edge_intervals"}  # of which a test runs so little that optimising takes longer
 _CHOICE = """size_t __attribute__((overloadable, const)) get_global_offset(uint);
 #define MUTANT(number) (get_global_offset(2) == number)
 """

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from made_meshes import box, joined, l_room, pillar_room, screen
 from mutants import Mutants
+from same_intervals import same
 
 import clsim
 from clsim.paths.propagation import UniformAir
@@ -89,24 +90,11 @@ def found_on_host(name, case) -> list[tuple[Candidates, Intervals]]:
     return [(c, find_intervals(asked, c.sequence[c.row], c.receiver)) for c in candidates(*case)]
 
 
-def same(got: Intervals, twin: Intervals) -> bool:
-    """Return whether intervals agree to a step; those of a few steps may be missing on either side."""
-
-    def long(found: Intervals) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        keep = found.end - found.begin > 3 * STEP
-        return found.path[keep], found.begin[keep], found.end[keep]
-
-    (p, a, b), (q, c, d) = long(got), long(twin)
-    if p.tolist() != q.tolist():
-        return False
-    return bool(np.all(np.abs(a - c) <= 1.01 * STEP) and np.all(np.abs(b - d) <= 1.01 * STEP))
-
-
 def agree(wanted: dict[str, list[tuple[Candidates, Intervals]]]) -> bool:
     for name, parts in wanted.items():
         search = DeviceSearch(query(name, *CASES[name]))
         for c, twin in parts:
-            if not same(search.find(c.sequence[c.row], c.receiver), twin):
+            if not same(search.find(c.sequence[c.row], c.receiver), twin, STEP):
                 return False
     return True
 
