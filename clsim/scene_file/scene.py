@@ -293,8 +293,8 @@ def referenced_files(file: SceneFile) -> list[Path]:
     """Return the files that a scene file names: meshes, sounds, tables, trajectories; all those of a bag's folder."""
     content = file.model.model_dump(exclude_none=True, warnings=False)
     named = [file.base / part[key] for part, key in _paths_within(content)]
-    inside = {path: sorted(path.rglob("*")) for path in named if path.is_dir()}
-    return [found for path in named for found in inside.get(path, [path]) if not found.is_dir()]
+    inside = {path: sorted(one for one in path.rglob("*") if one.is_file()) for path in named if path.is_dir()}
+    return [found for path in named for found in inside.get(path, [path])]
 
 
 def _paths_within(content: Any) -> list[tuple[dict[str, Any], str]]:
