@@ -37,6 +37,7 @@ from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
+from clsim.scene.walking import walking_person
 from clsim.scene_file import load_scene
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
@@ -100,6 +101,7 @@ __all__ = [
     "run_study",
     "scatterer_truth",
     "track",
+    "walking_person",
     "write_flac",
     "write_mat",
     "write_mcap",

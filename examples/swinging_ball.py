@@ -34,8 +34,7 @@ def main() -> None:
     ball = clsim.Scatterer.sphere("ball", 0.05, clsim.Trajectory.sampled(swing, DURATION + 0.1, 500.0))
     room = clsim.Shoebox((7.0, 5.0, 2.5), clsim.Material.from_reflection(0.7))
     scene = clsim.Scene(room, clsim.Air(), [sonar], [ear], scatterers=[ball])
-    paths = clsim.find_paths(scene, max_order=0, scattering_order=1)
-    echoes = clsim.PathSet(scene, paths.families[1:])  # without the direct sound, which is 40 dB louder
+    echoes = clsim.find_paths(scene, max_order=0, scattering_order=1, direct=False)
     heard = clsim.render(echoes, RATE, baseband=(CARRIER, 1.5e3), duration=DURATION)
     draw(heard, clsim.scatterer_truth(scene, np.linspace(0.05, DURATION - 0.05, 400)), folder / "swinging_ball.png")
 

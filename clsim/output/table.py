@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.scattering.truth import ScattererTruth
 
 _NAMES = ("source_names", "receiver_names", "object_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more
@@ -69,8 +70,10 @@ def check_table(name: str, field: str = "path") -> None:
         check_packages(field, "Parquet", "parquet", "pyarrow")
 
 
-def write_ground_truth(found: DirectPath, path: str | os.PathLike[str]) -> None:
-    """Write what receivers should find out of the direct sound as ``.npz``: arrays as in `DirectPath`.
+def write_ground_truth(
+    found: DirectPath, path: str | os.PathLike[str], scattered: ScattererTruth | None = None
+) -> None:
+    """Write what receivers should find out as ``.npz``: arrays as in `DirectPath`, and ``scatterer_`` of scatterers.
 
     Parameters
     ----------
@@ -78,6 +81,8 @@ def write_ground_truth(found: DirectPath, path: str | os.PathLike[str]) -> None:
         From `direct_path`.
     path : path-like
         Of the file.
+    scattered : ScattererTruth, optional
+        Of the same times.
 
     Raises
     ------
@@ -86,6 +91,9 @@ def write_ground_truth(found: DirectPath, path: str | os.PathLike[str]) -> None:
     """
     columns: dict[str, Any] = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
     columns = {name: np.array(value) if name in _NAMES else value for name, value in columns.items()}
+    if scattered is not None:
+        columns |= {f"scatterer_{name}": getattr(scattered, name) for name in scattered.MEASURES}
+        columns["scatterer_names"] = np.array(scattered.scatterer_names)
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **columns)
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from clsim.arrays import as_choice, as_count, as_number
+import numpy as np
+
+from clsim.arrays import as_choice, as_count, as_flag, as_number
 from clsim.errors import InputError
 from clsim.paths.diffraction.search import double_edge_paths, edge_paths
 from clsim.paths.path_set import PathSet
@@ -33,6 +35,7 @@ def find_paths(
     *,
     diffraction: int = 0,
     scattering_order: int = 0,
+    direct: bool = True,
     path_limit: int = DEFAULT_PATH_LIMIT,
     finder: str = "auto",
     resolution: float | None = None,
@@ -53,6 +56,9 @@ def find_paths(
         before and after it, or 2 for those over two edges of one face as well.
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3.
+    direct : bool
+        Whether paths by nothing are among them; without them a sonar hears no cross-talk of its own source, and with
+        `max_order` 0 nothing but echoes of scatterers.
     path_limit : int
         Number of paths above which the search is refused or given up.
     finder : {"auto", "beam-tree", "shooting"}
@@ -96,7 +102,7 @@ def find_paths(
     as_choice("engine", engine, ENGINES)
     if resolution is not None:
         resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
-    limit = as_count("path_limit", path_limit, at_least=1)
+    limit, by_nothing = as_count("path_limit", path_limit, at_least=1), as_flag("direct", direct)
     edges = as_count("diffraction", diffraction, at_most=LARGEST_DIFFRACTION)
     report = progress or (lambda share: None)
     legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
@@ -106,6 +112,8 @@ def find_paths(
         found = (*found, kind(scene, search, found))
     if scene.scatterers:
         found = (*found, scattered_paths(scene, search, _specular_paths))
+    if not by_nothing:
+        found = tuple(family.part(np.flatnonzero(family.order)) for family in found)
     return PathSet(scene, found)
 
 

@@ -173,6 +173,7 @@ class _Paths(Model):
     max_order: int
     diffraction: int = 0
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
+    direct: bool | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
     path_limit: int = DEFAULT_PATH_LIMIT
@@ -180,7 +181,9 @@ class _Paths(Model):
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `find_paths` that are given or have a default here."""
         return {
-            name: value for name, value in super().arguments().items() if (name, value) != ("scattering_order", None)
+            name: value
+            for name, value in super().arguments().items()
+            if name not in ("scattering_order", "direct") or value is not None
         }
 
 
@@ -290,8 +293,8 @@ def referenced_files(file: SceneFile) -> list[Path]:
     """Return the files that a scene file names: meshes, sounds, tables, trajectories; all those of a bag's folder."""
     content = file.model.model_dump(exclude_none=True, warnings=False)
     named = [file.base / part[key] for part, key in _paths_within(content)]
-    inside = {path: sorted(path.rglob("*")) for path in named if path.is_dir()}
-    return [found for path in named for found in inside.get(path, [path]) if not found.is_dir()]
+    inside = {path: sorted(one for one in path.rglob("*") if one.is_file()) for path in named if path.is_dir()}
+    return [found for path in named for found in inside.get(path, [path])]
 
 
 def _paths_within(content: Any) -> list[tuple[dict[str, Any], str]]:

@@ -13,6 +13,7 @@ from clsim.errors import InputError, warn
 from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
+from clsim.paths.scattering.truth import scatterer_truth
 from clsim.render.planning import plan_render
 from clsim.scene_file.scene import completed_scene, referenced_files
 from clsim.version import __version__
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from clsim.paths.ground_truth import DirectPath
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
+    from clsim.paths.scattering.truth import ScattererTruth
     from clsim.render.plan import Plan
     from clsim.scene_file.scene import SceneFile
     from clsim.workflow.console import Progress
@@ -59,6 +61,11 @@ class PlannedScene:
     def ground_truth(self, times: Floats) -> DirectPath:
         """Return what receivers should find out of the direct sound, at times of reception, s."""
         return direct_path(self.paths, times, self.plan.options.motion)
+
+    def scattered_truth(self, times: Floats) -> ScattererTruth | None:
+        """Return what they should find out of scatterers, None without any, at times of reception, s."""
+        scene = self.paths.scene
+        return scatterer_truth(scene, times, self.plan.options.motion) if scene.scatterers else None
 
     def completed(self, folder: Path) -> str:
         """Return the text of the scene file with all defaults and what was chosen, that works from a folder."""

@@ -1,5 +1,6 @@
 """What everything else makes of scatterers: tables, pages, files, engines, baseband, resumed runs, walls in the way."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,13 @@ from clsim.cli import main
 from clsim.output.table import read_table, write_table
 from clsim.paths.path_set import PathSet
 from clsim.paths.view import viewed
+from clsim.render import planning
+from clsim.render.contributions import Stateless
 from clsim.render.static_pairs import find_static_pairs
+from clsim.study.content import computed
+from clsim.study.file import load_study
 from clsim.tracks.pruning import pruned
+from clsim.workflow import checkpoint
 
 RATE = 96e3
 SCENE = """
@@ -50,6 +56,14 @@ scattering_order = 1
 sampling_rate = 96e3
 duration = 0.06
 chunk = 18432
+"""
+STUDY = """
+format = 1
+scene = "scene.toml"
+keep = ["ground_truth"]
+[[vary]]
+field = "paths.max_order"
+values = [0]
 """
 
 
@@ -175,17 +189,90 @@ def test_without_scatterers_nothing_is_looked_for(paths: PathSet) -> None:
     assert paths.families[0].digest() == found.families[0].digest()
 
 
-def test_a_run_that_was_stopped_goes_on(file: Any, tmp_path: Path, device: None) -> None:
+@dataclass(frozen=True)
+class Failing(Stateless):
+    """Adds nothing, and fails at a sample."""
+
+    at: int
+    name: str = "failing"
+
+    def describe(self) -> list[str]:
+        return []
+
+    def digest(self) -> str:
+        return ""
+
+    def begin(self) -> "Failing":
+        return self
+
+    def add(self, pressure: np.ndarray, start: int) -> None:
+        if start == self.at:
+            raise clsim.DeviceError("the device is lost")
+
+
+def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None) -> None:
+    """Bit for bit, of a sonar's echoes alone; and the completed scene is the same scene."""
+    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
     scene = tmp_path / "scene.toml"
-    scene.write_text(SCENE, "utf-8")
+    text = SCENE.replace("duration = 0.2 }", "duration = 0.6 }").replace("duration = 0.06", "duration = 0.5")
+    text = text.replace("duration = 0.02,", "duration = 0.5,").replace("scattering_order = 1", "direct = false")
+    scene.write_text(text.replace("max_order = 1", "max_order = 0\nscattering_order = 0"), "utf-8")
+    fails = [-1]
+    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
     assert main(["run", str(scene), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
+    fails[0] = 18432
+    assert main(["run", str(scene), "-o", str(tmp_path / "b"), "--no-plots"]) == 2
+    fails[0] = -1
+    assert main(["run", str(scene), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
+    whole = (tmp_path / "a" / "ear.wav").read_bytes()
+    assert whole == (tmp_path / "b" / "ear.wav").read_bytes()
+    assert np.any(np.frombuffer(whole[100_000:140_000], dtype=np.uint8))
+    with np.load(tmp_path / "a" / "ground_truth.npz") as found:
+        truth = clsim.scatterer_truth(clsim.load_scene(scene).scene, found["times"])
+        assert found["scatterer_names"].tolist() == ["hand", "ball", "bat"]
+        np.testing.assert_array_equal(found["scatterer_range"], truth.range)
+        np.testing.assert_array_equal(found["scatterer_bearing"], truth.bearing)
+        assert not found["line_of_sight"].any()  # left out, it is not heard
     complete = (tmp_path / "a" / "scene.completed.toml").read_text("utf-8")
-    assert "scattering_order = 1" in complete
+    assert "scattering_order = 0" in complete
+    assert "direct = false" in complete
     assert complete.count("[[scatterers]]") == 3
     again = tmp_path / "again.toml"
     again.write_text(complete, "utf-8")
     assert main(["run", str(again), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
-    assert (tmp_path / "a" / "ear.wav").read_bytes() == (tmp_path / "b" / "ear.wav").read_bytes()
+
+
+def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> None:
+    pytest.importorskip("zarr")
+    (tmp_path / "scene.toml").write_text(SCENE.replace("scattering_order = 1", "scattering_order = 0"), "utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, "utf-8")
+    study = load_study(tmp_path / "study.toml")
+    content = computed(study, study.members[0], None, tmp_path / "member")[0]
+    truth = clsim.scatterer_truth(file.scene, content.times.values)
+    assert content.scatterer.values.tolist() == ["hand", "ball", "bat"]
+    assert content.scatterer_radial_speed.dims == ("scatterer", "source", "receiver", "times")
+    assert content.scatterer_bearing.shape == truth.bearing.shape
+    np.testing.assert_array_equal(content.scatterer_range, truth.range)
+    assert content.scatterer_delay.attrs["units"] == "s"
+
+
+def test_a_sonar_without_its_cross_talk(file: Any, paths: PathSet, direct: PathSet) -> None:
+    """Echoes alone, or with the room; nothing else changes."""
+    echoes = clsim.find_paths(file.scene, 0, direct=False)
+    assert echoes.order.tolist() == [1, 1, 1]
+    assert [echoes.object_names[i] for i in echoes.objects[:, 0]] == ["hand", "ball", "bat"]
+    wanted = clsim.render(PathSet(file.scene, direct.families[1:]), RATE, duration=0.06).pressure
+    np.testing.assert_array_equal(clsim.render(echoes, RATE, duration=0.06).pressure, wanted)
+    assert np.any(wanted)
+    both = clsim.find_paths(file.scene, 1, scattering_order=1, direct=False)
+    assert len(both) == len(paths) - 1
+    assert both.order.min() == 1
+    bare = clsim.Scene(file.scene.room, clsim.Air(), file.scene.sources, file.scene.receivers)
+    nothing = clsim.find_paths(bare, 0, direct=False)
+    assert len(nothing) == 0
+    assert not np.any(clsim.render(nothing, RATE, duration=0.01).pressure)
+    with pytest.raises(clsim.InputError, match="direct: must be True or False"):
+        clsim.find_paths(file.scene, 0, direct=0)
 
 
 def test_walls_hide_scatterers_for_as_long_as_they_are_in_the_way() -> None:

@@ -197,6 +197,18 @@ def test_doppler_factors_are_the_derivatives_of_delays_to_ten_digits(moving: cls
     np.testing.assert_allclose(family.arrivals(slice(None), times).delay_rate, wanted, atol=2e-11)
 
 
+def test_ways_that_begin_at_those_before_and_after_are_the_same(moving: clsim.PathSet) -> None:
+    """At many times splines say where Newton's method begins, at few the geometry does."""
+    family, times = moving.families[1], np.arange(0.1, 0.45, 0.004)
+    every = family.arrivals(slice(None), times)
+    for first in range(0, len(times), 10):
+        few = family.arrivals(slice(None), times[first : first + 10])
+        here = (slice(None), slice(first, first + 10))
+        np.testing.assert_allclose(every.delay[here], few.delay, rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(every.delay_rate[here], few.delay_rate, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(every.strength[here], few.strength, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize(("speed", "shift"), [(1.0, 233.918), (5.0, 1183.432), (20.0, 4953.560)])
 def test_a_point_that_comes_nearer_is_a_moving_mirror(speed: float, shift: float) -> None:
     """Its Doppler factor is that of a mirror at normal incidence, (1 + M) / (1 - M)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
@@ -39,6 +39,8 @@ class ScattererTruth:
         Unit vectors from the receiver to where it scatters, in the room.
     scatterer_names, source_names, receiver_names : tuple of str
         What the axes mean.
+    MEASURES : tuple of str
+        Names of the fields with an axis of scatterers.
     """
 
     times: Floats
@@ -50,6 +52,8 @@ class ScattererTruth:
     scatterer_names: tuple[str, ...]
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
+
+    MEASURES: ClassVar[tuple[str, ...]] = ("delay", "doppler_factor", "range", "radial_speed", "bearing")
 
 
 def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> ScattererTruth:

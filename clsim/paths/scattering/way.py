@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from clsim.errors import InputError
 from clsim.paths.propagation import straight
@@ -166,6 +165,8 @@ def scattered_way(medium: Medium, scatterer: Scatterer, ends: Ends, times: Float
     Where times are many and near to each other, ways are looked for at every fourth of them first: quintic splines
     through these are where the others begin, and change no more than how many steps that takes.
     """
+    from scipy.interpolate import make_interp_spline
+
     few = np.arange(0, len(times), _APART)
     if not retarded or len(times) < _LEAST or np.any(np.diff(times) <= 0.0) or np.diff(times[few]).max() > _LONGEST_GAP:
         return _solved(medium, scatterer, ends, times, retarded, _begin(medium, scatterer, ends, times))[0]

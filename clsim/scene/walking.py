@@ -1,0 +1,169 @@
+"""People who walk: ellipsoids on the joints of a published gait."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import Floats, as_number, read_only
+from clsim.errors import InputError
+from clsim.scene.gait import FASTEST, SLOWEST, cycle_duration, gait_at
+from clsim.scene.motion.curves import spline_through
+from clsim.scene.motion.orientation import quaternion_product, turning_between
+from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.scatterer import Scatterer
+
+if TYPE_CHECKING:
+    from clsim.scene.gait import Gait
+
+    Pose = dict[str, tuple[Floats, tuple[Floats, Floats, Floats]]]
+
+# Lengths over the height of a person: R. Drillis and R. Contini, Body segment parameters (New York University, 1966).
+LEG, _THIGH, _SHANK, _FOOT_HEIGHT, _FOOT = 0.53, 0.245, 0.246, 0.039, 0.152
+_UPPER_ARM, _FOREARM, _SHOULDERS, _HIPS, _TRUNK = 0.186, 0.2, 0.129, 0.0955, 0.288
+_HEEL = 0.04  # behind the ankle
+_TURNS, _EVERY = 1000.0, 4  # Hz of orientations; positions are splines through every fourth
+
+# Semi-axes forward, aside and along, over the height: our own choice.
+PARTS = {
+    "head": (0.055, 0.045, 0.065), "chest": (0.065, 0.1, 0.11), "pelvis": (0.06, 0.095, 0.07),
+    "upper arm": (0.028, 0.028, 0.5 * _UPPER_ARM), "forearm": (0.022, 0.022, 0.5 * _FOREARM),
+    "thigh": (0.045, 0.045, 0.5 * _THIGH), "shank": (0.032, 0.032, 0.5 * _SHANK), "foot": (0.5 * _FOOT, 0.025, 0.02),
+}  # fmt: skip
+
+
+def walking_person(name: str, height: float, trajectory: Trajectory) -> list[Scatterer]:
+    """Return what a walking person scatters by: 13 ellipsoids on the gait of Boulic and Thalmann.
+
+    Parameters
+    ----------
+    name : str
+        Before the names of the parts: "name head", "name left shank" and so on.
+    height : float
+        m, above 0.
+    trajectory : Trajectory
+        Where the person walks, on the ground, so that its height is that of the soles. Its speed decides how long steps
+        are and how far limbs swing, its direction where the person looks; an orientation is not used.
+
+    Returns
+    -------
+    list of Scatterer
+        For the `scatterers` of a `Scene`, from the trajectory's start to its end.
+
+    Raises
+    ------
+    InputError
+        If the trajectory is at rest, or slower or faster than what was measured: 0.1 to 3 leg lengths (of 0.53 heights)
+        a second.
+
+    Notes
+    -----
+    R. Boulic, N. Magnenat-Thalmann and D. Thalmann, The Visual Computer 6 (1990), 344-358; see `clsim.scene.gait`. Two
+    steps take ``1.346 / sqrt(v)`` s at v leg lengths a second. Soles are on the ground in the mean of a walk, and
+    within 3 cm up to 1.4 leg lengths a second; feet slide a little, as the model has it. Where the speed changes within
+    a step, angles follow at once. Lengths of limbs are those of R. Drillis and R. Contini (1966).
+
+    Examples
+    --------
+    >>> from clsim import Trajectory, walking_person
+    >>> parts = walking_person("Ada", 1.75, Trajectory.line((1, 2, 0), (4, 2, 0), 3.0))
+    >>> len(parts), parts[0].name
+    (13, 'Ada head')
+    """
+    tall = as_number("height", height, above=0.0, at_most=10.0, unit="m")
+    times, phase, speed, heading = _walk(trajectory, LEG * tall)
+    made, pose = [], _posed(gait_at(phase, speed))
+    ground = np.mean(_lowest(pose))
+    for part, (place, angles) in pose.items():
+        turned = heading[:, None] * [0, 0, 1] + np.stack(angles[::-1], axis=1)
+        places = trajectory.position(times) + _turned(tall * (place - [0.0, 0.0, ground]), heading)
+        x, y, z = (_about(axis, turned[:, axis]) for axis in range(3))
+        quaternions = quaternion_product(z, quaternion_product(y, x))
+        way = Trajectory(
+            spline_through(times[::_EVERY], places[::_EVERY], "not-a-knot"), trajectory.start, trajectory.end,
+            turning_between(read_only(times), quaternions),
+        )  # fmt: skip
+        axes = tall * np.array(PARTS[part.removeprefix("left ").removeprefix("right ")])
+        made.append(Scatterer.ellipsoid(f"{name} {part}", axes, way))
+    return made
+
+
+def _walk(trajectory: Trajectory, leg: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return instants (n,), s, phases in cycles, speeds in legs a second, and headings, rad."""
+    if not isinstance(trajectory, Trajectory):
+        raise InputError("trajectory", f"must be a Trajectory, but is {trajectory!r:.80}")
+    if trajectory.is_static:
+        raise InputError("trajectory", "must move, for a person to walk, but is at rest")
+    count = _EVERY * max(4, math.ceil((trajectory.end - trajectory.start) * _TURNS / _EVERY))
+    times = np.linspace(trajectory.start, trajectory.end, count + 1)
+    velocity = trajectory.velocity(times)[:, :2]
+    speed = np.linalg.norm(velocity, axis=1) / leg
+    bad = np.flatnonzero((speed < SLOWEST) | (speed > FASTEST))
+    if len(bad):
+        raise InputError(
+            "trajectory",
+            f"must walk at {SLOWEST * leg:.3g} to {FASTEST * leg:.3g} m/s, but is at {speed[bad[0]] * leg:.3g} m/s at "
+            f"{times[bad[0]]:.6g} s",
+        )
+    rate = 1.0 / cycle_duration(speed)
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(times)
+    phase = np.concatenate([[0.0], np.cumsum(steps)])
+    return times, phase, speed, np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+
+
+def _posed(gait: Gait) -> Pose:
+    """Return places (n, 3) of parts, in heights, x forward and z from the ground, and angles about z, y and x, rad."""
+    none = np.zeros_like(gait.up)
+    root = LEG * np.stack([gait.forward, gait.left, 1.0 + gait.up], axis=1)
+    trunk = gait.thorax, -gait.lean, none
+    made = {
+        "head": (root + _frame(trunk, 0.0, 0.0, _TRUNK + 0.11), trunk),
+        "chest": (root + _frame(trunk, 0.0, 0.0, 0.19), trunk),
+        "pelvis": (root + _frame((gait.turn, none, gait.tilt), 0.0, 0.0, 0.02), (gait.turn, none, gait.tilt)),
+    }
+    for row, (side, aside) in enumerate((("right", -1.0), ("left", 1.0))):
+        shoulder = root + _frame(trunk, 0.0, aside * _SHOULDERS, _TRUNK)
+        hip = root + _frame((gait.turn, none, gait.tilt), 0.0, aside * _HIPS, 0.0)
+        for begin, names, lengths, swings in (
+            (shoulder, ("upper arm", "forearm"), (_UPPER_ARM, _FOREARM), (gait.shoulder, gait.shoulder + gait.elbow)),
+            (hip, ("thigh", "shank"), (_THIGH, _SHANK), (gait.hip, gait.hip - gait.knee)),
+        ):
+            for part, length, swing in zip(names, lengths, swings, strict=True):
+                angles = none, -swing[row], none
+                made[f"{side} {part}"] = begin + _frame(angles, 0.0, 0.0, -0.5 * length), angles
+                begin = begin + _frame(angles, 0.0, 0.0, -length)
+        angles = none, gait.knee[row] - gait.hip[row] - gait.ankle[row], none
+        made[f"{side} foot"] = begin + _frame(angles, 0.5 * _FOOT - _HEEL, 0.0, 0.02 - _FOOT_HEIGHT), angles
+    return made
+
+
+def _lowest(pose: Pose) -> Floats:
+    """Return how high the lower of both soles is (n,), in heights."""
+    ends = []
+    for side in ("right", "left"):
+        place, angles = pose[f"{side} foot"]
+        ends += [place + _frame(angles, x, 0.0, -0.02) for x in (-0.5 * _FOOT, 0.5 * _FOOT)]
+    return np.asarray(np.min(ends, axis=0)[:, 2])
+
+
+def _frame(angles: tuple[Floats, Floats, Floats], x: float, y: float, z: float) -> Floats:
+    """Return where a place of a frame is (n, 3) that is turned about x, then y, then z by angles (n,)."""
+    about_z, about_y, about_x = angles
+    aside, up = y * np.cos(about_x) - z * np.sin(about_x), y * np.sin(about_x) + z * np.cos(about_x)
+    ahead, up = x * np.cos(about_y) + up * np.sin(about_y), up * np.cos(about_y) - x * np.sin(about_y)
+    return _turned(np.stack([ahead, aside, up], axis=1), about_z)
+
+
+def _turned(places: Floats, heading: Floats) -> Floats:
+    """Return places (n, 3) turned about z by angles (n,)."""
+    x, y, c, s = places[:, 0], places[:, 1], np.cos(heading), np.sin(heading)
+    return np.stack([c * x - s * y, s * x + c * y, places[:, 2]], axis=1)
+
+
+def _about(axis: int, angle: Floats) -> Floats:
+    """Return quaternions (n, 4) that turn about an axis by angles (n,)."""
+    made = np.zeros((len(angle), 4))
+    made[:, axis], made[:, 3] = np.sin(0.5 * angle), np.cos(0.5 * angle)
+    return made
