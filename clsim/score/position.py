@@ -1,17 +1,18 @@
-"""Positions by ranges to several anchors, against the truth; and what the anchors' geometry makes of errors."""
+"""Positions by ranges to several anchors, against the truth."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_number, read_only
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.pictures.notebook import html_table
+from clsim.score.dilution import FLATTEST, METHODS, gdop
 from clsim.score.ranging import RangingScore
 
 if TYPE_CHECKING:
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from clsim.scene.room.protocol import Room
-
-Multilateration = Literal["toa", "tdoa"]
-METHODS: tuple[str, ...] = get_args(Multilateration)
-_FLATTEST = 1e-9  # least singular value of a geometry that says something
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,79 +202,6 @@ def position(scores: RangingScore | Sequence[RangingScore], method: str = "toa")
     )  # fmt: skip
 
 
-def gdop(anchors: Floats, place: Floats, method: str = "toa") -> float:
-    """Return the dilution of precision at a place.
-
-    Parameters
-    ----------
-    anchors : array_like (n, 3)
-        m.
-    place : array_like (3,)
-        m.
-    method : {"toa", "tdoa"}
-        As in `position`.
-
-    Returns
-    -------
-    float
-        Standard deviation of the position over that of every range, a ratio; inf where the anchors leave it open.
-
-    Raises
-    ------
-    InputError
-        If a value is not finite, or the method is none.
-
-    Notes
-    -----
-    The root of the trace, over the three coordinates, of ``(H' H)^-1``, with a row of H for each anchor: the unit
-    vector from it to the place and, for differences, 1 (E. D. Kaplan, C. J. Hegarty, "Understanding GPS", 2nd edition,
-    2006, section 7.3.1).
-    """
-    anchors, place = as_floats("anchors", anchors, (None, 3)), as_floats("place", place, (3,))
-    as_choice("method", method, METHODS)
-    away = place - anchors
-    rows = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), _FLATTEST)
-    if method == "tdoa":
-        rows = np.hstack([rows, np.ones((len(rows), 1))])
-    if len(rows) < rows.shape[1]:
-        return math.inf
-    _, sizes, turned = np.linalg.svd(rows, full_matrices=False)
-    if sizes[-1] < _FLATTEST:
-        return math.inf
-    return float(np.linalg.norm(turned[:, :3] / sizes[:, None]))
-
-
-def gdop_map(anchors: Floats, x: Floats, y: Floats, z: float, method: str = "toa") -> Floats:
-    """Return the dilution of precision over a plane.
-
-    Parameters
-    ----------
-    anchors : array_like (n, 3)
-        m.
-    x : array_like (X,)
-        m.
-    y : array_like (Y,)
-        m.
-    z : float
-        Height, m.
-    method : {"toa", "tdoa"}
-        As in `position`.
-
-    Returns
-    -------
-    ndarray (Y, X)
-        Ratios, as `gdop` returns them.
-
-    Raises
-    ------
-    InputError
-        If a value is not finite, or the method is none.
-    """
-    x, y = as_floats("x", x, (None,)), as_floats("y", y, (None,))
-    height = as_number("z", z, unit="m")
-    return np.array([[gdop(anchors, np.array([a, b, height]), method) for a in x] for b in y])
-
-
 _Given = tuple[Floats, Floats, Floats, tuple[str, ...]]
 
 
@@ -322,7 +246,7 @@ def _located(anchors: Floats, ranges: Floats, method: str, room: Room) -> Floats
 
     def slopes(unknown: Floats) -> Floats:
         away = unknown[:3] - anchors
-        rows = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), _FLATTEST)
+        rows = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), FLATTEST)
         return np.hstack([rows, np.ones((len(rows), 1))]) if free else rows
 
     count = 4 if free else 3

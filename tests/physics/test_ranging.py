@@ -144,9 +144,11 @@ def test_dilution_of_precision() -> None:
     assert gdop(axes, [0, 0, 0], "tdoa") == math.inf
     assert gdop(axes * [1, 1, 0], [0, 0, 0]) == math.inf  # none of them sees z
     plane = gdop_map(corners, [-0.5, 0.0, 0.5], [0.0], 0.0, "tdoa")
-    assert plane.shape == (1, 3)
-    assert plane[0, 1] == pytest.approx(1.5)
-    assert plane[0, 0] > 1.5
+    assert plane.gdop.shape == (1, 3)
+    assert plane.gdop[0, 1] == pytest.approx(1.5)
+    assert plane.gdop[0, 0] > 1.5
+    assert plane.to_dataframe()["gdop"].tolist() == plane.gdop[0].tolist()
+    assert plane.plot().get_xlabel() == "x (m)"
 
 
 def test_what_is_hidden_and_what_is_louder_than_the_direct_sound() -> None:

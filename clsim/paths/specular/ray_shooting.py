@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import unique_rows
-from clsim.errors import ClsimError
+from clsim.packages import check_packages
 from clsim.paths.specular.beam_tree import Candidates
 from clsim.scene.motion.instants import Instants
 
@@ -53,7 +53,7 @@ class ShotRays:
 
     Raises
     ------
-    ClsimError
+    InputError
         If embreex is not installed.
     """
 
@@ -64,11 +64,10 @@ class ShotRays:
             self._positions = self._positions + _OFF_WALL * room.walls.size * mount.normal
         self.share = 0.0
         self._halves: dict[bytes, int] = {}
-        try:
-            from trimesh import Trimesh
-            from trimesh.ray.ray_pyembree import RayMeshIntersector
-        except ImportError as error:
-            raise ClsimError('shooting needs embreex: pip install "clsim[shooting]"') from error
+        check_packages("finder", "shooting", "shooting", "embreex")
+        from trimesh import Trimesh
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+
         self._middle = 0.5 * (room.extent[0] + room.extent[1])  # float32 is finest around 0
         mesh = Trimesh(room.vertices - self._middle, room.triangles, process=False)
         self._rays = RayMeshIntersector(mesh)
