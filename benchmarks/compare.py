@@ -85,7 +85,7 @@ class Kernel:
         Compiler.kernel = kernel
         try:
             paths = clsim.find_paths(make_scene(2.0), 10)
-            clsim.render(paths, RATE, duration=2.0, responses="centre")
+            clsim.render(paths, RATE, duration=2.0, responses="centre", narrowband=False)
         finally:
             Compiler.kernel = original
         self._launch, self._queue, self._items, given = kept
