@@ -69,7 +69,7 @@ def ours(order: int, duration: float = 1.0, receivers: int = 1) -> tuple[int, fl
 class Kernel:
     """The last launch of the kernel that sums paths, and the same sum by a plain loop in C, on all cores."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, paths: clsim.PathSet, duration: float) -> None:
         original, kept = Compiler.kernel, []
 
         def kernel(compiler: Compiler, program: str, constants: dict) -> object:
@@ -84,8 +84,7 @@ class Kernel:
 
         Compiler.kernel = kernel
         try:
-            paths = clsim.find_paths(make_scene(2.0), 10)
-            clsim.render(paths, RATE, duration=2.0, responses="centre", narrowband=False)
+            clsim.render(paths, RATE, duration=duration, responses="centre", narrowband=False)
         finally:
             Compiler.kernel = original
         self._launch, self._queue, self._items, given = kept
@@ -102,7 +101,7 @@ class Kernel:
         flags = ["-O3", "-march=native", "-ffast-math", "-funroll-loops", "-shared", "-fPIC"]
         subprocess.run(["cc", *flags, "-o", library, HERE / "plain_loop.c"], check=True)
         self._loop = ctypes.CDLL(str(library)).render
-        self.samples = int(given["subblocks"]) * 32
+        self.samples, self.slots = int(given["subblocks"]) * 32, slots
 
     def plain(self) -> np.ndarray:
         """Return the pressure of the loop in C."""
@@ -271,7 +270,7 @@ def measured() -> tuple[dict[str, dict[str, list[tuple[float, float]]]], list[tu
     count, whole = by_paths["clsim"][-1]
     rows: list[tuple[str, ...]] = []
     with tempfile.TemporaryDirectory() as folder:
-        kernel = Kernel(Path(folder))
+        kernel = Kernel(Path(folder), clsim.find_paths(make_scene(2.0), 10), 2.0)
         ratios, apart = [], kernel.opencl() - kernel.plain()
         for _ in range(7):
             ratios.append(timed(kernel.plain, 1) / timed(kernel.opencl, 1))

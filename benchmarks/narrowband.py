@@ -15,7 +15,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from rates import PlainLoop, Stages
+from compare import Kernel
 
 import clsim
 from clsim.render.planning import plan_render
@@ -108,16 +108,14 @@ def against_the_loop(duration: float, order: int, repeat: int) -> str:
     signal = SIGNALS["40 kHz tone, abrupt ends"]
     short, paths = (found(signal(d), d, order) for d in (1.0, duration))
     plan = plan_render(short, RATE, duration=1.0, responses="centre", narrowband=False)
-    with Stages() as stages:
-        record(plan)
     timed(paths, duration)
     calls, loops = [], []
     with tempfile.TemporaryDirectory() as folder:
-        loop = PlainLoop(stages.launch, Path(folder))
+        loop = Kernel(Path(folder), short, 1.0)
         for _ in range(repeat):
             calls.append(len(paths) * duration * RATE / timed(paths, duration)[0])
             begun = time.process_time()
-            loop.run(1)
+            loop.plain()
             loops.append(loop.slots * loop.samples / (time.process_time() - begun))
     branches, ratio = len(plan.source_filters[0].bank.taps), max(calls) / max(loops)
     return (
