@@ -27,9 +27,10 @@ def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]
 def inline_page(field: str, page: str, height: int) -> Any:
     """Return what shows a whole HTML page in a notebook, so many pixels high; `field` asks for it."""
     check_packages(field, "a notebook", "notebook", "IPython")
-    from IPython.display import HTML
+    from IPython import display
 
-    return HTML(
+    shown: Any = display.HTML  # its types are not told
+    return shown(
         f'<div><iframe srcdoc="{html.escape(page)}" width="100%" height="{height}" style="border: 0"></iframe></div>'
     )
 
@@ -37,6 +38,7 @@ def inline_page(field: str, page: str, height: int) -> Any:
 def inline_sound(field: str, samples: NDArray[Any], rate: int) -> Any:
     """Return what plays samples (n,) in a notebook at a rate, Hz; `field` asks for it."""
     check_packages(field, "a notebook", "notebook", "IPython")
-    from IPython.display import Audio
+    from IPython import display
 
-    return Audio(data=samples, rate=rate)
+    played: Any = display.Audio  # its types are not told
+    return played(data=samples, rate=rate)
