@@ -1,5 +1,6 @@
 """Measures of a room: T30 against pyroomacoustics' from the same response; formulae against their own cases."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -78,3 +79,23 @@ def test_what_has_no_measures_is_refused(responses: clsim.ImpulseResponses) -> N
         clsim.room_measures(responses, "decade")
     with pytest.raises(clsim.InputError, match="responses: must be ImpulseResponses"):
         clsim.room_measures(responses.samples)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("bands", "lowest"), [("octave", 2000.0), ("third-octave", 4000.0)])
+def test_measures_by_band_of_three_impulses(responses: clsim.ImpulseResponses, bands: str, lowest: float) -> None:
+    """Of 1, 1/2 after 60 ms and 1/4 after 200 ms, which are the same in every band wide enough to have rung out in 2.5 ms.
+
+    A filter of third order falls by ``exp(-pi B t / 2)``: what is left after 2.5 ms is below 0.1 % of an impulse's energy.
+    """
+    made = np.zeros_like(responses.samples)
+    begin = responses.lead + math.floor(responses.first_arrivals[0, 0] * RATE)
+    for late, height in ((0.0, 1.0), (0.06, 0.5), (0.2, 0.25)):
+        made[0, 0, begin + round(late * RATE)] = height
+    found = clsim.room_measures(dataclasses.replace(responses, samples=made), bands)
+    wide = found.frequencies >= lowest
+    assert wide.any()
+    for measure, exact in (
+        (found.c50, 10.0 * math.log10(1.0 / 0.3125)), (found.c80, 10.0 * math.log10(1.25 / 0.0625)),
+        (found.drr, 10.0 * math.log10(1.0 / 0.3125)), (found.d50, 1.0 / 1.3125),
+    ):  # fmt: skip
+        np.testing.assert_allclose(measure[0, 0, wide], exact, rtol=0.0, atol=0.02)

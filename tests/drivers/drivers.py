@@ -98,8 +98,9 @@ def render(driver: Driver, folder: Path, *names: str, mutant: tuple[str, ...] = 
 def apart_db(folder: Path, other: Path, name: str) -> float:
     """Return how far apart two drivers are."""
     one, two = (np.load(f / f"{name}.npz")["heard"] for f in (folder, other))
-    assert np.all(np.isfinite(one))
-    assert np.any(one)
+    for heard in (one, two):
+        assert np.all(np.isfinite(heard))
+        assert np.any(heard)
     return float(20 * np.log10(np.linalg.norm(one - two) / np.linalg.norm(two) + 1e-20))
 
 

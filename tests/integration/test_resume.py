@@ -55,6 +55,14 @@ chunk = 18432
 """
 LONG = SCENE % (0.6, 2)  # seven chunks
 SHORT = SCENE % (1.2, 1)
+AIR = """
+[air]
+temperature_celsius = [19.0, 22.0]
+dispersion = true
+wind = [0.3, -0.2, 0.0]
+fluctuation = { rms = 2e-6, correlation_time = 0.2, correlation_length = 0.3, seed = 3 }
+[room]
+"""
 KINDS = ("wav", "zarr", "hdf5")
 FILES = {"wav": ["ber_left.wav", "right.wav"], "zarr": ["recording.zarr"], "hdf5": ["recording.h5"]}
 
@@ -88,9 +96,9 @@ def scene(tmp_path: Path) -> Path:
 
 
 def test_a_killed_run_ends_like_one_that_was_not(killer: Killer, tmp_path: Path, device) -> None:
-    """On a device; `test_kills` has more moments, and all stores."""
+    """On a device, in air of every kind; `test_kills` has more moments, and all stores."""
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
-    scene.write_text(LONG, "utf-8")
+    scene.write_text(LONG.replace("[room]", AIR), "utf-8")
     assert main(command(scene, tmp_path / "whole", "wav")) == 0
     reached = []
     for moment in (2, 4):  # when one chunk is noted, and when another one is; going on reads the journal twice

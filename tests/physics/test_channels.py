@@ -43,7 +43,7 @@ def envelope(signal: clsim.Signal, rate: float, count: int) -> np.ndarray:
 
 def test_taps_filter_as_the_baseband_rendering_does(paths: clsim.PathSet) -> None:
     """Every sample by its own taps: what is left out of the band is below -60 dB, and so is the difference."""
-    rendered = clsim.render(paths, sampling_rate=RATE, engine="reference", baseband=(CARRIER, BAND, 6e3), duration=0.04)
+    rendered = clsim.render(paths, sampling_rate=RATE, baseband=(CARRIER, BAND, 6e3), duration=0.04)
     rate, count = rendered.sampling_rate, rendered.samples.shape[1]
     sent = envelope(paths.scene.sources[0].signal, rate, count)
     found = paths.taps(rendered.times, carrier=CARRIER, bandwidth=BAND, sampling_rate=rate)

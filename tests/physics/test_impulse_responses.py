@@ -1,5 +1,7 @@
 """Impulse responses against closed forms, sums over the spectrum and the engines."""
 
+from dataclasses import replace
+
 import frozen_sums
 import numpy as np
 import pytest
@@ -66,6 +68,19 @@ def test_one_path_is_its_closed_form(band: tuple[float, float] | None) -> None:
     exact = 10 ** (-AIR.absorption_at(f) * (distance - 1) / 20) / distance
     exact = exact * np.exp(-2j * np.pi * f * distance / AIR.speed_of_sound)
     assert np.abs(spectrum(found, f) - exact).max() < 10 ** (-115 / 20) / distance
+
+
+def test_one_path_in_air_that_disperses_has_its_wavenumber() -> None:
+    """Over the whole band; the first metre is passed at the speed of the signal's centre."""
+    air = clsim.Air(dispersion=True)
+    found = clsim.impulse_responses(clsim.find_paths(replace(fixed(), air=air), 0), RATE)
+    distance = float(np.linalg.norm(np.subtract(A, B)))
+    f = np.linspace(200.0, 0.475 * RATE, 200)
+    k = air.wavenumber_at(f)
+    exact = np.exp((k.imag - 1j * k.real) * (distance - 1) - 2j * np.pi * f / air.speed_at(40e3)) / distance
+    assert np.abs(spectrum(found, f) - exact).max() < 10 ** (-115 / 20) / distance
+    still = np.exp(k.imag * (distance - 1) - 2j * np.pi * f * distance / air.speed_of_sound) / distance
+    assert np.abs(still - exact).max() > 10 ** (-10 / 20) / distance
 
 
 @pytest.mark.parametrize("place", [(3.7, 2.9, 2.2), (3.7, 2.9, 2.2003), (3.7, 2.901, 2.2)])

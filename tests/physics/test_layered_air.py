@@ -120,6 +120,23 @@ def test_air_that_is_the_same_everywhere_is_the_plain_one_to_the_last_bit() -> N
         np.testing.assert_array_equal(same.gain, plain.gain)
 
 
+@pytest.mark.parametrize("kind", ["shoebox", "mesh", "edges"])
+def test_air_that_is_the_same_everywhere_is_rendered_as_the_plain_one_to_the_last_bit(kind: str) -> None:
+    """Paths by walls and over edges, of ends that move."""
+    wall = clsim.Material.from_reflection(0.9)
+    room = {"mesh": clsim.MeshRoom(*box(SIZE), wall), "edges": corner()}.get(kind)
+    found = []
+    for air in (clsim.Air(21.0, 0.4), clsim.Air((21.0, 21.0), lambda z: 0.4 + 0.0 * z)):
+        paths = clsim.find_paths(scene(MOVING, RISING, air, room), 1, diffraction=int(kind == "edges"))
+        table = paths.table(np.linspace(0.0, 0.4, 9))
+        heard = clsim.render(paths, 192e3, duration=0.05).pressure
+        assert np.abs(heard).max() > 1e-3
+        assert (kind == "edges") == bool((table.interactions == 1).any())
+        found.append((table.delay, table.gain, table.doppler_factor, heard))
+    for same, plain in zip(*found, strict=True):
+        np.testing.assert_array_equal(same, plain)
+
+
 def test_pairs_hold_at_told_heights_and_functions_everywhere() -> None:
     told = at_rest(heated(temperature_celsius=(20.0, 22.0), heights=(1.0, 3.0)), 1).table([0.0]).delay
     np.testing.assert_allclose(at_rest(heated(), 1).table([0.0]).delay, told, rtol=1e-12)

@@ -197,6 +197,19 @@ def test_a_sonar_sees_a_wall_come_nearer() -> None:
     # The peak between bins and ranges is at most 1.42 dB lower (Hann) than the path is loud.
     assert 0.8 < level.max() / (0.8 / (2.0 * middle)) < 1.02
     np.testing.assert_allclose(np.ptp(found.speeds), C / (2 * 40e3 * period) * (count - 1) / count, rtol=1e-3)
+    pytest.importorskip("pandas")
+    frame = found.to_dataframe()
+    far = frame[frame["range"] >= 0.5]
+    loudest = far.loc[far.amplitude.abs().idxmax()]
+    assert (loudest["range"], loudest.speed) == (found.ranges[column], found.speeds[row])
+    labelled = found.to_xarray()
+    assert labelled.sel(speed=found.speeds[row], range=found.ranges[column]) == found.amplitude[row, column]
+    from matplotlib import pyplot
+
+    pyplot.switch_backend("agg")
+    drawn = found.plot().collections[0].get_array()
+    np.testing.assert_allclose(drawn, 20.0 * np.log10(np.abs(found.amplitude)), rtol=1e-12)
+    pyplot.close("all")
 
 
 def test_what_cannot_be_scored_is_refused(receding: clsim.Recording) -> None:

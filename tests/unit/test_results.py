@@ -1,5 +1,6 @@
 """Results as people pick them up: tables, arrays with names and units, pictures, sound, notebooks, folders."""
 
+import io
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import soundfile
 
 import clsim
 from clsim.cli import main
@@ -182,7 +184,11 @@ def test_pages_and_sound_in_notebooks(recording: clsim.Recording) -> None:
     assert "robot to right, direct" not in page
     sound = recording.play("right", slower=10)
     assert b"WAVE" in sound.data[:16]
-    assert int.from_bytes(sound.data[24:28], "little") == 19200
+    played, rate = soundfile.read(io.BytesIO(sound.data))
+    assert rate == 19200
+    heard = recording.samples[1].astype(float)
+    np.testing.assert_allclose(played, heard * (played @ heard) / (heard @ heard), atol=2.0**-15)
+    assert np.abs(played).max() > 0.5
 
 
 @pytest.mark.parametrize(

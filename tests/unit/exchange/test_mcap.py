@@ -74,8 +74,10 @@ def test_poses_and_ranges_are_the_ground_truth(recording: clsim.Recording, messa
         assert log_time == stamp(content.header) == START + t * 20_000_000
         place = content.pose.position
         np.testing.assert_array_equal([place.x, place.y, place.z], paths.scene.sources[0].trajectory.position(times[t]))
+        assert ranges[t][0] == stamp(ranges[t][1].header) == log_time
         assert ranges[t][1].range == np.float32(paths.scene.air.speed_of_sound * exact.delay[0, 1, t])
         transforms = messages["/tf"][t][1].transforms
+        assert {messages["/tf"][t][0], *(stamp(one.header) for one in transforms)} == {log_time}
         assert [one.child_frame_id for one in transforms] == ["robot", "a_b", "c"]
         turn = transforms[2].transform.rotation
         turned = paths.scene.receivers[1].orientation(np.zeros(1))[0]
