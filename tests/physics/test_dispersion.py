@@ -265,3 +265,25 @@ def test_engines_agree_among_walls_and_beams_with_phases():
         clsim.render(paths, RATE, duration=0.05, engine=e).pressure[0].astype(float) for e in ("reference", "opencl")
     )
     assert error_db(got, exact) < -85.0
+
+
+def test_the_picture_of_air_shows_the_speed(tmp_path, monkeypatch):
+    """`clsim plot air` draws what the wavenumber says, a curve for each humidity."""
+    from matplotlib.figure import Figure
+
+    from clsim.cli import main
+
+    drawn, save = [], Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, *args, **more: (drawn.append(figure), save(figure, *args, **more))
+    )
+    assert main(["plot", "air", "-o", str(tmp_path / "air.png"), "--temperature", "25"]) == 0
+    assert (tmp_path / "air.png").stat().st_size > 10_000
+    axes = next(a for a in drawn[0].axes if "speed" in a.get_title())
+    curves = [line.get_xydata().T for line in axes.lines if len(line.get_xdata()) > 2]
+    humidities = [float(text.get_text().split()[0]) / 100.0 for text in drawn[0].axes[0].get_legend().get_texts()]
+    assert len(humidities) == len(curves)
+    for humidity, (khz, told) in zip(humidities, curves, strict=True):
+        air = Air(25.0, humidity, dispersion=True)
+        exact = [1e3 * (air.speed_at(1e3 * f) - air.speed_of_sound) for f in khz]
+        np.testing.assert_allclose(told, exact, rtol=0.0, atol=1e-6)  # mm/s
