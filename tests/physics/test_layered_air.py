@@ -172,6 +172,12 @@ def test_rates_are_the_derivatives_of_delays(kind: str) -> None:
     assert np.abs(flat.table([now]).doppler_factor[heard, 0] - table.doppler_factor[heard, 1]).max() > 1e-6
 
 
+@pytest.mark.parametrize("air", [heated(), clsim.Air(fluctuation=clsim.Fluctuation(1e-6, 1.0, 1.0))])
+def test_paths_over_two_edges_are_refused(air: clsim.Air) -> None:
+    with pytest.raises(clsim.InputError, match="diffraction: must be at most 1 where the air depends on the height"):
+        clsim.find_paths(scene(MOVING, RISING, air, corner()), 0, diffraction=2)
+
+
 def slanted() -> tuple[np.ndarray, np.ndarray]:
     """Return a box whose ceiling rises along x."""
     points, triangles = box(SIZE)
