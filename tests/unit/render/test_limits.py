@@ -9,6 +9,7 @@ import pytest
 
 import clsim
 from clsim.opencl import device as device_module
+from clsim.opencl.compiler import Compiler
 from clsim.opencl.limits import LONGEST_LAUNCH, check_group
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.batches import fill_batch
@@ -82,6 +83,42 @@ def test_launches_are_short_by_estimate() -> None:
     assert operations <= LONGEST_LAUNCH * 4 * 8 * 0.5e9
     assert limits.segments_in_launch(10**7, 768) == 1
     assert Limits(made, dataclasses.replace(LAPTOP, kind="CPU"), 1).segments_in_launch(paths, 8) > 10**6
+
+
+@pytest.mark.parametrize(
+    ("clock_hz", "least"), [(3e6, {"branches": 2, "render": 4}), (1.5e8, {"branches": 1, "render": 3})]
+)
+def test_no_launch_is_longer_than_its_estimate(
+    device: None, described: Callable, monkeypatch: pytest.MonkeyPatch, clock_hz: float, least: dict[str, int]
+) -> None:
+    """Launches of a whole rendering: operations by their own arguments, against those of 0.2 s, but for one segment."""
+    made = plan(order=3, duration=0.4)
+    described(kind="GPU", compute_units=1, clock_hz=clock_hz)
+    launches, kernel = [], Compiler.kernel
+
+    def noted(compiler, program, constants):
+        launch = kernel(compiler, program, constants)
+
+        def call(queue, items, **arguments):
+            launches.append((program, items[0][0], constants | arguments))
+            return launch(queue, items, **arguments)
+
+        return call
+
+    monkeypatch.setattr(Compiler, "kernel", noted)
+    OpenclEngine(made, CPU_LAYOUT).render(0, made.samples)
+    rows, longest = int(made.source_filters[0].rows[-1]), made.tracks.longest_delay(0.0, made.duration) * RATE
+    for program, size, told in launches:
+        if program == "branches":  # beside the chunk's samples there are those of the longest delay, rounded up
+            samples, operations = told["width"] - 1.4 * longest, 2 * told["tap_count"] * rows
+        elif program == "render":
+            samples = size // told["WORKERS"] * told["SUBBLOCKS"] * made.subblock(0, made.blocks[0])
+            operations = 2 * rows * made.path_count
+        else:
+            continue
+        assert samples <= SEGMENT or samples * operations <= LONGEST_LAUNCH * 4 * clock_hz, (program, samples)
+    for program, count in least.items():
+        assert sum(name == program for name, *_ in launches) >= count
 
 
 def test_paths_are_parted_where_one_launch_of_all_is_too_long(
