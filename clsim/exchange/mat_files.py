@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_number
+from clsim.arrays import as_number, texts
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
 from clsim.paths.ground_truth import direct_path
@@ -80,7 +80,7 @@ def write_mat(recording: Recording, path: str | PathLike[str], *, rate: float = 
 
 def _cells(words: Sequence[str]) -> NDArray[Any]:
     """Return texts as a cell array (n, 1)."""
-    return np.array(list(words), dtype=object).reshape(-1, 1)
+    return texts(words).reshape(-1, 1)
 
 
 def _ground_truth(paths: PathSet, duration: float, rate: float) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_number, read_only, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.pictures.notebook import html_table
@@ -140,7 +140,7 @@ class RangingScore:
 
         receivers, emissions = self.delay.shape
         columns = {
-            "receiver": np.repeat(np.array(self.receiver_names, dtype=object), emissions),
+            "receiver": np.repeat(texts(self.receiver_names), emissions),
             "emission": np.tile(np.arange(emissions), receivers),
             "emission_time": np.tile(self.emission_times, receivers),
         }
