@@ -311,20 +311,14 @@ def scene_schema() -> dict[str, Any]:
 
 def explain(error: ValidationError, content: Any) -> InputError:
     """Return one of pydantic's complaints in our words, with the field's path."""
-    # A misspelt key comes before what is then missing.
+    # A misspelt key comes before what is then missing; of a number or a list of numbers, what is wrong within the list.
     complaints = error.errors(include_url=False)
     first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
-    field, at = "", content
-    steps = first["loc"]
-    for i, step in enumerate(steps):
-        known = isinstance(at, dict | list) and (step in at if isinstance(at, dict) else isinstance(step, int))
-        if isinstance(step, str) and not known and i < len(steps) - 1:
-            continue  # the name of a union's member, which no file holds
-        if isinstance(step, str) and not known and first["type"] not in ("missing", "extra_forbidden"):
-            continue
-        word = step or '""'  # an empty key is one, too
-        field += f"[{step}]" if isinstance(step, int) else f".{word}" if field else str(word)
-        at = at[step] if known else None
+    field = _field_of(first, content)
+    for complaint in complaints:
+        inner = _field_of(complaint, content)
+        if inner.startswith(f"{field}["):
+            first, field = complaint, inner
     kind, context = first["type"], first.get("ctx", {})
     if kind == "missing":
         return InputError(field, "must be given, but is missing")
@@ -336,6 +330,21 @@ def explain(error: ValidationError, content: Any) -> InputError:
         return InputError(f"{field}.kind", f"must be one of {context['expected_tags']}, but is {context['tag']!r:.80}")
     message = first["msg"].replace("Input should be ", "must be ")
     return InputError(field, f"{message}, but is {first['input']!r:.80}")
+
+
+def _field_of(complaint: Any, content: Any) -> str:
+    """Return the path of the field that pydantic complains of."""
+    field, at, steps = "", content, complaint["loc"]
+    for i, step in enumerate(steps):
+        known = isinstance(at, dict | list) and (step in at if isinstance(at, dict) else isinstance(step, int))
+        if isinstance(step, str) and not known and i < len(steps) - 1:
+            continue  # the name of a union's member, which no file holds
+        if isinstance(step, str) and not known and complaint["type"] not in ("missing", "extra_forbidden"):
+            continue
+        word = step or '""'  # an empty key is one, too
+        field += f"[{step}]" if isinstance(step, int) else f".{word}" if field else str(word)
+        at = at[step] if known else None
+    return field
 
 
 def _choices(field: str) -> str:
