@@ -36,7 +36,10 @@ RESPONSES = 9600  # room impulse responses a second
 ORDERS, EARS, DURATIONS = (1, 2, 4, 6, 8, 10), (1, 4, 16, 64), (0.25, 1.0, 4.0, 10.0)
 UP = 16  # times the sampling rate at which Acoular reads the signal
 BEGIN, END = "<!-- written by compare.py -->", "<!-- end -->"
-PEERS = {"Numba": "numba", "pyroomacoustics": "pyroomacoustics", "Acoular": "acoular"}
+BY_PATHS, BY_EARS, BY_TIME = "paths (1 s, one receiver)", "receivers (order 3, 1 s)", "duration, s (order 6)"
+
+Row = tuple[str, ...]
+Panels = dict[str, dict[str, list[tuple[float, float]]]]  # lines of the plots: seconds against something
 
 
 def make_scene(duration: float, receivers: int = 1, room: bool = True) -> clsim.Scene:
@@ -136,16 +139,16 @@ class Kernel:
         return out[int(self._given["first_sample"]) :][: self.samples]
 
 
-def numba_seconds() -> Callable[[int], float]:
-    """Return what tells the seconds of a Numba loop for an order, 1 s and a receiver, from some of its samples.
+def numba_loop(margin: int) -> Callable[..., np.ndarray]:
+    """Return what makes samples of sound of images (P, 3, 3) and (P, 3) that stand for paths of gains (P,).
 
     In float32, on all cores: the time of emission by three iterations, and 13 barycentric Lagrange taps, for every path and
-    sample. Its source moves along a straight line, which spares it sines.
+    sample. Its source moves along a straight line, which spares it sines; its signal begins so many samples late.
     """
     import numba
 
     weight = np.array([1 / math.prod(k - j for j in range(13) if j != k) for k in range(13)], np.float32)
-    margin, c, one, speed = 200_000, np.float32(343.994), np.float32(1.0), np.float32(6.0)
+    c, one, speed = np.float32(343.994), np.float32(1.0), np.float32(6.0)
     signal = make_scene(1.0).sources[0].signal.read(-margin, int(RATE) + margin).astype(np.float32)
 
     @numba.njit(parallel=True, fastmath=True)
@@ -176,11 +179,18 @@ def numba_seconds() -> Callable[[int], float]:
             out[n] = total
         return out
 
+    return loop
+
+
+def numba_seconds() -> Callable[[int], float]:
+    """Return what tells the seconds of a Numba loop for an order, 1 s and a receiver, from some of its samples."""
+    loop = numba_loop(200_000)
+
     def seconds(order: int) -> float:
         images = clsim.find_paths(make_scene(1.0), order).families[0]
         matrix, offset = images.image_matrix.astype(np.float32), images.image_offset.astype(np.float32)
         gain = REFLECTION ** images.order.astype(np.float32)
-        count = max(256, int(4e6 / len(gain)))
+        count = min(max(256, int(4e6 / len(gain))), int(RATE))  # the signal is there for a second
         return timed(lambda: loop(matrix, offset, gain, 100_000, count)) * RATE / count
 
     return seconds
@@ -245,7 +255,7 @@ def acoular_seconds(duration: float, receivers: int) -> float:
     return timed(call, 1)
 
 
-def draw(panels: dict[str, dict[str, list[tuple[float, float]]]]) -> None:
+def draw(panels: Panels) -> None:
     """Draw seconds against paths, receivers and duration."""
     from matplotlib.figure import Figure
 
@@ -261,52 +271,76 @@ def draw(panels: dict[str, dict[str, list[tuple[float, float]]]]) -> None:
     figure.savefig(HERE / "compare.png", dpi=90)
 
 
-def measured() -> tuple[dict[str, dict[str, list[tuple[float, float]]]], list[tuple[str, ...]]]:
-    """Return the lines of the three plots, and the rows of the table."""
-    there = {name for name, module in PEERS.items() if importlib.util.find_spec(module)}
-    by_paths = {"clsim": [ours(order) for order in ORDERS]}
-    by_ears = {"clsim": [(n, ours(3, 1.0, n)[1]) for n in EARS]}
-    by_time = {"clsim": [(d, ours(6, d)[1]) for d in DURATIONS]}
-    count, whole = by_paths["clsim"][-1]
-    rows: list[tuple[str, ...]] = []
+def c_loop_row() -> Row:
+    """Return the table's row of the plain loop in C."""
     with tempfile.TemporaryDirectory() as folder:
         kernel = Kernel(Path(folder), clsim.find_paths(make_scene(2.0), 10), 2.0)
         ratios, apart = [], kernel.opencl() - kernel.plain()
         for _ in range(7):
             ratios.append(timed(kernel.plain, 1) / timed(kernel.opencl, 1))
         apart_db = 20 * math.log10(np.linalg.norm(apart) / np.linalg.norm(kernel.plain()))
-    rows.append(("plain C loop (`-O3 -march=native -ffast-math`, all cores)", "the inner sum alone, of the same numbers",
-                 f"{apart_db:.0f} dB apart", f"{statistics.median(ratios):.2f}, of the inner sum"))  # fmt: skip
-    if "Numba" in there:
-        seconds = numba_seconds()
-        by_paths["Numba"] = [
-            (paths, seconds(order)) for (paths, _), order in zip(by_paths["clsim"], ORDERS, strict=True)
-        ]
-        rows.append(("Numba, float32, all cores", "all of it: emission time and 13 taps for every path and sample",
-                     "not measured", f"{by_paths['Numba'][-1][1] / whole:.0f}"))  # fmt: skip
-    if "pyroomacoustics" in there:
-        spent = [(paths, crossfade_seconds(order)) for (paths, _), order in zip(by_paths["clsim"], ORDERS, strict=True)]
-        by_paths["pyroomacoustics"] = spent
-        rows.append(("pyroomacoustics", f"{RESPONSES} room impulse responses a second, convolved and crossfaded",
-                     f"{crossfade_error_db():.0f} dB at best", f"{spent[-1][1] / whole:.0f}"))  # fmt: skip
-    if "Acoular" in there:
-        by_ears["Acoular, direct sound alone"] = [(n, acoular_seconds(1.0, n)) for n in EARS[:3]]
-        by_ears["clsim, direct sound"] = [(n, ours(0, 1.0, n)[1]) for n in EARS[:3]]
-        by_time["Acoular, direct sound alone"] = [(d, acoular_seconds(d, 1)) for d in DURATIONS[:2]]
-        theirs, mine = by_ears["Acoular, direct sound alone"][-1][1], by_ears["clsim, direct sound"][-1][1]
-        jitter = 20 * math.log10(2 * math.pi * 40e3 / (RATE * UP * math.sqrt(12.0)))
-        rows.append(("Acoular", f"the direct sound alone, {EARS[:3][-1]} receivers; nearest of {UP} samples in one",
-                     f"{jitter:.0f} dB", f"{theirs / mine:.0f}, of the direct sound"))  # fmt: skip
-    rows += [(name, "not installed", "", "") for name in PEERS if name not in there]
-    panels = {
-        "paths (1 s, one receiver)": by_paths,
-        "receivers (order 3, 1 s)": by_ears,
-        "duration, s (order 6)": by_time,
-    }
-    return panels, [
-        ("**clsim**", f"{count} paths, 1 s at 192 kHz, one receiver: {whole:.2f} s", "below -85 dB", "1"),
-        *rows,
+    return (
+        "plain C loop (`-O3 -march=native -ffast-math`, all cores)", "the inner sum alone, of the same numbers",
+        f"{apart_db:.0f} dB apart", f"{statistics.median(ratios):.2f}, of the inner sum",
+    )  # fmt: skip
+
+
+def numba_row(panels: Panels) -> Row:
+    """Return the table's row of the loop in Numba, and add its line to the plot against paths."""
+    lines, seconds = panels[BY_PATHS], numba_seconds()
+    lines["Numba"] = [(paths, seconds(order)) for (paths, _), order in zip(lines["clsim"], ORDERS, strict=True)]
+    return (
+        "Numba, float32, all cores", "all of it: emission time and 13 taps for every path and sample", "not measured",
+        f"{lines['Numba'][-1][1] / lines['clsim'][-1][1]:.0f}",
+    )  # fmt: skip
+
+
+def crossfade_row(panels: Panels) -> Row:
+    """Return the table's row of pyroomacoustics, and add its line to the plot against paths."""
+    lines = panels[BY_PATHS]
+    spent = [(paths, crossfade_seconds(order)) for (paths, _), order in zip(lines["clsim"], ORDERS, strict=True)]
+    lines["pyroomacoustics"] = spent
+    return (
+        "pyroomacoustics", f"{RESPONSES} room impulse responses a second, convolved and crossfaded",
+        f"{crossfade_error_db():.0f} dB at best", f"{spent[-1][1] / lines['clsim'][-1][1]:.0f}",
+    )  # fmt: skip
+
+
+def acoular_row(panels: Panels) -> Row:
+    """Return the table's row of Acoular, and add its lines, and ours of the direct sound, to the plots."""
+    theirs, mine = [
+        [(n, f(n)) for n in EARS[:3]] for f in (lambda n: acoular_seconds(1.0, n), lambda n: ours(0, 1.0, n)[1])
     ]
+    panels[BY_EARS] |= {"Acoular, direct sound alone": theirs, "clsim, direct sound": mine}
+    panels[BY_TIME]["Acoular, direct sound alone"] = [(d, acoular_seconds(d, 1)) for d in DURATIONS[:2]]
+    jitter = 20 * math.log10(2 * math.pi * 40e3 / (RATE * UP * math.sqrt(12.0)))
+    return (
+        "Acoular", f"the direct sound alone, {EARS[:3][-1]} receivers; nearest of {UP} samples in one",
+        f"{jitter:.0f} dB", f"{theirs[-1][1] / mine[-1][1]:.0f}, of the direct sound",
+    )  # fmt: skip
+
+
+PEERS = {
+    "Numba": ("numba", numba_row),
+    "pyroomacoustics": ("pyroomacoustics", crossfade_row),
+    "Acoular": ("acoular", acoular_row),
+}
+
+
+def measured() -> tuple[Panels, list[Row]]:
+    """Return the lines of the three plots, and the rows of the table."""
+    panels: Panels = {
+        BY_PATHS: {"clsim": [ours(order) for order in ORDERS]},
+        BY_EARS: {"clsim": [(n, ours(3, 1.0, n)[1]) for n in EARS]},
+        BY_TIME: {"clsim": [(d, ours(6, d)[1]) for d in DURATIONS]},
+    }
+    count, whole = panels[BY_PATHS]["clsim"][-1]
+    told = f"{count} paths, 1 s at 192 kHz, one receiver: {whole:.2f} s"
+    rows: list[Row] = [("**clsim**", told, "below -85 dB", "1"), c_loop_row()]
+    there = {name: importlib.util.find_spec(module) is not None for name, (module, _) in PEERS.items()}
+    rows += [row(panels) for name, (_, row) in PEERS.items() if there[name]]
+    rows += [(name, "not installed", "", "") for name in PEERS if not there[name]]
+    return panels, rows
 
 
 def main() -> None:

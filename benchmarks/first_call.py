@@ -85,5 +85,6 @@ def report(checkout: Path) -> None:
     print()
 
 
-for given in sys.argv[1:] or [str(Path(__file__).resolve().parents[1])]:
-    report(Path(given).resolve())
+if __name__ == "__main__":
+    for given in sys.argv[1:] or [str(Path(__file__).resolve().parents[1])]:
+        report(Path(given).resolve())

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -28,6 +31,11 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
         out = out.view()
     out.flags.writeable = False
     return out
+
+
+def texts(values: Iterable[str]) -> NDArray[Any]:
+    """Return texts (n,) as an array that pandas, xarray, Zarr and HDF5 keep at their own lengths."""
+    return np.array(list(values), dtype=object)
 
 
 def firsts(count: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -221,3 +229,18 @@ def as_choice(field: str, value: Any, choices: tuple[str, ...]) -> str:
         listed = ", ".join(f'"{c}"' for c in choices)
         raise InputError(field, f"must be one of {listed}, but is {value!r:.80}")
     return str(value)
+
+
+def as_index(field: str, value: Any, names: Sequence[str]) -> int:
+    """Return the index of one of several that have names, by index or name.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if not isinstance(value, str):
+        return as_count(field, value, at_most=len(names) - 1)
+    if value not in names:
+        raise InputError(field, f"must be one of {', '.join(map(repr, names)):.200}, but is {value!r:.80}")
+    return names.index(value)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_number
+from clsim.arrays import as_index, as_number, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.pictures.notebook import html_table, inline_sound
@@ -278,14 +278,7 @@ class Recording:
 
     def _row(self, receiver: int | str) -> int:
         """Return the row of a receiver, by index or name."""
-        if isinstance(receiver, str):
-            if receiver not in self.receiver_names:
-                names = ", ".join(map(repr, self.receiver_names))
-                raise InputError("receiver", f"must be one of {names:.200}, but is {receiver!r:.80}")
-            return self.receiver_names.index(receiver)
-        if not 0 <= receiver < len(self.receiver_names):
-            raise InputError("receiver", f"must be 0 to {len(self.receiver_names) - 1}, but is {receiver!r:.80}")
-        return int(receiver)
+        return as_index("receiver", receiver, self.receiver_names)
 
     def _all_in(self, unit: str, name: str) -> NDArray[Any]:
         for receiver, found in zip(self.receiver_names, self.units, strict=True):
@@ -322,8 +315,3 @@ def with_times(found: Any, sampling_rate: float) -> Any:
     count = found.sizes["time"]
     index = xarray.indexes.RangeIndex.linspace(0.0, count / sampling_rate, count, endpoint=False, dim="time")
     return found.assign_coords(xarray.Coordinates.from_xindex(index))
-
-
-def texts(values: Any) -> NDArray[Any]:
-    """Return texts as an array that xarray, Zarr and HDF5 keep at their own lengths."""
-    return np.array(list(values), dtype=object)

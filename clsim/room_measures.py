@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.decay import clarity, decay_curve, definition, eyring_time, reverberation_time, sabine_time
-from clsim.arrays import Floats, as_choice, read_only
+from clsim.arrays import Floats, as_choice, read_only, texts
 from clsim.errors import InputError
 from clsim.impulse_responses import ImpulseResponses
 from clsim.paths.labelled import labelled_dataset
@@ -76,8 +76,8 @@ class RoomMeasures:
         variables: dict[str, Any] = {name: (over, getattr(self, name)) for name in _OF_PAIRS}
         variables |= {name: (("frequency",), getattr(self, name)) for name in ("sabine", "eyring")}
         coordinates = {
-            "source": ("source", np.array(self.source_names, dtype=object)),
-            "receiver": ("receiver", np.array(self.receiver_names, dtype=object)),
+            "source": ("source", texts(self.source_names)),
+            "receiver": ("receiver", texts(self.receiver_names)),
             "frequency": ("frequency", self.frequencies),
         }
         found = labelled_dataset(variables, coordinates)

@@ -12,6 +12,7 @@ from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
 from clsim.files.ownership import NewFile
 from clsim.scene_file import load_scene
+from clsim.score.emissions import source_index
 from clsim.score.ranging import METHODS, ranging
 from clsim.workflow.load_recording import load_recording
 from clsim.workflow.outputs import COMPLETED
@@ -39,16 +40,11 @@ def execute(options: argparse.Namespace) -> int:
     target = None if options.output is None else NewFile(options.output, [], options.force)
     recording = load_recording(options.folder, paths=True)
     assert recording.paths is not None
-    sources = recording.paths.scene.sources
-    named = [source for source in sources if options.source in (None, source.name)]
-    if not named:
-        names = ", ".join(repr(source.name) for source in sources)
-        raise InputError("--source", f"must be one of {names:.200}, but is {options.source!r:.80}")
-    source = named[0]
     try:
+        source = source_index(recording.paths, 0 if options.source is None else options.source)
         score = ranging(
-            recording, source.signal.pulse, options.method, source=source.name, max_range=options.max_range,
-            motion=load_scene(options.folder / COMPLETED).render["motion"],
+            recording, recording.paths.scene.sources[source].signal.pulse, options.method, source=source,
+            max_range=options.max_range, motion=load_scene(options.folder / COMPLETED).render["motion"],
         )  # fmt: skip
     except InputError as error:
         raise InputError(f"--{error.field.replace('_', '-')}", error.problem) from error

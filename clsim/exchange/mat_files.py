@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_number
+from clsim.arrays import as_number, texts
 from clsim.errors import InputError
+from clsim.exchange.truth_times import truth_times
 from clsim.files.atomic import atomic_path
 from clsim.paths.ground_truth import direct_path
 from clsim.version import __version__
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
     from clsim.recording import Recording
 
@@ -63,8 +65,7 @@ def write_mat(recording: Recording, path: str | PathLike[str], *, rate: float = 
     if recording.carrier is not None:
         content["carrier"] = float(recording.carrier)
     if recording.paths is not None:
-        duration = recording.samples.shape[1] / recording.sampling_rate
-        content |= _ground_truth(recording.paths, duration, rate)
+        content |= _ground_truth(recording.paths, truth_times(recording, recording.paths.scene, rate))
     for name, values in content.items():
         if isinstance(values, np.ndarray) and values.nbytes > _LARGEST:
             raise InputError(
@@ -80,16 +81,12 @@ def write_mat(recording: Recording, path: str | PathLike[str], *, rate: float = 
 
 def _cells(words: Sequence[str]) -> NDArray[Any]:
     """Return texts as a cell array (n, 1)."""
-    return np.array(list(words), dtype=object).reshape(-1, 1)
+    return texts(words).reshape(-1, 1)
 
 
-def _ground_truth(paths: PathSet, duration: float, rate: float) -> dict[str, Any]:
-    """Return what is true, as long as all trajectories last."""
-    scene = paths.scene
-    last = min(end.trajectory.end for _, end in scene.named_ends())
-    times = np.arange(int(duration * rate) + 1) / rate
-    times = times[times <= last]
-    found = direct_path(paths, times)
+def _ground_truth(paths: PathSet, times: Floats) -> dict[str, Any]:
+    """Return what is true at times (T,), s."""
+    scene, found = paths.scene, direct_path(paths, times)
     content: dict[str, Any] = {name: getattr(found, name) for name in _KEPT}
     content |= {"times": times, "source_names": _cells(found.source_names)}
     for name, ends in (("source_positions", scene.sources), ("receiver_positions", scene.receivers)):

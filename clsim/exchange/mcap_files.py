@@ -9,6 +9,7 @@ import numpy as np
 
 from clsim.arrays import Floats, as_count, as_number
 from clsim.errors import InputError
+from clsim.exchange.truth_times import truth_times
 from clsim.files.atomic import atomic_path
 from clsim.files.names import file_names
 from clsim.packages import check_packages
@@ -113,9 +114,7 @@ def write_mcap(
         raise InputError("recording", f"must have a whole sampling rate for MCAP, but has {recording.sampling_rate} Hz")
     begin = as_count("start", start, at_most=2**31 * _NANOSECONDS)
     rate = as_number("rate", rate, above=0.0, at_most=10e3, unit="Hz")
-    duration = recording.samples.shape[1] / recording.sampling_rate
-    times = np.arange(int(duration * rate) + 1) / rate
-    times = times[times <= _known_until(recording.paths)]
+    times = truth_times(recording, recording.paths.scene, rate)
     with atomic_path(path) as temporary, temporary.open("wb") as out:
         writer: Any = Writer(out)  # its methods have no types
         kinds = {name: writer.register_msgdef(name, _definition(name)) for name in _KINDS}
@@ -130,10 +129,6 @@ def _definition(kind: str) -> str:
     """Return the text of a message's definition with all that it is made of."""
     own, parts = _KINDS[kind]
     return own + "".join(f"{_RULE}\nMSG: {part}\n{_PARTS[part]}" for part in parts)
-
-
-def _known_until(paths: PathSet) -> float:
-    return float(min(end.trajectory.end for _, end in paths.scene.named_ends()))
 
 
 def _stamp(begin: int, time: float) -> int:
@@ -177,10 +172,8 @@ def _poses(paths: PathSet, times: Floats, begin: int, frame: str) -> Iterator[Me
         stamp = _stamp(begin, time)
         header, transforms = _header(stamp, frame), []
         for name, place, turn in zip(names, places, turns, strict=True):
-            at, quaternion = (
-                dict(zip("xyz", place[t].tolist(), strict=True)),
-                dict(zip("xyzw", turn[t].tolist(), strict=True)),
-            )
+            at = dict(zip("xyz", place[t].tolist(), strict=True))
+            quaternion = dict(zip("xyzw", turn[t].tolist(), strict=True))
             pose = {"position": at, "orientation": quaternion}
             yield stamp, f"/{name}/pose", _POSE, {"header": header, "pose": pose}
             transform = {"translation": at, "rotation": quaternion}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, texts
 from clsim.errors import InputError, warn
 from clsim.numerics.band_kernels import BandKernels
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
@@ -82,7 +82,7 @@ class ChannelPaths:
         for name, names, index in (
             ("source", self.source_names, self.source), ("receiver", self.receiver_names, self.receiver)
         ):  # fmt: skip
-            coordinates[name] = ("path", np.array(names, dtype=object)[index])
+            coordinates[name] = ("path", texts(names)[index])
         over = ("path", "times")
         found = labelled_dataset({"delay": (over, self.delay), "gain": (over, self.gain)}, coordinates)
         return found.assign_attrs(carrier=self.carrier)
@@ -132,8 +132,8 @@ class ChannelTaps:
             If xarray is missing.
         """
         coordinates = {
-            "source": ("source", np.array(self.source_names, dtype=object)),
-            "receiver": ("receiver", np.array(self.receiver_names, dtype=object)),
+            "source": ("source", texts(self.source_names)),
+            "receiver": ("receiver", texts(self.receiver_names)),
             "tap": ("tap", np.round(self.delays * self.sampling_rate).astype(np.int64)),
             "delay": ("tap", self.delays),
             "times": ("times", self.times),

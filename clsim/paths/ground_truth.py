@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_choice, as_floats
+from clsim.arrays import as_choice, as_floats, texts
 from clsim.paths.arrivals import MOTIONS, slices_of
 from clsim.paths.labelled import labelled_dataset
 from clsim.paths.specular.family import SpecularPaths
@@ -64,8 +64,8 @@ class DirectPath:
         over = ("source", "receiver", "times")
         names = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
         coordinates = {
-            "source": ("source", np.array(self.source_names, dtype=object)),
-            "receiver": ("receiver", np.array(self.receiver_names, dtype=object)),
+            "source": ("source", texts(self.source_names)),
+            "receiver": ("receiver", texts(self.receiver_names)),
             "times": ("times", self.times),
         }
         return labelled_dataset({name: (over, getattr(self, name)) for name in names}, coordinates)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.arrays import texts
 from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
 from clsim.paths.labelled import labelled_dataset, labelled_frame
@@ -108,8 +109,8 @@ class PathTable:
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas
 
-        def words(texts: Sequence[str], which: Any) -> Any:
-            kinds, code = np.unique(np.array(texts, dtype=object), return_inverse=True)
+        def words(values: Sequence[str], which: Any) -> Any:
+            kinds, code = np.unique(texts(values), return_inverse=True)
             return pandas.Categorical.from_codes(code[which], kinds)
 
         return labelled_frame(long_columns(self, range(len(self.source)), words))
@@ -127,13 +128,13 @@ class PathTable:
         InputError
             If xarray is missing.
         """
-        texts = {
+        said = {
             "source": [self.source_names[i] for i in self.source],
             "receiver": [self.receiver_names[i] for i in self.receiver],
             "interactions": [_listed(row) for row in self.interactions.tolist()],
             "objects": [self.name_way(p) for p in range(len(self.source))],
         }
-        of_paths = {name: ("path", np.array(values, dtype=object)) for name, values in texts.items()}
+        of_paths = {name: ("path", texts(values)) for name, values in said.items()}
         of_paths |= {"order": ("path", self.order), "direct": ("path", self.direct)}
         over_time = {name: (("path", "times"), getattr(self, name)) for name in _OVER_TIME}
         directions = {name: (("path", "times", "axis"), getattr(self, name)) for name in _DIRECTIONS}

@@ -182,6 +182,11 @@ class SourceFilters:
         """Taps on either side of the filters' middle."""
         return int(self.filters.shape[1] // 2)
 
+    def emitted_between(self, rate: float) -> tuple[float, float]:
+        """Return when anything sounds at a rate, Hz, s: functions' filters are longer than what is emitted."""
+        spread = self.filter_half / rate
+        return self.start - spread, self.start + self.signal.duration + spread
+
     @property
     def half_length(self) -> int:
         """Samples by which the filters look to either side: so much sounds before a path's first arrival at most."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import as_index
 from clsim.errors import InputError
 from clsim.paths.specular.family import SpecularPaths
 
@@ -43,14 +44,7 @@ def source_index(paths: PathSet, source: int | str) -> int:
     InputError
         If there is none.
     """
-    names = [one.name for one in paths.scene.sources]
-    if isinstance(source, str):
-        if source not in names:
-            raise InputError("source", f"must be one of {', '.join(map(repr, names)):.200}, but is {source!r:.80}")
-        return names.index(source)
-    if not 0 <= source < len(names):
-        raise InputError("source", f"must be 0 to {len(names) - 1}, but is {source!r:.80}")
-    return int(source)
+    return as_index("source", source, [one.name for one in paths.scene.sources])
 
 
 def direct_delays(paths: PathSet, source: int, emitted: Floats, motion: str) -> tuple[Floats, NDArray[np.bool_]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_number, read_only, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.pictures.notebook import html_table
@@ -114,7 +114,7 @@ class PositionScore:
 
         count = len(self.times)
         columns: dict[str, Any] = {
-            "name": np.repeat(np.array(self.names, dtype=object), count),
+            "name": np.repeat(texts(self.names), count),
             "time": np.tile(self.times, len(self.names)),
         }
         for suffix, places in (("", self.estimated), ("_exact", self.exact)):

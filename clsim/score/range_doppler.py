@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_count, as_flag, as_number, read_only
+from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_only
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.score.emissions import heard_scene, source_index
@@ -105,7 +105,7 @@ class RangeDopplerMap:
 def range_doppler(
     recording: Recording,
     pulse: Signal,
-    receiver: int = 0,
+    receiver: int | str = 0,
     *,
     source: int | str = 0,
     first: int = 0,
@@ -121,8 +121,8 @@ def range_doppler(
         Of sound, with its paths, of which nothing but the scene is used.
     pulse : Signal
         The pulse that the source repeats.
-    receiver : int
-        Index.
+    receiver : int or str
+        Index or name.
     source : int or str
         Index or name.
     first : int
@@ -151,7 +151,7 @@ def range_doppler(
     period P (M. A. Richards, "Fundamentals of Radar Signal Processing", 2nd edition, 2014, section 5.3).
     """
     paths = heard_scene(recording, "a range-Doppler map")
-    receiver = as_count("receiver", receiver, at_most=len(recording.samples) - 1)
+    row = as_index("receiver", receiver, recording.receiver_names)
     ways = 2.0 if as_flag("two_way", two_way) else 1.0
     rate, c = recording.sampling_rate, paths.scene.air.speed_of_sound
     matched = MatchedFilter.of(pulse, rate)
@@ -165,7 +165,7 @@ def range_doppler(
     reach = None if max_range is None else ways * as_number("max_range", max_range, above=0.0, unit="m")
     span = span_of(emitted, recording, reach, c)
     rows = np.zeros((len(emitted), span), dtype=np.complex128)
-    for k, (begin, output) in enumerate(outputs_of(recording.samples[receiver], matched, emitted, span)):
+    for k, (begin, output) in enumerate(outputs_of(recording.samples[row], matched, emitted, span)):
         late = emitted[k] * rate - begin  # of the emission after the sample, below one
         rows[k, : len(output)] = output * np.exp(2j * np.pi * matched.centre * late / rate)
     window = np.hanning(len(rows) + 2)[1:-1]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_number, read_only, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.pictures.notebook import html_table
@@ -140,7 +140,7 @@ class RangingScore:
 
         receivers, emissions = self.delay.shape
         columns = {
-            "receiver": np.repeat(np.array(self.receiver_names, dtype=object), emissions),
+            "receiver": np.repeat(texts(self.receiver_names), emissions),
             "emission": np.tile(np.arange(emissions), receivers),
             "emission_time": np.tile(self.emission_times, receivers),
         }
@@ -311,11 +311,11 @@ def outputs_of(
 def _found(output: Complexes, method: str, detection: float, first: float) -> float | None:
     """Return where a pulse begins in a filter's output (n,), in samples, or None if there is none."""
     level = np.abs(output)
-    top = int(np.argmax(level))
-    if not level[top] > detection * float(np.median(level)):
+    top, least = int(np.argmax(level)), detection * float(np.median(level))
+    if not level[top] > least:
         return None
     if method == "first-peak":
-        least = max(first * level[top], detection * float(np.median(level)))
+        least = max(first * level[top], least)
         rising = (level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:]) & (level[1:-1] >= least)
         top = int(np.flatnonzero(rising)[0]) + 1 if rising[:top].any() else top
     return phase_peak(output, top) if method == "phase" else envelope_peak(output, top)

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.arrays import texts
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
 from clsim.output.raw_rows import SampleFile
 from clsim.output.stores import STORES
-from clsim.recording import Recording, texts
+from clsim.recording import Recording
 from clsim.render.rendering import Rendering
 from clsim.scene_file.scene import build_scene
 from clsim.study.file import TAKEN

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.arrays import texts
 from clsim.errors import in_one_line, warn
 from clsim.files.atomic import safe_path
 from clsim.output.stores import consolidate
-from clsim.recording import texts
 from clsim.study.member import PARTIAL, STORE, as_row, discard, root_attributes, row_of_group
 
 if TYPE_CHECKING:

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from difflib import SequenceMatcher
 from typing import TYPE_CHECKING, Any
 
+from clsim.errors import ClsimError
 from clsim.opencl import compiler as compiler_module
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     import pytest
 
@@ -82,6 +83,17 @@ class Mutants:
             self.chosen = name
             yield name
         self.chosen = None
+
+    def unseen(self, agree: Callable[[], bool]) -> list[str]:
+        """Return those under which a search agrees all the same; it need not end under others."""
+        found = []
+        for name in self:
+            try:
+                if agree():
+                    found.append(name)
+            except ClsimError:  # the search did not end
+                pass
+        return found
 
     def play(self, patch: pytest.MonkeyPatch) -> None:
         """Let the program be built with its mutants from here on."""

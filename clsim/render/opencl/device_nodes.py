@@ -222,15 +222,15 @@ class DeviceTracks:
     ) -> None:
         """Make the nodes of some walks from a sample on."""
         rate, source, segment = self._plan.sampling_rate, chunk.source, self._plan.segment
-        first, last = self._sounding(source)
+        filters = self._plan.source_filters[source]
+        first, last = filters.emitted_between(rate)
         constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
         kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
             self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
             **self._media[source], receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
             first_walk=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
-            delay_samples=self._plan.source_filters[source].delay_samples,
-            oversampling=self._plan.source_filters[source].oversampling,
+            delay_samples=filters.delay_samples, oversampling=filters.oversampling,
             smooth=self._smooth(chunk, receivers, more["block_samples"]),
         )  # fmt: skip
 
@@ -238,12 +238,6 @@ class DeviceTracks:
         """Constants of the program in float64."""
         wind = int(self._media[source]["wind"] is not None)
         return {"SMOOTH_ERROR": np.float32(SMOOTH_ERROR), "NODES_AT_ONCE": self._together, "WIND": wind}
-
-    def _sounding(self, source: int) -> tuple[float, float]:
-        """Return when anything sounds of a source, s: functions' filters are longer than what is emitted."""
-        filters = self._plan.source_filters[source]
-        spread = filters.filter_half / self._plan.sampling_rate
-        return filters.start - spread, filters.start + filters.signal.duration + spread
 
     def _smooth(self, chunk: DeviceChunk, receivers: NDArray[Any], block: int) -> float:
         """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 if all are looked at.

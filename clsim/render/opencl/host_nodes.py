@@ -130,8 +130,7 @@ class HostTracks:
 
 def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float) -> NDArray[np.bool_]:
     """Return in which blocks (paths, blocks) of nodes (paths, blocks + 3) what is emitted can arrive."""
-    spread = filters.filter_half / rate
-    first, last = filters.start - spread, filters.start + filters.signal.duration + spread
+    first, last = filters.emitted_between(rate)
     return np.asarray((times[3:] - delay[:, 3:] >= first) & (times[:-3] - delay[:, :-3] <= last))
 
 

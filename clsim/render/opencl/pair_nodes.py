@@ -66,7 +66,7 @@ class PairTracks(DeviceTracks):
         rate, filters, block = self._plan.sampling_rate, self._plan.source_filters[chunk.source], more["block_samples"]
         trajectory = chunk.trajectory.copy()
         origin = trajectory.pop("first_knot")
-        first, last = self._sounding(chunk.source)
+        first, last = filters.emitted_between(rate)
         c, times = self._media[chunk.source]["speed_of_sound"], filters.oversampling
         numbers = [
             start / rate - origin,

@@ -17,6 +17,27 @@ BOX = "".join(
 ) + "f 6 5 4 3 2 1\nf 7 8 9 10 11 12\n" + "".join(f"f {i + 1} {(i + 1) % 6 + 1} {(i + 1) % 6 + 7} {i + 7}\n" for i in range(6))  # fmt: skip
 WALK = "".join(f"{k / 10} {-3 + 0.02 * k} {7 + 0.01 * k} 1.2 0 0 0 1\n" for k in range(40))
 
+PULSES = """
+format = 1
+room = { kind = "shoebox", size = [4.0, 3.0, 2.5], walls = { reflection = 0.3 } }
+[[sources]]
+name = "robot"
+trajectory = { kind = "fixed", position = [1, 1, 1] }
+[sources.signal]
+kind = "pulses"
+period = 0.03
+count = 3
+pulse = { kind = "chirp", start = 30e3, stop = 50e3, duration = 2e-3, sampling_rate = 192e3, window = "hann" }
+[[receivers]]
+name = "ceiling"
+trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
+[paths]
+max_order = 1
+[render]
+sampling_rate = 192e3
+engine = "reference"
+"""
+
 
 def test_a_new_scene_can_be_rendered_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new", str(tmp_path / "scene.toml")]) == 0
@@ -59,35 +80,18 @@ def test_formats_of_trajectories_are_told_apart(text: str, form: str, tmp_path: 
     assert _format(tmp_path / "x") == form
 
 
-def test_a_run_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "scene.toml").write_text(
-        """
-format = 1
-room = { kind = "shoebox", size = [4.0, 3.0, 2.5], walls = { reflection = 0.3 } }
-[[sources]]
-name = "robot"
-trajectory = { kind = "fixed", position = [1, 1, 1] }
-[sources.signal]
-kind = "pulses"
-period = 0.03
-count = 3
-pulse = { kind = "chirp", start = 30e3, stop = 50e3, duration = 2e-3, sampling_rate = 192e3, window = "hann" }
-[[receivers]]
-name = "ceiling"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-engine = "reference"
-""",
-        "utf-8",
-    )
-    assert (
-        main(["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), "--no-plots", "--table", "none"]) == 0
-    )
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of a source of three pulses."""
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "scene.toml").write_text(PULSES, "utf-8")
+    assert main(["run", str(folder / "scene.toml"), "-o", str(folder / "out"), "--no-plots", "--table", "none"]) == 0
+    return folder / "out"
+
+
+def test_a_run_is_scored(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
-    assert main(["score", str(tmp_path / "out"), "-o", str(tmp_path / "ranges.csv")]) == 0
+    assert main(["score", str(run), "-o", str(tmp_path / "ranges.csv")]) == 0
     head, one, everything, written = capsys.readouterr().out.splitlines()
     assert head.split()[0] == "receiver"
     assert one.split()[:5] == ["ceiling", "100.0", "%", "100.0", "%"]
@@ -97,9 +101,12 @@ engine = "reference"
         rows = list(csv.DictReader(file))
     assert [float(row["emission_time"]) for row in rows] == [0.0, 0.03, 0.06]
     assert all(abs(float(row["error"])) < 1e-3 and row["line_of_sight"] == "True" for row in rows)
-    assert main(["score", str(tmp_path / "out"), "--source", "x"]) == 2
+
+
+def test_what_cannot_be_scored_is_a_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["score", str(run), "--source", "x"]) == 2
     assert "--source: must be one of 'robot', but is 'x'" in capsys.readouterr().err
-    assert main(["score", str(tmp_path / "out"), "--max-range", "-1"]) == 2
+    assert main(["score", str(run), "--max-range", "-1"]) == 2
     assert "--max-range: must be above 0" in capsys.readouterr().err
     assert main(["-v", "score", str(tmp_path)]) == 2
     told = capsys.readouterr().err
