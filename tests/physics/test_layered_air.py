@@ -207,3 +207,7 @@ def test_air_that_disperses_does_so_in_every_layer() -> None:
     np.testing.assert_allclose(found.delay[0], d * late, rtol=1e-9)
     exact = np.exp((d - 1.0) * 1j * (2.0 * np.pi * f * late - k)) / d
     np.testing.assert_allclose(response, exact, rtol=1e-5)
+    around = TONE * np.array([1.0 - 1e-3, 1.0 + 1e-3])
+    both = family.response(slice(None), found, times, SceneResponse(paths.scene, 0, around))[0, 0]
+    lag = -np.angle(both[1] / both[0]) / (2.0 * np.pi * (around[1] - around[0]))
+    np.testing.assert_allclose(paths.table(times).delay[0, 0] - found.delay[0, 0], lag, rtol=1e-5)
