@@ -120,6 +120,13 @@ def test_air_that_is_the_same_everywhere_is_the_plain_one_to_the_last_bit() -> N
         np.testing.assert_array_equal(same.gain, plain.gain)
 
 
+def test_air_that_is_another_near_the_floor_alone_is_not_the_same_everywhere() -> None:
+    """Colder below 0.1 m, where none of the first few points is that are looked at."""
+    with pytest.warns(clsim.ClsimWarning, match="changes so suddenly"):
+        air = clsim.Air(lambda z: np.interp(z, [0.0, 0.1], [15.0, 21.0])).between(0.0, 3.0)
+    assert len(air.layers) > 3
+
+
 def test_pairs_hold_at_told_heights_and_functions_everywhere() -> None:
     told = at_rest(heated(temperature_celsius=(20.0, 22.0), heights=(1.0, 3.0)), 1).table([0.0]).delay
     np.testing.assert_allclose(at_rest(heated(), 1).table([0.0]).delay, told, rtol=1e-12)
