@@ -9,7 +9,6 @@ size_t BUILTIN get_local_id(uint);
 int BUILTIN min(int, int);
 float BUILTIN floor(float);
 float BUILTIN fma(float, float, float);
-float BUILTIN sin(float);
 float BUILTIN sqrt(float);
 double BUILTIN sqrt(double);
 double BUILTIN sin(double);
