@@ -46,10 +46,11 @@ class ChannelPaths:
     source, receiver : ndarray (P,) int
         Indices in the scene.
     delay : ndarray (P, T)
-        Absolute, from emission to reception, s; NaN while the path is not heard.
+        Absolute, from emission to reception, s; NaN while the path is not heard. In air that disperses that of what
+        sounds about the carrier, the group delay.
     gain : ndarray (P, T) complex
-        Received over emitted complex envelope about the carrier, a ratio: with the carrier's phase,
-        ``exp(-2j pi carrier delay)``; 0 while the path is not heard.
+        Received over emitted complex envelope about the carrier, a ratio: with the carrier's phase, in air that does
+        not disperse ``exp(-2j pi carrier delay)``; 0 while the path is not heard.
     carrier : float
         Hz.
     source_names, receiver_names : tuple of str
@@ -192,7 +193,7 @@ def channel_paths(
         at = SceneResponse(scene, pair.source, np.array([carrier]))
         for part in slices_of(len(times), len(rows)):
             found = pair.arrivals(times[part], motion, amplitude)
-            delay[rows, part], rate[rows, part] = found.delay, found.delay_rate
+            delay[rows, part], rate[rows, part] = found.delay + pair.group_lag(found, carrier), found.delay_rate
             turned = np.exp(-2j * np.pi * _fraction(carrier * found.delay))
             gain[rows, part] = pair.response(found, times[part], at)[..., 0] * turned
     silent = (times < span[0][:, None]) | (times >= span[1][:, None])

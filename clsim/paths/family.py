@@ -270,15 +270,17 @@ class PairPaths:
         centre = np.array([scene.sources[self.source].emitted.centre_frequency])
         return self.response(found, times, SceneResponse(scene, self.source, centre))[..., 0]
 
-    def group_lag(self, found: Arrivals) -> Floats:
-        """Return by how much later than the delays (P, T) what sounds about the centre frequency arrives, s.
+    def group_lag(self, found: Arrivals, frequency: float | None = None) -> Floats:
+        """Return by how much later than the delays (P, T) what sounds about a frequency arrives, s.
 
-        What air does is counted from 1 m on, where the emitted pressure is told.
+        The frequency is the centre of what the source emits where left out. What air does is counted from 1 m on,
+        where the emitted pressure is told.
         """
-        air = self.family.scene.air
         centre = self.family.scene.sources[self.source].emitted.centre_frequency
-        apart = 1.0 / air.group_speed_at(centre) - 1.0 / air.speed_at(centre)
-        return apart * (found.through - 1.0) * found.frequency_ratio
+        told = centre if frequency is None else frequency
+        lag = self.family.scene.air.by_height(lambda air: 1.0 / air.group_speed_at(told) - 1.0 / air.speed_at(centre))
+        mean = lag[0] if found.means is None else found.means @ lag
+        return np.asarray(mean * (found.through - 1.0) * found.frequency_ratio)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

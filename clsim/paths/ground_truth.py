@@ -110,15 +110,14 @@ def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> Dire
     scene = paths.scene
     shape = (len(scene.sources), len(scene.receivers), len(times))
     delay, rate, seen = np.empty(shape), np.empty(shape), np.zeros(shape, dtype=bool)
-    speed = np.empty((*shape[:2], 1))
+    speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
     for pair in SpecularPaths.direct(scene).pairs():
         for part in slices_of(len(times), 1):
             found = pair.arrivals(times[part], motion)
             delay[pair.source, pair.receiver, part] = (found.delay + pair.group_lag(found))[0]
             rate[pair.source, pair.receiver, part] = found.delay_rate[0]
-            speed[pair.source, pair.receiver] = scene.air.speed_at(scene.sources[pair.source].emitted.centre_frequency)
     for row in np.flatnonzero(paths.order == 0):
         heard = (times >= paths.start[row]) & (times < paths.end[row])
         seen[paths.source[row], paths.receiver[row]] |= heard
     names = tuple(s.name for s in scene.sources), tuple(r.name for r in scene.receivers)
-    return DirectPath(times, delay, 1.0 - rate, seen, speed * rate, *names)
+    return DirectPath(times, delay, 1.0 - rate, seen, speed[:, None, None] * rate, *names)

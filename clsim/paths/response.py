@@ -140,6 +140,18 @@ class SceneResponse:
         normals = unfolded_normals(self._scene.room.faces.normals, walls)
         return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
 
+    def apply_angular_walls(self, response: Floats | Complexes, walls: Walls, directions: Floats) -> None:
+        """Multiply responses (P, T, F) by the factors of walls (P, N) that depend on the angle, in place.
+
+        The directions (P, T, 3) are those in which paths leave the end from whose side the walls are.
+        """
+        for bounce, normals in self.angular_bounces(walls):
+            met = walls[:, bounce]
+            for wall in np.unique(met[self.angular[met]]):
+                here = np.flatnonzero(met == wall)
+                cosine = np.abs(np.einsum("pti,pi->pt", directions[here], normals[here]))
+                response[here] *= self.reflection_at(wall, cosine)
+
     def apply_directivities(
         self, response: Floats | Complexes, ends: tuple[Source, Receiver], found: Arrivals, times: Floats
     ) -> None:

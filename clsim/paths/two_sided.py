@@ -44,12 +44,7 @@ class TwoSidedPaths(PathFamily, ABC):
         """Multiply responses (P, T, F) of paths (P,) by the factors of the walls of both sides, in place."""
         for walls, direction in zip(self.walls_of_sides(index), (found.departure, found.arrival), strict=True):
             response *= at.reflection(walls)[:, None, :]
-            for bounce, normals in at.angular_bounces(walls):
-                met = walls[:, bounce]
-                for wall in np.unique(met[at.angular[met]]):
-                    here = np.flatnonzero(met == wall)
-                    cosine = np.abs(np.einsum("pti,pi->pt", direction[here], normals[here]))
-                    response[here] *= at.reflection_at(wall, cosine)
+            at.apply_angular_walls(response, walls, direction)
         return response
 
     def vertices_by(

@@ -380,10 +380,10 @@ def _layers(air: Air) -> tuple[Air, ...]:
     """
     terms = _FEWEST_TERMS
     while True:
-        layers = _at_places(air, terms)
-        if all(layer == layers[0] for layer in layers):
+        layers, more = _at_places(air, terms), _at_places(air, 2 * terms)
+        if all(layer == layers[0] for layer in (*layers, *more)):
             return ()
-        exact, held = _of_layers(_at_places(air, 2 * terms)), coefficients(_of_layers(layers))
+        exact, held = _of_layers(more), coefficients(_of_layers(layers))
         made = np.polynomial.chebyshev.chebval(np.cos(np.pi * (np.arange(2 * terms) + 0.5) / (2 * terms)), held).T
         wrong = np.abs(made - exact).max(axis=0) / np.maximum(exact.max(axis=0), 1e-300)
         if (wrong[0] <= _TIME_HELD and wrong.max() <= _LOSS_HELD) or terms >= MOST_TERMS:

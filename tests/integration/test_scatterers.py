@@ -335,13 +335,21 @@ def test_what_cannot_be_in_a_scene(paths: PathSet, scatterers: Any, message: str
     clsim.Scene(paths.scene.room, clsim.Air(), paths.scene.sources, paths.scene.receivers, scatterers=[flat])
 
 
-def test_air_that_no_leg_knows_is_refused(paths: PathSet) -> None:
-    air = clsim.Air(temperature_celsius=(20.0, 24.0), heights=(0.0, 3.0))
+@pytest.mark.parametrize(
+    "air",
+    [
+        clsim.Air(temperature_celsius=(20.0, 24.0), heights=(0.0, 3.0)),
+        clsim.Air(fluctuation=clsim.Fluctuation(2e-6, 0.5, 0.3)),
+    ],
+)
+def test_air_that_no_leg_knows_is_refused(paths: PathSet, air: clsim.Air) -> None:
     scene = clsim.Scene(
         paths.scene.room, air, paths.scene.sources, paths.scene.receivers, scatterers=paths.scene.scatterers
     )  # fmt: skip
     with pytest.raises(clsim.InputError, match="scatterers: must be left out where the air depends on the height"):
         clsim.find_paths(scene, 0)
+    with pytest.raises(clsim.InputError, match="scatterers: must be left out where the air depends on the height"):
+        clsim.scatterer_truth(scene, [0.1])
 
 
 def test_in_wind_there_and_back_are_not_alike(paths: PathSet) -> None:

@@ -202,6 +202,35 @@ def test_tables_tell_when_groups_arrive():
     assert going.doppler_factor[0, 0] == pytest.approx(1.0 - 3.0 / AIR.speed_at(f), rel=1e-12)
 
 
+def test_echoes_disperse_along_both_legs():
+    """Off the centre frequency too the response of a point (0 dB: 1 m) is that of both legs; its truth is the table's."""
+    scene = direct(CHIRP, along(0.0), along(2.0)).scene
+    echo = clsim.Scatterer.point("point", 0.0, along(7.0))
+    scene = clsim.Scene(HALL, AIR, scene.sources, scene.receivers, scatterers=[echo])
+    paths = clsim.find_paths(scene, 0, direct=False)
+    family, f = paths.families[-1], np.array([25e3, 50e3, 75e3])
+    found = family.arrivals(slice(None), np.zeros(1))
+    got = family.response(slice(None), found, np.zeros(1), SceneResponse(scene, 0, f))[0, 0]
+    k = AIR.wavenumber_at(f)
+    late = 2.0 * np.pi * f * (found.delay[0, 0] - 1.0 / AIR.speed_at(CHIRP.centre_frequency))
+    exact = np.exp(1j * late + 11.0 * (k.imag - 1j * k.real)) / 35.0
+    np.testing.assert_allclose(got, exact, rtol=1e-9)
+    truth, table = clsim.scatterer_truth(scene, [0.0]), paths.table([0.0])
+    np.testing.assert_array_equal(truth.delay[0, 0, 0], table.delay[0])
+
+
+def test_channels_tell_when_groups_arrive():
+    """The delay of the carrier's group; the gain holds the carrier's own phase."""
+    paths, carrier = direct(CHIRP, along(0.0), along(10.0)), 35e3
+    rays, centre = paths.cir([0.0], carrier=carrier), AIR.speed_at(CHIRP.centre_frequency)
+    assert rays.delay[0, 0] == pytest.approx(9.0 / AIR.group_speed_at(carrier) + 1.0 / centre, rel=1e-12)
+    k = AIR.wavenumber_at(carrier)
+    exact = 0.1 * np.exp(9.0 * (k.imag - 1j * k.real) - 2j * np.pi * carrier / centre)
+    np.testing.assert_allclose(rays.gain[0, 0], exact, rtol=1e-9)
+    at_centre = paths.delay_doppler(0.0, 0.01, carrier=CHIRP.centre_frequency)
+    assert at_centre.delay[0] == paths.table([0.005]).delay[0, 0]
+
+
 def test_two_bands_have_their_own_speeds():
     """Each source's delays are those of its own centre."""
     tones = [clsim.Signal.tone(f, 0.03, RATE, fade=0.005) for f in (22e3, 61e3)]

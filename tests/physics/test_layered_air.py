@@ -137,6 +137,13 @@ def test_air_that_is_the_same_everywhere_is_rendered_as_the_plain_one_to_the_las
         np.testing.assert_array_equal(same, plain)
 
 
+def test_air_that_is_another_near_the_floor_alone_is_not_the_same_everywhere() -> None:
+    """Colder below 0.1 m, where none of the first few points is that are looked at."""
+    with pytest.warns(clsim.ClsimWarning, match="changes so suddenly"):
+        air = clsim.Air(lambda z: np.interp(z, [0.0, 0.1], [15.0, 21.0])).between(0.0, 3.0)
+    assert len(air.layers) > 3
+
+
 def test_pairs_hold_at_told_heights_and_functions_everywhere() -> None:
     told = at_rest(heated(temperature_celsius=(20.0, 22.0), heights=(1.0, 3.0)), 1).table([0.0]).delay
     np.testing.assert_allclose(at_rest(heated(), 1).table([0.0]).delay, told, rtol=1e-12)
@@ -230,3 +237,7 @@ def test_air_that_disperses_does_so_in_every_layer() -> None:
     np.testing.assert_allclose(found.delay[0], d * late, rtol=1e-9)
     exact = np.exp((d - 1.0) * 1j * (2.0 * np.pi * f * late - k)) / d
     np.testing.assert_allclose(response, exact, rtol=1e-5)
+    around = TONE * np.array([1.0 - 1e-3, 1.0 + 1e-3])
+    both = family.response(slice(None), found, times, SceneResponse(paths.scene, 0, around))[0, 0]
+    lag = -np.angle(both[1] / both[0]) / (2.0 * np.pi * (around[1] - around[0]))
+    np.testing.assert_allclose(paths.table(times).delay[0, 0] - found.delay[0, 0], lag, rtol=1e-5)

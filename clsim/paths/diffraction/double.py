@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from clsim.acoustics.diffraction import double_breadths, edge_way, lit_angles, wedge_terms
-from clsim.paths.diffraction.family import EdgePaths, face_factors, sum_of_terms
+from clsim.paths.diffraction.family import EdgePaths, cylindrical, face_factors, sum_of_terms
 from clsim.paths.diffraction.ways import EdgeView, RolledOut
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class DoubleEdgePaths(EdgePaths):
         terms by faces are left out have neither.
         """
         (r_s, t_s, z_s), (r_r, t_r, z_r) = (
-            _cylindrical(n[index], seen) for n, seen in ((self.n, emitted_at), (self.last_n, heard_at))
+            cylindrical(n[index], seen) for n, seen in ((self.n, emitted_at), (self.last_n, heard_at))
         )
         beyond = self._beyond(index)
         heard, sent = beyond[0](r_r, z_r), beyond[1](r_s, z_s)
@@ -111,10 +111,3 @@ class DoubleEdgePaths(EdgePaths):
         both = 1.0 + np.where(self.shared[index, 1, None, None] == 1, factors[1], factors[0])
         both = np.where(np.any(self.lit[index, 2:], axis=1)[:, None, None], both, 1.0)
         return field / np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
-
-
-def _cylindrical(n: Floats, seen: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return r, θ and z of coordinates (3, P, T) about edges (P,)."""
-    x, y, z = seen
-    low, angle = (0.5 * np.pi * (n - 2.0))[:, None], np.arctan2(y, x)
-    return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z

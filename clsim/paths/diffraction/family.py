@@ -165,27 +165,20 @@ class EdgePaths(TwoSidedPaths):
 
     def _apexes(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
         """Return where ways between places (P, 3) meet their first edge, and their last, (P, 3) m."""
-        (r_s, _, z_s), (r_r, _, z_r) = (
-            self._cylindrical(index, self._view(side, index).places(x[:, None])[..., 0])
-            for side, x in (("before", source), ("after", receiver))
+        ends = (
+            self._view(side, index).places(x[:, None])[..., 0] for side, x in (("before", source), ("after", receiver))
         )
+        (r_s, z_s), (r_r, z_r) = ((np.hypot(x, y), z) for x, y, z in ends)
         end = self.end_place[index]
         place = np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
         apex = np.asarray(self.frame[index, 0] + place[:, None] * self.frame[index, 3])
         return apex, apex
 
-    def _cylindrical(self, index: NDArray[np.int64], seen: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return r, θ and z of coordinates (3, P, ...) about the edges of paths (P,)."""
-        x, y, z = seen
-        low = (0.5 * np.pi * (self.n[index] - 2.0)).reshape(-1, *[1] * (x.ndim - 1))
-        angle = np.arctan2(y, x)
-        return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
-
     def _edge_field(
         self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse
     ) -> Any:
         """Return the field (P, T, F) of ends seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = (self._cylindrical(index, x) for x in (emitted_at, heard_at))
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = (cylindrical(self.n[index], x) for x in (emitted_at, heard_at))
         way = edge_way(r_s, z_s, r_r, z_r)
         n, lit = self.n[index], self.lit[index]
         weight, root = wedge_terms(n[:, None], lit_angles(n[:, None], t_s, t_r), lit[:, None])
@@ -209,6 +202,13 @@ class EdgePaths(TwoSidedPaths):
         inside = np.where(end > 0.0, end - some.apex, some.apex)
         root = side * (np.sign(inside) * np.sqrt(detour))
         return -0.5 * side[..., None] * transition(root[..., None] * np.sqrt(wave[rows]))
+
+
+def cylindrical(n: Floats, seen: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return r, θ and z of coordinates (3, P, T) about edges (P,)."""
+    x, y, z = seen
+    low, angle = (0.5 * np.pi * (n - 2.0))[:, None], np.arctan2(y, x)
+    return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
 
 
 def sum_of_terms(lit: NDArray[np.int8], weight: Floats, root: Floats, phase: Floats, factors: list[Any]) -> Any:

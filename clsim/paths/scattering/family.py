@@ -138,7 +138,9 @@ class ScatteredPaths(TwoSidedPaths):
         """Return received over emitted pressure (P, T, F): scatterers, spreading, air, walls, directivities."""
         index, here = np.arange(len(self))[rows], cast("ScatteredArrivals", found)
         spreading = here.strength / ((here.length - here.second_length) * here.second_length)
-        response: Any = at.air(found).astype(np.complex128 if self.is_complex else np.float64)
+        response: Any = at.air(found)  # complex by itself where air disperses
+        if self.is_complex:
+            response = response.astype(np.complex128, copy=False)
         response *= (found.mach_factor * spreading)[..., None]
         wave = 2.0 * np.pi * at.frequencies / self.scene.air.speed_of_sound
         for which in np.unique(self.scatterer[index]):

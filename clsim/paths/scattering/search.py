@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.family import PathFamily
+    from clsim.paths.propagation import Medium
     from clsim.paths.search import PathSearch
     from clsim.scene.motion.motion import Motion
 
@@ -68,8 +69,6 @@ def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> Scattered
     of the centre. A side that comes or goes when sound meets the scatterer is heard to come or go when that sound is
     received.
     """
-    if scene.air.layers or scene.air.fluctuation is not None:
-        raise InputError("scatterers", "must be left out where the air depends on the height or fluctuates")
     legs = replace(search, max_order=search.scattering_order, progress=lambda share: None)
     before, after = _sides(scene)
     found_before, found_after = (cast("SpecularPaths", find(side, legs)) for side in (before, after))
@@ -92,7 +91,13 @@ def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> Scattered
 
 
 def direct_ways(scene: Scene) -> ScatteredPaths:
-    """Return the paths by no wall by every scatterer, whatever is in the way."""
+    """Return the paths by no wall by every scatterer, whatever is in the way.
+
+    Raises
+    ------
+    InputError
+        If the air depends on the height or fluctuates.
+    """
     before, after = (SpecularPaths.direct(side) for side in _sides(scene))
     rows = [
         _columns(before, after, _pairs(scene, before, after, (source, which, receiver)), (source, which, receiver))
@@ -104,7 +109,15 @@ def direct_ways(scene: Scene) -> ScatteredPaths:
 
 
 def _sides(scene: Scene) -> tuple[Scene, Scene]:
-    """Return the scene with scatterers for receivers, and with scatterers for sources: all was checked before."""
+    """Return the scene with scatterers for receivers, and with scatterers for sources: all else was checked before.
+
+    Raises
+    ------
+    InputError
+        If the air depends on the height or fluctuates, which ways by scatterers know nothing of.
+    """
+    if scene.air.layers or scene.air.fluctuation is not None:
+        raise InputError("scatterers", "must be left out where the air depends on the height or fluctuates")
     signal = max((source.signal for source in scene.sources), key=lambda signal: signal.sampling_rate)
     listening = [Receiver(s.name, s.trajectory) for s in scene.scatterers]
     sounding = [Source(s.name, signal, s.trajectory) for s in scene.scatterers]
@@ -138,16 +151,17 @@ def _heard(
     if len(known):
         sent = scene.scatterers[ends[1]].trajectory.position(events[known])
         images = np.einsum("pij,pj->pi", after.image_matrix[rows[known]], sent) + after.image_offset[rows[known]]
-        heard[known] += _flight(scene, (sent, images), scene.receivers[ends[2]].trajectory, events[known])
+        medium = medium_of(scene.air, scene.sources[ends[0]].emitted.centre_frequency)
+        heard[known] += _flight(medium, (sent, images), scene.receivers[ends[2]].trajectory, events[known])
     return heard
 
 
-def _flight(scene: Scene, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
+def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
     """Return how long sound takes (n,) to a receiver that moves on meanwhile, s.
 
     It is sent from places (n, 3) at times (n,), and comes from images (n, 3) of these, m.
     """
-    medium, flight = medium_of(scene.air, scene.sources[0].emitted.centre_frequency), np.zeros(len(times))
+    flight = np.zeros(len(times))
     for _ in range(_STEPS):  # each by the Mach number of the receiver
         at = receiver.position(times + flight)
         step = medium.passage(straight(places[1], at)[0], at - places[0]).time - flight

@@ -27,7 +27,7 @@ class ScattererTruth:
     times : ndarray (T,)
         Times of reception, s.
     delay : ndarray (scatterers, sources, receivers, T)
-        From emission to reception, s, also where a wall is in the way.
+        From emission to reception, s, also where a wall is in the way; group delays in air that disperses.
     doppler_factor : ndarray (scatterers, sources, receivers, T)
         Received over emitted frequency.
     range : ndarray (scatterers, sources, receivers, T)
@@ -76,7 +76,8 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     Raises
     ------
     InputError
-        If the scene has no scatterers, times are no finite numbers (T,), or the motion is no known word.
+        If the scene has no scatterers, its air depends on the height or fluctuates, times are no finite numbers (T,),
+        or the motion is no known word.
 
     Examples
     --------
@@ -99,11 +100,13 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     for pair in direct_ways(scene).pairs():
         found = cast("ScatteredArrivals", pair.arrivals(times, motion))
         here = (slice(None), pair.source, pair.receiver)
-        delay[here], rate[here], bearing[here] = found.delay, found.delay_rate, found.arrival
+        delay[here], rate[here] = found.delay + pair.group_lag(found), found.delay_rate
+        bearing[here] = found.arrival
         away[here] = found.second_length
+    speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
     return ScattererTruth(
         times, read_only(delay), read_only(1.0 - rate), read_only(away),
-        read_only(0.5 * scene.air.speed_of_sound * rate), read_only(bearing),
+        read_only(0.5 * speed[:, None, None] * rate), read_only(bearing),
         tuple(s.name for s in scene.scatterers), tuple(s.name for s in scene.sources),
         tuple(r.name for r in scene.receivers),
     )  # fmt: skip

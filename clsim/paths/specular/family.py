@@ -89,12 +89,7 @@ class SpecularPaths(PathFamily):
         walls = self.objects[rows]
         response = at.air(found) * at.reflection(walls)[:, None, :]
         response *= (found.mach_factor / found.length)[..., None]
-        for bounce, normals in at.angular_bounces(walls):
-            met = walls[:, bounce]
-            for wall in np.unique(met[at.angular[met]]):
-                here = np.flatnonzero(met == wall)
-                cosine = np.abs(np.einsum("pti,pi->pt", found.departure[here], normals[here]))
-                response[here] *= at.reflection_at(wall, cosine)
+        at.apply_angular_walls(response, walls, found.departure)
         at.apply_directivities(response, self.ends(rows), found, times)
         return response
 
