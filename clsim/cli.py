@@ -56,6 +56,7 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong as all else does."""
 
     def error(self, message: str) -> NoReturn:
+        """Raise what argparse would print, so that it is told in one line as all errors are."""
         raise InputError("", message.removeprefix("argument "))
 
 

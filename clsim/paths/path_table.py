@@ -110,6 +110,7 @@ class PathTable:
         import pandas
 
         def words(values: Sequence[str], which: Any) -> Any:
+            """Return a categorical column of the texts of `values` in the rows `which`."""
             kinds, code = np.unique(texts(values), return_inverse=True)
             return pandas.Categorical.from_codes(code[which], kinds)
 
@@ -167,6 +168,7 @@ def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], 
     kinds = [_listed(row) for row in table.interactions[part].tolist()]
 
     def per_path(values: Any) -> Any:
+        """Return a column of one value per path, repeated at the instants at which it is heard."""
         return np.repeat(np.asarray(values), count)[heard]
 
     columns = {

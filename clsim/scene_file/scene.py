@@ -48,6 +48,7 @@ class _Air(Model):
     fluctuation: _Fluctuation | None = None
 
     def build(self) -> Air:
+        """Return the air."""
         arguments, noise = self.arguments(), self.fluctuation
         if noise is not None:
             arguments["fluctuation"] = within("fluctuation", lambda: Fluctuation(**noise.arguments()))
@@ -85,6 +86,7 @@ class _Receiver(_End):
     electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> list[Receiver]:
+        """Return the receiver, in a list as arrays of receivers are."""
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
         return [Receiver(**self.parts(base), electronics=electronics)]
@@ -97,6 +99,7 @@ class _Grid(Model):
     z: float | list[float]
 
     def build(self, base: Path) -> Floats:
+        """Return the positions of the grid, `(n, 3)` m."""
         return grid_positions(self.x, self.y, self.z)
 
 
@@ -105,6 +108,7 @@ class _PositionsFile(Model):
     path: str
 
     def build(self, base: Path) -> Floats:
+        """Return the positions that a file holds, `(n, 3)` m."""
         return positions_from_file(base / self.path)
 
 
@@ -113,6 +117,7 @@ class _ReceiverArray(_Common):
     electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> list[Receiver]:
+        """Return the receivers of the array, named by their numbers."""
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
         positions = within("positions", lambda: self.positions.build(base))
@@ -128,6 +133,7 @@ class _Source(_End):
     start: float = 0.0
 
     def build(self, base: Path) -> Source:
+        """Return the source."""
         signal = within("signal", lambda: self.signal.build(base))
         return Source(**self.parts(base), signal=signal, start=self.start)
 
