@@ -8,8 +8,8 @@ import pytest
 import soundfile
 
 import clsim
-from clsim.render.plan import SEGMENT
 from clsim.cli import main
+from clsim.render.plan import SEGMENT
 
 RATE = 192e3
 AIR = clsim.Air()
