@@ -9,7 +9,7 @@ import numpy as np
 
 from clsim.arrays import as_choice, as_count, as_flag, as_number
 from clsim.errors import InputError
-from clsim.paths.diffraction.search import double_edge_paths, edge_paths
+from clsim.paths.diffraction.search import DIFFRACTION_MODELS, double_edge_paths, edge_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
@@ -34,6 +34,7 @@ def find_paths(
     max_order: int,
     *,
     diffraction: int = 0,
+    diffraction_model: str = "utd",
     scattering_order: int = 0,
     direct: bool = True,
     path_limit: int = DEFAULT_PATH_LIMIT,
@@ -54,6 +55,10 @@ def find_paths(
     diffraction : int
         Largest number of edges that a path turns round: 0, 1 for paths with one edge and up to `max_order` reflections
         before and after it, or 2 for those over two edges of one face as well.
+    diffraction_model : {"utd", "btm"}
+        Of the field at an edge: the uniform theory of diffraction, for some 5 kHz and more, or the exact field of a
+        wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two edges are those of
+        "utd".
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3.
     direct : bool
@@ -103,10 +108,11 @@ def find_paths(
     if resolution is not None:
         resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
     limit, by_nothing = as_count("path_limit", path_limit, at_least=1), as_flag("direct", direct)
+    as_choice("diffraction_model", diffraction_model, tuple(DIFFRACTION_MODELS))
     edges = as_count("diffraction", diffraction, at_most=LARGEST_DIFFRACTION)
     report = progress or (lambda share: None)
     legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
-    search = PathSearch(max_order, edges, legs, limit, finder, resolution, engine, device, report)
+    search = PathSearch(max_order, edges, diffraction_model, legs, limit, finder, resolution, engine, device, report)
     found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
         found = (*found, kind(scene, search, found))

@@ -172,6 +172,7 @@ ScattererModel = Annotated[_Point | _Sphere | _Ellipsoid, Field(discriminator="k
 class _Paths(Model):
     max_order: int
     diffraction: int = 0
+    diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
     direct: bool | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
@@ -183,7 +184,7 @@ class _Paths(Model):
         return {
             name: value
             for name, value in super().arguments().items()
-            if name not in ("scattering_order", "direct") or value is not None
+            if name not in ("diffraction_model", "scattering_order", "direct") or value is not None
         }
 
 
