@@ -169,23 +169,34 @@ class _Ellipsoid(_Scatterer):
 ScattererModel = Annotated[_Point | _Sphere | _Ellipsoid, Field(discriminator="kind")]
 
 
+class _Direct(Model):
+    source: str
+    receiver: str
+    level_db: float | None = None  # left out without
+
+
 class _Paths(Model):
     max_order: int
     diffraction: int = 0
     diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
-    direct: bool | None = None  # true where left out
+    direct: bool | float | list[_Direct] | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
     path_limit: int = DEFAULT_PATH_LIMIT
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `find_paths` that are given or have a default here."""
-        return {
+        given = {
             name: value
             for name, value in super().arguments().items()
             if name not in ("diffraction_model", "scattering_order", "direct") or value is not None
         }
+        if isinstance(self.direct, list):
+            levels = [False if pair.level_db is None else pair.level_db for pair in self.direct]
+            names = [(pair.source, pair.receiver) for pair in self.direct]
+            given["direct"] = dict(zip(names, levels, strict=True))
+        return given
 
 
 class SceneModel(Model):
