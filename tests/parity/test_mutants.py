@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exhaustive import few
 from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 from mutants import Mutants
 from scipy.spatial.transform import Rotation, Slerp
@@ -131,7 +132,7 @@ def _plan(kind: str) -> Plan:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("layout", [None, GPU_LAYOUT])
+@pytest.mark.parametrize("layout", few([None, GPU_LAYOUT]))
 @pytest.mark.parametrize("kind", KINDS)
 def test_kernels_as_they_are_pass(difference_db, kind: str, layout: Layout | None) -> None:
     assert difference_db(kind, layout) < (NEAR_DB if kind == "near" else TOLERANCE_DB)
@@ -256,10 +257,11 @@ def _grouped() -> dict[tuple[str, str], dict[str, tuple[str, str]]]:
 
 
 GROUPED = _grouped()
+FEW = {("real", "branches"), ("turned", "tracks"), ("near", "render")}  # of each program, where least is built
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "program"), GROUPED)
+@pytest.mark.parametrize(("kind", "program"), few(GROUPED, [i for i, group in enumerate(GROUPED) if group in FEW]))
 def test_mutants_are_caught(kind: str, program: str, difference_db, monkeypatch: pytest.MonkeyPatch) -> None:
     mutants = Mutants(program, GROUPED[kind, program])
     mutants.play(monkeypatch)
