@@ -107,7 +107,7 @@ def find_paths() -> clsim.PathSet:
     places = clsim.Trajectory.line((3, 1, 2), (3, 2, 2), 2.0), clsim.Trajectory.fixed((3, 2, 2))
     receivers = [clsim.Receiver(f"r{i}", place) for i, place in enumerate(places)]
     room = clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.9))
-    return clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], receivers), 1)
+    return clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], receivers), 0)
 
 
 def options(engine: str, chunk: int) -> dict[str, Any]:
