@@ -8,7 +8,6 @@ import pytest
 from driver_scenes import SCENES
 from drivers import EVERYTHING, FEW_ON_GPUS, POCL, render
 
-
 ALL = [f"{name}.cpu" for name in SCENES] + [f"{name}.gpu" for name in (SCENES if EVERYTHING else FEW_ON_GPUS)]
 
 
