@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_index, as_number, texts
+from clsim.arrays import as_index, as_number, short_repr, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.pictures.notebook import html_table, inline_sound
@@ -61,6 +61,8 @@ class Recording:
     units: tuple[str, ...] = ()
     clipped: tuple[int, ...] = ()
     carrier: float | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         count = len(self.receiver_names)

@@ -73,7 +73,7 @@ def execute(options: argparse.Namespace) -> int:
     with results.held():
         made = _fill(results, outputs, file.with_render(**given), options, workers)
     if not made:
-        print(f"clsim: nothing was missing: all results in {options.output} are as they were written", file=sys.stderr)
+        print(f"clsim: already finished: all results in {options.output} are as they were written", file=sys.stderr)
     for path in made or [options.output / COMPLETED]:
         print(path)
     return 0

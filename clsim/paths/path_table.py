@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import texts
+from clsim.arrays import short_repr, texts
 from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
 from clsim.paths.labelled import labelled_dataset, labelled_frame
@@ -71,6 +71,8 @@ class PathTable:
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
     object_names: tuple[str, ...]
+
+    __repr__ = short_repr
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:

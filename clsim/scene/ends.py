@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, as_number
+from clsim.arrays import Floats, as_floats, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
 from clsim.scene.directivity.directivity import Directivity
@@ -66,6 +66,8 @@ class Source:
     transducer: Transducer | None = None
     flush: Any = False
     emitted: Signal = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_end(self))
@@ -134,6 +136,8 @@ class Receiver:
     transducer: Transducer | None = None
     electronics: Electronics | None = None
     flush: Any = False
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_end(self))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import numpy as np
 
 from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength, sphere_field, sphere_strength
-from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only
+from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.motion.trajectory import Trajectory
 
@@ -183,6 +183,8 @@ class Scatterer:
     shape: Shape
     trajectory: Trajectory
     flush: ClassVar[bool] = False  # it sits in no wall
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clsim.arrays import FARTHEST, as_count, as_number
+from clsim.arrays import FARTHEST, as_count, as_number, short_repr
 from clsim.errors import InputError
 from clsim.pictures.notebook import html_table, inline_page
 from clsim.scene.air import Air
@@ -58,6 +58,8 @@ class Scene:
     receivers: Sequence[Receiver]
     min_distance: float = 0.01
     scatterers: Sequence[Scatterer] = ()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sources", _checked_list("sources", self.sources, Source))

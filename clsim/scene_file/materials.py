@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,6 +11,7 @@ from pydantic import Field
 
 from clsim.errors import InputError
 from clsim.scene.material.material import Material
+from clsim.scene.material.scattering import as_scattering
 from clsim.scene_file.model import Model, within
 
 # How many there are is checked in our own words; editors read it here.
@@ -92,8 +94,13 @@ class _Porous(Model):
         return Material.from_porous(**self.arguments())
 
 
+class _Scattering(Model):
+    frequencies: list[float]
+    values: list[float]
+
+
 class MaterialModel(Model):
-    """One of the ways to say what a wall is made of, and how rough it is (m)."""
+    """One of the ways to say what a wall is made of, how rough it is (m), and what it scatters."""
 
     reflection: Complex | None = None
     named: str | None = None
@@ -105,14 +112,19 @@ class MaterialModel(Model):
     solid: _Solid | None = None
     porous: _Porous | None = None
     roughness: float = 0.0
+    scattering: float | _Scattering | None = None
 
     def build(self, base: Path) -> Material:
         """Return the material; paths are relative to `base`."""
-        ways = [name for name in type(self).model_fields if name != "roughness"]
+        ways = [name for name in type(self).model_fields if name not in ("roughness", "scattering")]
         given = [name for name in ways if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError("", f"must have one of {', '.join(ways)}, but has {' and '.join(given) or 'none of them'}")
         material = self._built(given[0], base)
+        if self.scattering is not None:
+            told = self.scattering
+            coefficients = told if isinstance(told, float) else (told.frequencies, told.values)
+            material = replace(material, scattering=as_scattering(coefficients))
         try:
             return material.rough(self.roughness) if self.roughness else material
         except InputError as error:

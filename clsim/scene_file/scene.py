@@ -6,12 +6,11 @@ import os
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationError
 
-from clsim.arrays import Floats
-from clsim.errors import InputError
+from clsim.arrays import Floats, short_repr
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
@@ -20,9 +19,10 @@ from clsim.scene.receiver_array import grid_positions, positions_from_file, rece
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
+from clsim.scene_file.explain import explain
 from clsim.scene_file.model import Model, Pair, Vector, within
-from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
-from clsim.scene_file.render_options import InterpolatorModel, RenderModel
+from clsim.scene_file.motion_and_signals import SignalModel, TrajectoryModel
+from clsim.scene_file.render_options import RenderModel
 from clsim.scene_file.rooms import RoomModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
 
@@ -175,22 +175,34 @@ class _Ellipsoid(_Scatterer):
 ScattererModel = Annotated[_Point | _Sphere | _Ellipsoid, Field(discriminator="kind")]
 
 
+class _Direct(Model):
+    source: str
+    receiver: str
+    level_db: float | None = None  # left out without
+
+
 class _Paths(Model):
     max_order: int
     diffraction: int = 0
+    diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
-    direct: bool | None = None  # true where left out
+    direct: bool | float | list[_Direct] | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
     path_limit: int = DEFAULT_PATH_LIMIT
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `find_paths` that are given or have a default here."""
-        return {
+        given = {
             name: value
             for name, value in super().arguments().items()
-            if name not in ("scattering_order", "direct") or value is not None
+            if name not in ("diffraction_model", "scattering_order", "direct") or value is not None
         }
+        if isinstance(self.direct, list):
+            levels = [False if pair.level_db is None else pair.level_db for pair in self.direct]
+            names = [(pair.source, pair.receiver) for pair in self.direct]
+            given["direct"] = dict(zip(names, levels, strict=True))
+        return given
 
 
 class SceneModel(Model):
@@ -235,6 +247,8 @@ class SceneFile:
     model: SceneModel
     base: Path
 
+    __repr__ = short_repr
+
     def with_render(self, **changes: Any) -> SceneFile:
         """Return the file with other values of its ``[render]``."""
         render = self.model.render.model_copy(update=changes)
@@ -260,7 +274,7 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     try:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
-        raise explain(error, content) from error
+        raise explain(error, content, SceneModel) from error
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
     entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
     receivers = [receiver for entry in entries for receiver in entry]
@@ -313,57 +327,3 @@ def _paths_within(content: Any) -> list[tuple[dict[str, Any], str]]:
 def scene_schema() -> dict[str, Any]:
     """Return the JSON schema of scene files, for editors."""
     return SceneModel.model_json_schema()
-
-
-def explain(error: ValidationError, content: Any) -> InputError:
-    """Return one of pydantic's complaints in our words, with the field's path."""
-    # A misspelt key comes before what is then missing; of a number or a list of numbers, what is wrong within the list.
-    complaints = error.errors(include_url=False)
-    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
-    field = _field_of(first, content)
-    for complaint in complaints:
-        inner = _field_of(complaint, content)
-        if inner.startswith(f"{field}["):
-            first, field = complaint, inner
-    kind, context = first["type"], first.get("ctx", {})
-    if kind == "missing":
-        return InputError(field, "must be given, but is missing")
-    if kind == "extra_forbidden":
-        return InputError(field, "is no known key")
-    if kind == "union_tag_not_found":
-        return InputError(f"{field}.kind", f"must be one of {_choices(field)}, but is missing")
-    if kind == "union_tag_invalid":
-        return InputError(f"{field}.kind", f"must be one of {context['expected_tags']}, but is {context['tag']!r:.80}")
-    message = first["msg"].replace("Input should be ", "must be ")
-    return InputError(field, f"{message}, but is {first['input']!r:.80}")
-
-
-def _field_of(complaint: Any, content: Any) -> str:
-    """Return the path of the field that pydantic complains of."""
-    field, at, steps = "", content, complaint["loc"]
-    for i, step in enumerate(steps):
-        known = isinstance(at, dict | list) and (step in at if isinstance(at, dict) else isinstance(step, int))
-        if isinstance(step, str) and not known and i < len(steps) - 1:
-            continue  # the name of a union's member, which no file holds
-        if isinstance(step, str) and not known and complaint["type"] not in ("missing", "extra_forbidden"):
-            continue
-        word = step or '""'  # an empty key is one, too
-        field += f"[{step}]" if isinstance(step, int) else f".{word}" if field else str(word)
-        at = at[step] if known else None
-    return field
-
-
-def _choices(field: str) -> str:
-    """Return the kinds that a field can be of."""
-    unions: dict[str, Any] = {
-        "trajectory": TrajectoryModel,
-        "signal": SignalModel,
-        "directivity": DirectivityModel,
-        "pulse": PulseModel,
-        "transducer": TransducerModel,
-        "room": RoomModel,
-        "scatterers": ScattererModel,
-    }
-    union = unions.get(field.rpartition(".")[2].partition("[")[0], InterpolatorModel)
-    members = get_args(get_args(union)[0])
-    return ", ".join(repr(get_args(member.model_fields["kind"].annotation)[0]) for member in members)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.packages import check_packages
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ class GdopMap:
     y: Floats
     z: float
     anchors: Floats
+
+    __repr__ = short_repr
 
     def to_dataframe(self) -> Any:
         """Return a row for each place as a pandas DataFrame.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, read_only, texts
+from clsim.arrays import Floats, as_choice, as_number, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.pictures.notebook import html_table
@@ -50,6 +50,8 @@ class PositionScore:
     exact: Floats
     anchors: Floats
     gdop: Floats
+
+    __repr__ = short_repr
 
     @property
     def error(self) -> Floats:

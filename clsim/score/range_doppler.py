@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_only
+from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.score.emissions import heard_scene, source_index
@@ -41,6 +41,8 @@ class RangeDopplerMap:
     amplitude: Complexes
     ranges: Floats
     speeds: Floats
+
+    __repr__ = short_repr
 
     def to_xarray(self) -> Any:
         """Return it with named dimensions ``speed`` and ``range``.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, read_only, texts
+from clsim.arrays import Floats, as_choice, as_number, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.pictures.notebook import html_table
@@ -67,6 +67,8 @@ class RangingScore:
     receiver_names: tuple[str, ...]
     scene: Scene
     outlier: float
+
+    __repr__ = short_repr
 
     @property
     def error(self) -> Floats:

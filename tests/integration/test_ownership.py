@@ -366,7 +366,7 @@ def test_resume_makes_what_is_missing_and_nothing_else(done: Path, finished: Pat
     assert everything(out) == everything(finished / "out")
     capsys.readouterr()
     assert run(done / "s.toml", out, "--resume") == 0
-    assert "nothing was missing" in capsys.readouterr().err
+    assert "already finished" in capsys.readouterr().err
 
 
 def test_resume_makes_cut_and_changed_results_again_and_keeps_them_beside(done: Path, finished: Path, capsys) -> None:

@@ -287,7 +287,7 @@ MESH_ROOM = {
         },
     ],
 }  # fmt: skip
-SEARCH = {"finder": "shooting", "resolution": 1e-5, "path_limit": 1000, "diffraction": 1}
+SEARCH = {"finder": "shooting", "resolution": 1e-5, "path_limit": 1000, "diffraction": 1, "diffraction_model": "btm"}
 MESH_LEAVES = [("room", *leaf) for leaf in leaves(MESH_ROOM)] + [("paths", name) for name in SEARCH]
 
 
