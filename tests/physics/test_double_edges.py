@@ -9,6 +9,8 @@ from pillar_bem import PILLAR, RECEIVERS, SIDE, SOURCE, C
 from scipy.special import hankel2
 
 import clsim
+from clsim.acoustics.diffraction import transition
+from clsim.acoustics.double_edge import double_transition
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 
@@ -58,11 +60,41 @@ def over_free_field(paths: PathSet) -> np.ndarray:
     return total
 
 
-@pytest.mark.parametrize(("diffraction", "bound"), [(1, -9.0), (2, -30.5)])
+@pytest.mark.parametrize(("diffraction", "bound"), [(1, -12.0), (2, -52.0)])
 def test_behind_a_pillar(diffraction: int, bound: float) -> None:
-    """Root mean square over places out of sight, relative to the free field; the values are within -45 dB."""
+    """Root mean square over places out of sight, relative to the free field, of which all is -11 dB there."""
     wrong = np.abs(over_free_field(at_rest(diffraction)) - PILLAR)
     assert 10.0 * np.log10(np.mean(wrong**2)) < bound
+
+
+def double_integral(a: float, b: float, tie: float) -> complex:
+    """Return the transition function of two edges as it is defined, by the rule of trapezoids."""
+    x = np.linspace(-6.0, 6.0, 601)
+    one, other = np.meshgrid(x, x)
+    fall = np.exp(-(one**2 + other**2 + 2.0 * tie * one * other))
+    total = np.sum(fall / ((one**2 + 1j * a**2) * (other**2 + 1j * b**2)))
+    return complex(1j * a * b / np.pi**2 * total * (x[1] - x[0]) ** 2)
+
+
+def test_the_transition_of_two_edges() -> None:
+    """Against its double integral, its limits, and across its boundaries, where partners over one edge join in."""
+    one = np.ones((1, 1))
+    for a, b, tie in ((0.5, 0.8, 0.3), (1.0, 1.0, 0.8), (2.0, 0.4, 0.9), (3.0, 4.0, 0.6), (0.3, 0.3, 0.0)):
+        roots, wave = (np.array([x / np.sqrt(700.0)]) for x in (a, b)), np.array([[140.0, 700.0]])
+        found = double_transition(*roots, np.array([tie]), wave)[0, 1]
+        assert abs(found - double_integral(a, b, tie)) < 2e-6
+    for tie in (0.0, 0.5, 0.99):
+        w, b, nothing = np.array([tie]), np.array([0.7]), np.zeros(1)
+        np.testing.assert_allclose(double_transition(nothing, nothing, w, one), 1.0, atol=2e-4)
+        np.testing.assert_allclose(double_transition(nothing, b, w, one)[:, 0], transition(b), atol=2e-5)
+        far = transition(b * np.sqrt(1.0 - w**2)) * transition(np.array([400.0]))
+        np.testing.assert_allclose(double_transition(b, np.array([400.0]), w, one)[:, 0], far, rtol=1e-2)
+        root = np.linspace(-0.4, 0.4, 41)
+        for other in (0.7, -0.3):
+            across = double_transition(root, np.full(41, other), np.full(41, tie), np.ones((41, 1)))[:, 0]
+            assert np.abs(np.diff(across, 5)).max() < 1e-4, "a step or a kink"
+            back = double_transition(np.full(41, other), root, np.full(41, tie), np.ones((41, 1)))[:, 0]
+            np.testing.assert_allclose(across, back, atol=1e-12)
 
 
 def test_ways_over_two_edges() -> None:
@@ -88,6 +120,6 @@ def test_no_jump_where_the_second_edge_takes_over() -> None:
     events = np.unique(np.concatenate([single.start, single.end, paths.families[0].start, paths.families[0].end]))
     events = events[np.isfinite(events)]
     assert len(events) >= 2
-    assert 20.0 * np.log10(jumps(paths, events, TONE).max()) < -40.0
+    assert 20.0 * np.log10(jumps(paths, events, TONE).max()) < -58.0
     without = PathSet(paths.scene, paths.families[:-1])
     assert 20.0 * np.log10(jumps(without, events, TONE).max()) > -10.0
