@@ -5,7 +5,7 @@ BIN := .venv/bin
 # Tests start some hundred processes: with bytecode on disk each of them is there in half the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-exhaustive test-all drivers study-kills fuzz kills clean
+.PHONY: demo docs test test-exhaustive test-all drivers study-kills fuzz kills clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
@@ -36,11 +36,19 @@ fuzz: .venv/tested
 kills: .venv/tested
 	CLSIM_KILLS=200 $(BIN)/python -m pytest -m "" -n 0 tests/integration/test_kills.py
 
+# The site is in out/site: open out/site/index.html.
+docs: .venv/documented
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --quiet docs/site out/site
+
+.venv/documented: .venv/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	@touch $@ .venv/installed
+
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
 .venv/installed: .venv/bin/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --editable '.[pictures]'
 	@touch $@
 
 .venv/tested: .venv/bin/python pyproject.toml

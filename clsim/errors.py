@@ -102,7 +102,7 @@ def meant(value: Any, names: Iterable[str]) -> str:
     from difflib import get_close_matches  # late: only what goes wrong needs it
 
     by_form = {name.casefold().replace("_", "-"): name for name in names}
-    close = get_close_matches(str(value)[:80].casefold().replace("_", "-"), by_form, n=1, cutoff=0.6)
+    close = get_close_matches(str(value)[:80].casefold().replace("_", "-"), by_form, n=1, cutoff=0.7)
     return f'; did you mean "{by_form[close[0]]}"?' if close else ""
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from clsim.arrays import as_index, as_number, short_repr, texts
 from clsim.errors import InputError
-from clsim.packages import check_packages
+from clsim.packages import check_packages, check_pictures
 from clsim.pictures.notebook import html_table, inline_sound
 from clsim.version import __version__
 
@@ -178,6 +178,7 @@ class Recording:
         InputError
             If there is no such receiver.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         from clsim.pictures.plots import draw_waveform
@@ -212,6 +213,7 @@ class Recording:
         InputError
             If there is no such receiver.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         from clsim.pictures.envelope_plot import draw_envelope_spectrogram

@@ -13,6 +13,7 @@ from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError, not_one_of
 from clsim.files.ownership import NewFile
 from clsim.output.directivity_plots import DirectivityDiagram, air_picture, directivity_picture
+from clsim.packages import check_pictures
 from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
@@ -64,6 +65,7 @@ def execute(options: argparse.Namespace) -> int:
     """Draw the picture; return the exit status."""
     if options.output.suffix.lower() != ".png":
         raise InputError("--output", f"must end in .png, but is {options.output}")
+    check_pictures("--output")
     options.draw(options)
     print(options.output)
     return 0

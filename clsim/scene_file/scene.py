@@ -16,7 +16,6 @@ from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
-from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.explain import explain
@@ -24,6 +23,7 @@ from clsim.scene_file.model import Model, Pair, Vector, within
 from clsim.scene_file.motion_and_signals import SignalModel, TrajectoryModel
 from clsim.scene_file.render_options import RenderModel
 from clsim.scene_file.rooms import RoomModel
+from clsim.scene_file.scatterers import ScattererModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
 
 _PATHS = ("path", "phases_path")  # keys that name files
@@ -138,43 +138,6 @@ class _Source(_End):
         return Source(**self.parts(base), signal=signal, start=self.start)
 
 
-class _Scatterer(Model):
-    name: str
-    trajectory: TrajectoryModel
-
-    def parts(self, base: Path) -> dict[str, Any]:
-        """Return the arguments of the constructor of this kind."""
-        return self.arguments() | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))}
-
-
-class _Point(_Scatterer):
-    kind: Literal["point"]
-    target_strength_db: float
-
-    def build(self, base: Path) -> Scatterer:
-        return Scatterer.point(**self.parts(base))
-
-
-class _Sphere(_Scatterer):
-    kind: Literal["sphere"]
-    radius: float
-    model: Literal["series", "geometrical"] = "series"
-
-    def build(self, base: Path) -> Scatterer:
-        return Scatterer.sphere(**self.parts(base))
-
-
-class _Ellipsoid(_Scatterer):
-    kind: Literal["ellipsoid"]
-    semi_axes: Vector
-
-    def build(self, base: Path) -> Scatterer:
-        return Scatterer.ellipsoid(**self.parts(base))
-
-
-ScattererModel = Annotated[_Point | _Sphere | _Ellipsoid, Field(discriminator="kind")]
-
-
 class _Direct(Model):
     source: str
     receiver: str
@@ -278,8 +241,8 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
     entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
     receivers = [receiver for entry in entries for receiver in entry]
-    things = model.scatterers or []
-    scatterers = [within(f"scatterers[{i}]", partial(thing.build, base)) for i, thing in enumerate(things)]
+    things = [within(f"scatterers[{i}]", partial(t.build, base)) for i, t in enumerate(model.scatterers or [])]
+    scatterers = [scatterer for thing in things for scatterer in thing]
     room = within("room", lambda: model.room.build(base))
     air = within("air", model.air.build)
     scene = Scene(room, air, sources, receivers, model.min_distance, scatterers)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr
-from clsim.packages import check_packages
+from clsim.packages import check_packages, check_pictures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,6 +70,7 @@ class GdopMap:
         matplotlib.axes.Axes
             Of a new figure of pyplot.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         figure, axes = pyplot.subplots(figsize=(6.4, 4.8), layout="constrained")

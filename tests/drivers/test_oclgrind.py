@@ -22,13 +22,19 @@ OPTIONS = {
     "RETARDED": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}, "MACH_EXPONENT": {"0", "1", "2"}, "DELAY_TERMS": {"4", "8"},
     "SOURCE_DIRECTIVITY": {"0", "1", "2"}, "RECEIVER_DIRECTIVITY": {"0", "1", "2"}, "NODES_AT_ONCE": {"1", "4"},
     "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "ORDER": {"0", "1"},
-    "FREQUENCIES": {"1", "8"}, "ROWS": {"0", "4"}, "WORKERS": {"1", "32"},
+    "EDGES": {"0", "1"}, "FREQUENCIES": {"1", "8"}, "ROWS": {"0", "4"}, "WORKERS": {"1", "32"},
 }  # fmt: skip
 # Those of programs that share files with others, in which the same options have run.
 OPTIONS_OF = {
-    "tracks": {"WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "SPARSE": {"0", "1"}, "NODES_AT_ONCE": {"1", "4"}},
+    "tracks": {
+        "WIND": {"0", "1"},
+        "AIR_TERMS": {"0", "2"},
+        "SPARSE": {"0", "1"},
+        "NODES_AT_ONCE": {"1", "4"},
+        "EDGES": {"0", "1"},
+    },
     "pair_tracks": {"AIR_TERMS": {"0", "2"}, "SPARSE": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}},
-    "coarse_delays": {"WIND": {"0", "1"}, "NODES_AT_ONCE": {"1", "4"}},
+    "coarse_delays": {"WIND": {"0", "1"}, "NODES_AT_ONCE": {"1", "4"}, "EDGES": {"0", "1"}},
     "intervals": {"WIND": {"0", "1"}, "ORDER": {"0", "1"}},
     "edge_intervals": {"WIND": {"1"}, "ORDER": {"0", "1"}},  # without wind it computes less
 }
@@ -36,7 +42,7 @@ OPTIONS_OF = {
 NUMBERS = {
     "AXIAL", "BATCH", "CELL", "CELLS", "CERTAIN", "CONTRACTED", "CONTRACTIONS", "CUBIC_COLUMNS", "DEPTH", "EVER",
     "FACE_CELLS", "FUNCTIONS", "GAIN_ERROR", "GRAZE_TIME", "HALF_TURN", "INNER", "KNOT_COLUMNS",
-    "LEAST_SHARE", "MOST", "OMNI", "PARALLEL", "RECEIVER_PERTURBATION", "SIDE", "SMOOTH_ERROR",
+    "LEAST_SHARE", "MOST", "OMNI", "ON_BOUNDARY", "PARALLEL", "RECEIVER_PERTURBATION", "SIDE", "SMOOTH_ERROR",
     "SOURCE_PERTURBATION", "SPHERICAL", "SUBBLOCK", "SUBBLOCKS", "TILE", "TOUCHING", "VECTORS",
 }  # fmt: skip
 

@@ -131,4 +131,4 @@ def test_scene_files_may_begin_with_a_byte_order_mark(tmp_path: Path, capsys) ->
     scene.write_text('"" = 1\n' + (SCENE % (TONE, "right")), "utf-8")
     capsys.readouterr()
     assert main(["check", str(scene)]) == 2
-    assert capsys.readouterr().err == 'clsim: error: "": is no known key\n'
+    assert capsys.readouterr().err == f'clsim: error: {scene}: "": is no known key\n'

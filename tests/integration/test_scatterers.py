@@ -49,6 +49,7 @@ trajectory = { kind = "fixed", position = [3.0, 3.0, 1.0] }
 kind = "point"
 name = "bat"
 target_strength_db = -30.0
+fluctuation = { correlation_time = 0.05, steady = 0.3, seed = 7 }
 trajectory = { kind = "circle", center = [3.0, 2.5, 2.0], radius = 0.3, period = 0.5, duration = 0.2 }
 [paths]
 max_order = 1
@@ -340,6 +341,8 @@ BAD = [
     (lambda t: clsim.Scatterer.sphere("a", 0.1, t, model="exact"), "model"),
     (lambda t: clsim.Scatterer.ellipsoid("a", (0.1, -0.1, 0.1), t), r"semi_axes\[1\]: must be above 0 m, but is -0.1"),
     (lambda t: clsim.Scatterer.point("a", 61.0, t), "target_strength_db: must be at most 60 dB, but is 61"),
+    (lambda t: clsim.Scatterer.capsule("a", 0.1, 0.0, t), "length: must be above 0 m, but is 0"),
+    (lambda t: clsim.Scatterer.capsule("a", -0.1, 0.1, t), "radius: must be above 0 m, but is -0.1"),
     (lambda t: clsim.Scatterer.point(" ", 0.0, t), "name: must be a text"),
     (lambda t: clsim.Scatterer.point("a", 0.0, (1, 2, 3)), "trajectory: must be a Trajectory"),
 ]
@@ -355,6 +358,7 @@ FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
 REFUSED = [
     ([clsim.Scatterer.sphere("b", 1.0, FIXED((1.5, 2.0, 1.0)))], r"scatterers\[0\].*'sonar' is in 'b' or nearer.* at 0 s"),
     ([clsim.Scatterer.ellipsoid("b", (0.5, 0.1, 0.1), LINE((3, 2.05, 1), (1.2, 2.05, 1), 0.2))], "'sonar' is in 'b'"),
+    ([clsim.Scatterer.capsule("b", 0.1, 0.5, LINE((3, 2, 1.2), (1, 2, 1.3), 0.2))], r"'sonar' is in 'b' or nearer.* at 0\.\d+ s"),
     ([clsim.Scatterer.point("b", 0.0, LINE((3, 2, 1), (7, 2, 1), 0.2))], r"scatterers\[0\].trajectory: must stay inside"),
     ([clsim.Scatterer.point("b", 0.0, LINE((1.5, 4, 1), (2.5, 4, 1), 0.01))], "must last as long as all signals"),
     ([clsim.Scatterer.point("b", 0.0, clsim.Trajectory.circle((3, 2.5, 1.5), 1.0, 0.015, 0.2))], "speed of sound"),
@@ -404,6 +408,7 @@ def test_in_wind_there_and_back_are_not_alike(paths: PathSet) -> None:
 def test_files_name_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for old, new, message in (
         ("radius = 0.03", "radius = -0.03", "scatterers[1].radius"), ('kind = "sphere"', 'kind = "cube"', "scatterers[1].kind"),
+        ("correlation_time = 0.05", "correlation_time = 0.0", "scatterers[2].fluctuation.correlation_time"),
         ("scattering_order = 1", "scattering_order = 4", "paths.scattering_order"),
         ("scattering_order = 1", 'direct = [{ source = "sonar", receiver = "nose" }]', "paths.direct: must name a receiver"),
         ("scattering_order = 1", "direct = 0", "paths.direct: must be True, False or a level below 0 dB"),

@@ -53,7 +53,7 @@ def test_the_page_needs_nothing_else(page: Path) -> None:
 def test_frames_must_fit() -> None:
     wall = ViewedWall("w", "m", np.zeros((1, 3, 3)), np.zeros((1, 2, 3)))
     end = ViewedEnd("s", "source", np.zeros((1, 3)), np.zeros((1, 3)))
-    none = ViewedPaths((), np.empty(0, dtype=np.int32), ())
+    none = ViewedPaths.none()
     with pytest.raises(clsim.InputError, match="frames: must be one per time, 2"):
         write_page("x.html", title="t", walls=[wall], ends=[end], times=np.array([0.0, 1.0]), frames=[none, none])
     pair = ViewedEnd("s", "source", np.zeros((2, 3)), np.zeros((1, 3)))

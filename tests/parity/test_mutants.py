@@ -203,7 +203,7 @@ ELSEWHERE = {
     "the same bounce again": ("phased", "tracks", "s->wall_of[i * (long)slots + slot]", "s->wall_of[slot]"),
     "another wall's table": ("phased", "tracks", "s->walls + (long)wall *", "s->walls + (long)(wall ^ 1) *"),
     "another path's normal": ("phased", "tracks", "s->normal + 3 * i * (long)slots + slot", "s->normal + 3 * i * (long)slots + (slot ^ 1)"),
-    "axes of the normal": ("phased", "tracks", "n[slots] * (float)a->departure.y", "n[2 * slots] * (float)a->departure.y"),
+    "axes of the normal": ("phased", "tracks", "n[slots] * (float)along.y", "n[2 * slots] * (float)along.y"),
     "imaginary part unprojected": ("phased", "tracks", "m < PARTS * FREQUENCIES; m++", "m < FREQUENCIES; m++"),
     "cube's second axis": ("lopsided", "tracks", "(axis == 0 ? y : axis == 1 ? z : x) * scale", "(axis == 0 ? y : axis == 1 ? x : z) * scale"),
     "cube's face": ("lopsided", "tracks", "(along < 0.0f)) * SIDE", "(along > 0.0f)) * SIDE"),

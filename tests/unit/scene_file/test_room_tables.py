@@ -77,7 +77,7 @@ def test_shoeboxes_and_plans_with_obstacles(tmp_path: Path) -> None:
     [
         ({"kind": "mesh", "path": "none.obj", "materials": {"reflection": 0.9}}, "none.obj: "),
         ({"kind": "mesh", "path": "floor.obj"}, r"room\.materials: must be given, but is missing"),
-        ({"kind": "mesh", "path": "floor.obj", "up": "w", "materials": {"reflection": 0.9}}, r"room\.up: must be 'x', 'y' or 'z'"),
+        ({"kind": "mesh", "path": "floor.obj", "up": "w", "materials": {"reflection": 0.9}}, r'room\.up: must be one of "x", "y", "z"'),
         ({"kind": "mesh", "path": "floor.obj", "materials": {"reflection": 1.9}}, r"room\.materials\.reflection: must be from -1 to 1"),
         ({"kind": "mesh", "path": "floor.obj", "materials": {"glass": {"reflection": 0.9}}}, r"room\.materials\.glass: is no group of floor\.obj"),
         ({"kind": "mesh", "path": "floor.obj", "materials": {"wood": {"reflection": 1.9}}}, r"room\.materials\.wood\.reflection: must be from"),
@@ -87,7 +87,7 @@ def test_shoeboxes_and_plans_with_obstacles(tmp_path: Path) -> None:
         ),
         ({"kind": "plan", "outline": [[0.0, 0.0], [1.0, 0.0]], "height": 3.0, "materials": {"reflection": 0.9}}, r"room\.outline: must be three"),
         ({"kind": "barn"}, r"room\.kind: must be one of"),
-        ({"path": "floor.obj"}, r"room\.kind: must be one of 'shoebox', 'mesh', 'plan', but is missing"),
+        ({"path": "floor.obj"}, r'room\.kind: must be one of "shoebox", "mesh", "plan", but is missing'),
     ],
 )  # fmt: skip
 def test_rooms_that_are_none_are_refused(tmp_path: Path, room: dict, message: str) -> None:

@@ -122,6 +122,28 @@ def test_a_contribution_that_remembers_is_done_in_order(tmp_path: Path, monkeypa
     np.testing.assert_array_equal(samples_in(tmp_path), wanted)
 
 
+def test_chunks_of_envelopes_are_made_once_whichever_pieces_they_are_for(tmp_path: Path, device: str) -> None:
+    seconds = 24.0  # longer than a chunk of the envelopes
+    source = clsim.Source("s", clsim.Signal.tone(1e4, seconds, RATE), clsim.Trajectory.line((1, 1, 1), (2, 1, 1), 25.0))
+    end = clsim.Electronics(low_cut=2e3, self_noise_db=20.0)
+    receivers = [
+        clsim.Receiver(f"r{i}", clsim.Trajectory.fixed((3.0, 0.5 + 0.4 * i, 2.0)), electronics=e)
+        for i, e in enumerate([end, None])
+    ]
+    room = clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.9))
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], receivers), 0)
+    plan = clsim.plan_render(paths, RATE, chunk=8 * CHUNK, duration=seconds, responses="centre", narrowband=True)
+    handed = Handed.of(plan, store_in(tmp_path, plan), 2)
+    pieces = Pieces(handed, PlanFile.write(tmp_path, handed), 0, {})
+    shared = [n for n in range(pieces.count) if pieces.piece(n).shared is not None]
+    assert len(shared) == 2
+    assert pieces.todo() == shared, "pressure waits for envelopes"
+    wanted = np.concatenate([samples for _, samples in Rendering(plan).pieces()], axis=1)
+    (tmp_path / "random").mkdir()
+    done_in_pieces(plan, tmp_path / "random", random.Random(3))
+    np.testing.assert_array_equal(samples_in(tmp_path / "random"), wanted)
+
+
 def test_workers_that_would_render_otherwise_are_refused(tmp_path: Path) -> None:
     plan = made_plan("reference", 0.5)
     file = PlanFile.write(tmp_path, Handed.of(plan, store_in(tmp_path, plan), 2))
