@@ -64,8 +64,8 @@ format = 1
 scene = "scene.toml"
 keep = ["ground_truth"]
 [[vary]]
-field = "paths.max_order"
-values = [0]
+field = "scatterers[1].radius"
+values = [0.03, 0.06]
 """
 
 
@@ -246,7 +246,8 @@ def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> None:
     pytest.importorskip("zarr")
-    (tmp_path / "scene.toml").write_text(SCENE.replace("scattering_order = 1", "scattering_order = 0"), "utf-8")
+    text = SCENE.replace("scattering_order = 1", "scattering_order = 0").replace("max_order = 1", "max_order = 0")
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     study = load_study(tmp_path / "study.toml")
     content = computed(study, study.members[0], None, tmp_path / "member")[0]
@@ -256,6 +257,9 @@ def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> N
     assert content.scatterer_bearing.shape == truth.bearing.shape
     np.testing.assert_array_equal(content.scatterer_range, truth.range)
     assert content.scatterer_delay.attrs["units"] == "s"
+    larger = computed(study, study.members[1], None, tmp_path / "other")[0].scatterer_range.values - truth.range
+    np.testing.assert_array_equal(larger[[0, 2]], 0.0)
+    np.testing.assert_allclose(larger[1], -0.03, atol=1e-3)  # of the ball: its surface is nearer by 3 cm
 
 
 def test_a_sonar_without_its_cross_talk(file: Any, paths: PathSet, direct: PathSet) -> None:
@@ -297,6 +301,18 @@ def test_cross_talk_by_pair(file: Any, paths: PathSet, tmp_path: Path, device: N
         levels = np.array([0.1, 1.0, 0.0])[:, None]
         assert level_db(heard - echoes - levels * direct, heard) < -110.0
     assert clsim.direct_path(found, [0.03]).line_of_sight[0, :, 0].tolist() == [True, True, False]
+    truth = clsim.scatterer_truth(wide, [0.03])  # every scatterer, as seen from every pair
+    table = clsim.find_paths(wide, 0).table([0.03])
+    for i in np.flatnonzero(table.order):
+        here = (
+            wide.scatterers.index(next(s for s in wide.scatterers if s.name == table.name_way(i))),
+            0,
+            table.receiver[i],
+            0,
+        )
+        assert truth.delay[here] == pytest.approx(table.delay[i, 0], rel=1e-14)
+        np.testing.assert_allclose(truth.bearing[here], table.arrival[i, 0], atol=1e-12)
+    assert truth.delay.shape == (3, 1, 3, 1)
     text = SCENE.replace("scattering_order = 1", 'direct = [{ source = "sonar", receiver = "ear", level_db = -20.0 }]')
     (tmp_path / "scene.toml").write_text(text, "utf-8")
     read = clsim.load_scene(tmp_path / "scene.toml")
