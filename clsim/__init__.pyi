@@ -21,6 +21,7 @@ from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
 from clsim.room_measures import RoomMeasures, room_measures
 from clsim.scene.air import Air
+from clsim.scene.body import Body
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
@@ -50,6 +51,7 @@ __all__ = [
     "AxisymmetricDirectivity",
     "Bandlimited",
     "Baseband",
+    "Body",
     "ClsimError",
     "ClsimWarning",
     "DeviceError",

@@ -10,6 +10,8 @@ import numpy as np
 from clsim.arrays import as_choice, as_count, as_flag, as_number
 from clsim.errors import InputError
 from clsim.paths.diffraction.search import double_edge_paths, edge_paths
+from clsim.paths.moving.hidden import behind_bodies
+from clsim.paths.moving.search import BodySearch
 from clsim.paths.path_set import PathSet
 from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
@@ -35,6 +37,8 @@ def find_paths(
     *,
     diffraction: int = 0,
     scattering_order: int = 0,
+    body_order: int | None = None,
+    body_step: float = 0.01,
     direct: bool = True,
     path_limit: int = DEFAULT_PATH_LIMIT,
     finder: str = "auto",
@@ -56,6 +60,11 @@ def find_paths(
         before and after it, or 2 for those over two edges of one face as well.
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3.
+    body_order : int, optional
+        Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
+    body_step : float
+        How far bodies, source and receiver together go from one look at which paths by and behind bodies are there to
+        the next, 10 um to 1 m; what comes and goes between two looks is missed.
     direct : bool
         Whether paths by nothing are among them; without them a sonar hears no cross-talk of its own source, and with
         `max_order` 0 nothing but echoes of scatterers.
@@ -106,12 +115,19 @@ def find_paths(
     edges = as_count("diffraction", diffraction, at_most=LARGEST_DIFFRACTION)
     report = progress or (lambda share: None)
     legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
-    search = PathSearch(max_order, edges, legs, limit, finder, resolution, engine, device, report)
+    by_bodies = None if body_order is None else as_count("body_order", body_order)
+    step = as_number("body_step", body_step, at_least=1e-5, at_most=1.0, unit="m")
+    search = PathSearch(
+        max_order, edges, legs, by_bodies, step, limit, finder, resolution, engine, device, report
+    )
     found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
         found = (*found, kind(scene, search, found))
     if scene.scatterers:
         found = (*found, scattered_paths(scene, search, _specular_paths))
+    if scene.bodies:
+        bodies = BodySearch(scene, search)
+        found = (*(behind_bodies(bodies, family) for family in found), bodies.paths())
     if not by_nothing:
         found = tuple(family.part(np.flatnonzero(family.order)) for family in found)
     return PathSet(scene, found)

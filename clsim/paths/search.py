@@ -23,6 +23,10 @@ class PathSearch:
         Largest number of edges that a path turns round, 0 to 2.
     scattering_order : int
         Largest number of reflections before a scatterer, and of those after it.
+    body_order : int or None
+        Largest number of reflections of paths by bodies; `max_order` when None.
+    body_step : float
+        How far all that moves goes from one look at paths by and behind bodies to the next, m.
     path_limit : int
         Number of paths of a kind above which the search is refused or given up.
     finder : str
@@ -38,6 +42,8 @@ class PathSearch:
     max_order: int
     diffraction: int
     scattering_order: int
+    body_order: int | None
+    body_step: float
     path_limit: int
     finder: str
     resolution: float | None
