@@ -117,9 +117,7 @@ def find_paths(
     legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
     by_bodies = None if body_order is None else as_count("body_order", body_order)
     step = as_number("body_step", body_step, at_least=1e-5, at_most=1.0, unit="m")
-    search = PathSearch(
-        max_order, edges, legs, by_bodies, step, limit, finder, resolution, engine, device, report
-    )
+    search = PathSearch(max_order, edges, legs, by_bodies, step, limit, finder, resolution, engine, device, report)
     found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
         found = (*found, kind(scene, search, found))

@@ -26,8 +26,8 @@ def path_vertices(
     planes : tuple of ndarray (W, 3), (W,)
         Unit normals and offsets of all walls, m.
     walls : ndarray (P, N) int
-        Walls of each path from the source's side, filled up with -1; at right angles to each other, as in a shoebox, they
-        may stand in another order than they are met in.
+        Walls of each path from the source's side, filled up with -1; those at right angles to each other, as in a
+        shoebox, may stand in another order than they are met in.
     source, receiver : ndarray (P, 3)
         Where each path was emitted, and is received, m.
 

@@ -27,6 +27,7 @@ _MATERIALS = (
     "#882255", "#6b4c1e",
 )  # fmt: skip
 _ORDERS = ("#c1272d", "#3b0f70", "#2c728e", "#21a685", "#8bc34a", "#c0b000", "#e69f00", "#999999")
+_BODIES = ("#5d4037", "#7b1fa2", "#00695c", "#283593")
 _EDGES = "#b8860b"
 _SOURCE, _RECEIVER = "#c1272d", "#111111"
 
@@ -52,6 +53,24 @@ class ViewedEnd:
     kind: str
     positions: Floats
     trail: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewedBody:
+    """A body: name, corners (V, 3) in its own coordinates, m, triangles (T, 3); origin (F, 3), m, and axes (F, 3, 3).
+
+    Row i of the axes is where the body's own axis i points in a frame.
+    """
+
+    name: str
+    vertices: Floats
+    triangles: NDArray[np.int64]
+    places: Floats
+    axes: Floats
+
+    def corners(self, frame: int) -> Floats:
+        """Return where its corners (V, 3) are in a frame, m."""
+        return np.asarray(self.places[frame] + self.vertices @ self.axes[frame])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +111,7 @@ def page_text(
     frames: Sequence[ViewedPaths],
     notes: Sequence[str] = (),
     edges: Floats | None = None,
+    bodies: Sequence[ViewedBody] = (),
 ) -> str:
     """Return the text of one HTML page that holds everything, the drawing library included.
 
@@ -109,6 +129,8 @@ def page_text(
         Lines below the title.
     edges : ndarray (E, 2, 3), optional
         Ends of the edges at which sound is diffracted, m.
+    bodies : sequence of ViewedBody
+        What moves as a whole.
 
     Raises
     ------
@@ -120,7 +142,7 @@ def page_text(
         _check_paths(f"frames[{i}]", frame)
     from plotly.offline import get_plotlyjs
 
-    text = json.dumps(_document(walls, ends, times, frames, edges), separators=(",", ":"), allow_nan=False)
+    text = json.dumps(_document(walls, ends, times, frames, edges, bodies), separators=(",", ":"), allow_nan=False)
     parts = {
         "title": html.escape(title),
         "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
@@ -170,12 +192,14 @@ def _document(
     times: Floats,
     frames: Sequence[ViewedPaths],
     edges: Floats | None,
+    bodies: Sequence[ViewedBody],
 ) -> dict[str, Any]:
     """Return all that the page draws: traces that stay, those that change, and per frame what goes into them."""
     last = max(int(np.max(f.order, initial=0)) for f in frames)
     return {
         "times": [float(f"{t:.9g}") for t in times],
         "fixed": [*_wall_traces(walls), *_edge_traces(edges), *_trail_traces(ends)],
+        "bodies": [_body(body, _BODIES[i % len(_BODIES)]) for i, body in enumerate(bodies)],
         "marks": _mark_trace(ends),
         "places": [[_rounded(end.positions[i]) for end in ends] for i in range(len(times))],
         "orders": [_order_trace(n) for n in range(last + 1)],
@@ -236,6 +260,19 @@ def _lines(points: Floats, *, color: str, width: float, name: str) -> dict[str, 
         "type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "name": _plain(name),
         "line": {"color": color, "width": width}, "hoverinfo": "skip", "showlegend": False,
     }  # fmt: skip
+
+
+def _body(body: ViewedBody, color: str) -> dict[str, Any]:
+    """Return the trace of a body without its places, its corners, and its poses: origin and axes in a row."""
+    i, j, k = (column.tolist() for column in body.triangles.T)
+    name = _plain(body.name)
+    trace = {
+        "type": "mesh3d", "x": [], "y": [], "z": [], "name": name, "showlegend": True, "color": color, "i": i, "j": j,
+        "k": k, "opacity": 0.45, "flatshading": True, "hovertemplate": "%{fullData.name}<extra></extra>",
+    }  # fmt: skip
+    poses = np.concatenate([body.places, body.axes.reshape(-1, 9)], axis=1)
+    corners = [_rounded(corner) for corner in body.vertices]
+    return {"trace": trace, "corners": corners, "poses": [np.round(pose, 6).tolist() for pose in poses]}
 
 
 def _trail_traces(ends: Sequence[ViewedEnd]) -> list[dict[str, Any]]:
@@ -312,7 +349,7 @@ button { font: inherit; padding: 2px 0; width: 4.5em; }
 const data = JSON.parse(document.getElementById("data").textContent);
 const scene = document.getElementById("drawing"), slider = document.getElementById("time");
 const play = document.getElementById("play"), caption = document.getElementById("caption");
-const marks = data.fixed.length, firstOrder = marks + 1;
+const firstBody = data.fixed.length, marks = firstBody + data.bodies.length, firstOrder = marks + 1;
 let shown = -1, wanted = -1, busy = null, playing = false, turn = 0;
 
 function lines(order, part) {  // points of all paths of an order, a gap behind each
@@ -328,17 +365,26 @@ function lines(order, part) {  // points of all paths of an order, a gap behind 
   return out;
 }
 
+function posed(body, index) {  // the corners of a body in a frame
+  const at = body.poses[index], axis = i => body.corners.map(
+    c => at[i] + c[0] * at[3 + i] + c[1] * at[6 + i] + c[2] * at[9 + i]);
+  return {x: axis(0), y: axis(1), z: axis(2), text: ""};
+}
+
 function draw(index) {
   shown = index;
-  const places = data.places[index], frame = data.frames[index].map((part, order) => lines(order, part));
-  const update = {
-    x: [places.map(p => p[0]), ...frame.map(l => l.x)], y: [places.map(p => p[1]), ...frame.map(l => l.y)],
-    z: [places.map(p => p[2]), ...frame.map(l => l.z)], text: [data.marks.text, ...frame.map(l => l.text)],
+  const at = data.places[index], marked = {
+    x: at.map(p => p[0]), y: at.map(p => p[1]), z: at.map(p => p[2]), text: data.marks.text,
   };
+  const moved = [
+    ...data.bodies.map(body => posed(body, index)), marked,
+    ...data.frames[index].map((part, order) => lines(order, part)),
+  ];
+  const update = Object.fromEntries(["x", "y", "z", "text"].map(key => [key, moved.map(trace => trace[key])]));
   const count = data.frames[index].reduce((sum, part) => sum + part.labels.length, 0);
   caption.textContent = `t = ${data.times[index].toFixed(3)} s: ${count} path${count === 1 ? "" : "s"} heard`;
   slider.value = index;
-  return Plotly.restyle(scene, update, update.x.map((_, i) => marks + i));
+  return Plotly.restyle(scene, update, update.x.map((_, i) => firstBody + i));
 }
 
 function show(index) {  // a slow machine skips frames rather than lag behind the slider
@@ -374,6 +420,7 @@ function state() {  // what is drawn now, read back from the drawing
     index: shown, text: caption.textContent, names: drawn.map(t => plain(t.name)),
     paths: paths.map(t => t.x.filter(v => v === null).length), visible: drawn.map(t => t.visible !== "legendonly"),
     places: drawn[marks].x.map((x, i) => [x, drawn[marks].y[i], drawn[marks].z[i]]),
+    bodies: drawn.slice(firstBody, marks).map(t => t.x.map((x, i) => [x, t.y[i], t.z[i]])),
   };
 }
 
@@ -394,9 +441,10 @@ const layout = {
     camera: {eye: {x: -1.2, y: -1.75, z: 1.3}},
   },
 };
+const traces = [...data.fixed, ...data.bodies.map(body => body.trace), data.marks, ...data.orders];
 window.clsim = {
   times: data.times, show, state,
-  ready: Plotly.newPlot(scene, [...data.fixed, data.marks, ...data.orders], layout, {displaylogo: false})
+  ready: Plotly.newPlot(scene, traces, layout, {displaylogo: false})
     .then(() => { pathsFirst(); scene.on("plotly_afterplot", pathsFirst); return show(0); }),
 };
 </script></body></html>

@@ -195,6 +195,7 @@ def _obstacle(
     ends = [("the source", scene.sources[index].trajectory)]
     ends += [(f"receiver {i}", scene.receivers[i].trajectory) for i in receivers]
     ends += [(f"scatterer {i}", scatterer.trajectory) for i, scatterer in enumerate(scene.scatterers)]
+    ends += [(f"body {i}", body.trajectory) for i, body in enumerate(scene.bodies)]
     for what, trajectory in ends:
         if len(trajectory.breaks):
             return f"the velocity of {what} jumps"

@@ -170,6 +170,19 @@ class Body:
         turning = np.linalg.norm(self.trajectory.angular_velocity(times), axis=-1)
         return np.asarray(np.linalg.norm(self.trajectory.velocity(times), axis=-1) + self.lever * turning)
 
+    def describe(self) -> list[str]:
+        """Return what it is like in a line.
+
+        Returns
+        -------
+        list of str
+            One line.
+        """
+        low, high = self.mesh.extent
+        size = " x ".join(f"{x:.4g}" for x in high - low)
+        moves = "at rest" if self.is_static else f"no point of it faster than {self.peak_speed:.3g} m/s"
+        return [f"body {self.name!r}: {len(self.mesh.walls)} faces, {size} m, {moves}"]
+
     def placed(self, points: Floats, time: Floats) -> Floats:
         """Return where points (..., 3) of its own coordinates are at times (...), m.
 

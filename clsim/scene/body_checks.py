@@ -15,12 +15,16 @@ from clsim.scene.places import first_refused
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import TypeVar
 
     from clsim.arrays import Floats
     from clsim.scene.body import Body
     from clsim.scene.ends import End
     from clsim.scene.room.mesh import MeshRoom
     from clsim.scene.room.protocol import Room
+
+    T = TypeVar("T")
+    Named = Sequence[tuple[str, T]]
 
 TOUCHING = 1e-3  # m; a body may be so deep in a wall, as a door is on the floor or at its hinge
 _STEP = 0.01  # m, which a body goes from one look to the next
@@ -29,7 +33,9 @@ _AT_A_TIME = 256  # instants
 _FRAME = np.concatenate([np.zeros((1, 3)), np.eye(3)])  # origin and axes
 
 
-def check_bodies(room: Room, bodies: Sequence[tuple[str, Body]], ends: Sequence[tuple[str, End]], slowest: float) -> None:
+def check_bodies(
+    room: Room, bodies: Sequence[tuple[str, Body]], ends: Sequence[tuple[str, End]], slowest: float
+) -> None:
     """Refuse bodies that end before a signal, are as fast as sound, or go through walls, each other or ends.
 
     Parameters

@@ -155,7 +155,9 @@ class Scene:
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         height = as_count("height", height, at_least=100, at_most=10_000)
         return inline_page(
-            "show", scene_page(self.room, [*self.named_ends(), *self.named_scatterers()], frames, "scene"), height
+            "show",
+            scene_page(self.room, [*self.named_ends(), *self.named_scatterers()], self.named_bodies(), frames, "scene"),
+            height,
         )
 
     def _repr_html_(self) -> str:
@@ -168,7 +170,7 @@ class Scene:
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return what room and air are like, a line each, and of ends in a closed room which are inside at 0 s.
+        """Return what room, air and bodies are like, a line each, and of ends in a closed room which are inside at 0 s.
 
         Returns
         -------
@@ -178,7 +180,8 @@ class Scene:
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
         air = [_travelling(self.air, source) for source in self.sources] if self.air.dispersion else []
         of_sides = [_side(self.room, field_name, item) for field_name, item in sides]
-        return [*self.room.describe(), *self.air.describe()[1:], *air, *of_sides]
+        bodies = [line for _, body in self.named_bodies() for line in body.describe()]
+        return [*self.room.describe(), *self.air.describe()[1:], *air, *of_sides, *bodies]
 
 
 def _travelling(air: Air, source: Source) -> str:

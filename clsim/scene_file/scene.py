@@ -19,6 +19,7 @@ from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
+from clsim.scene_file.bodies import BodyModel
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.model import Model, Pair, Vector, within
 from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
@@ -60,6 +61,7 @@ class _Common(Model):
     aim: Vector | None = None
     transducer: TransducerModel | None = None
     flush: bool | Vector = False
+    mounted_on: str | None = None
 
     def parts(self, base: Path) -> dict[str, Any]:
         """Return the arguments that sources, receivers and arrays of them share."""
@@ -69,6 +71,7 @@ class _Common(Model):
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
             "flush": self.flush,
+            "mounted_on": self.mounted_on,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
 
@@ -173,6 +176,8 @@ class _Paths(Model):
     max_order: int
     diffraction: int = 0
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
+    body_order: int | None = None  # max_order where left out
+    body_step: float | None = None  # 0.01 m where left out
     direct: bool | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
@@ -183,7 +188,7 @@ class _Paths(Model):
         return {
             name: value
             for name, value in super().arguments().items()
-            if name not in ("scattering_order", "direct") or value is not None
+            if name not in ("scattering_order", "body_order", "body_step", "direct") or value is not None
         }
 
 
@@ -201,6 +206,7 @@ class SceneModel(Model):
         ]
     ]
     scatterers: list[ScattererModel] | None = None
+    bodies: list[BodyModel] | None = None
     paths: _Paths
     render: RenderModel
 
@@ -260,9 +266,10 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     receivers = [receiver for entry in entries for receiver in entry]
     things = model.scatterers or []
     scatterers = [within(f"scatterers[{i}]", partial(thing.build, base)) for i, thing in enumerate(things)]
+    bodies = [within(f"bodies[{i}]", partial(body.build, base)) for i, body in enumerate(model.bodies or [])]
     room = within("room", lambda: model.room.build(base))
     air = within("air", model.air.build)
-    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers)
+    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers, bodies)
     arguments = within("render", model.render.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)
@@ -357,6 +364,7 @@ def _choices(field: str) -> str:
         "transducer": TransducerModel,
         "room": RoomModel,
         "scatterers": ScattererModel,
+        "bodies": BodyModel,
     }
     union = unions.get(field.rpartition(".")[2].partition("[")[0], InterpolatorModel)
     members = get_args(get_args(union)[0])

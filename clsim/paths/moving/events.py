@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from clsim.paths.propagation import UniformAir
     from clsim.scene.motion.motion import Motion
 
-_ROUNDS = 40
+_ROUNDS = 20
 _CONVERGED = 1e-14  # s
 _BEYOND = 0.5  # of a leg, by which events of paths that are not there may lie off it
 
@@ -94,6 +94,7 @@ def find_events(
     medium: UniformAir,
     times: Floats,
     retarded: bool = True,
+    rounds: int = _ROUNDS,
 ) -> Events:
     """Return the events of paths by mirrors.
 
@@ -111,6 +112,8 @@ def find_events(
         Of reception, s.
     retarded : bool
         Whether all is where it was when the sound passed, or rests where it is at reception.
+    rounds : int
+        At the most; those that are there need few.
 
     Returns
     -------
@@ -130,7 +133,7 @@ def find_events(
     count, c = walls.shape[1], medium.speed_of_sound
     event, place = [np.zeros(shape)] * count, [heard_at] * count
     emission, first = np.zeros(shape), True
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         rest = first or not retarded
         at = [e if retarded else np.zeros(shape) for e in event]
         planes = [

@@ -109,9 +109,7 @@ class BodyPaths(PathFamily):
         """
         times, index = np.asarray(times, dtype=np.float64), np.arange(len(self))[rows]
         parts = -(-len(times) * len(index) // _AT_A_TIME)
-        found = [
-            self._arrivals(index, some, motion, amplitude) for some in np.array_split(times, max(parts, 1))
-        ]
+        found = [self._arrivals(index, some, motion, amplitude) for some in np.array_split(times, max(parts, 1))]
         names = [f.name for f in fields(BodyArrivals) if f.name != "means"]
         columns: dict[str, Any] = {name: np.concatenate([each[name] for each in found], axis=1) for name in names}
         return BodyArrivals(**columns, means=None)

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
     Status = Callable[[NDArray[np.int64], Floats], NDArray[np.bool_]]
 
+ROUNDS = 5  # of the search for events, where 1e-9 m do
 _RATE = 1000.0  # Hz, at which speeds are looked at
-_PARTS = 32  # of the time between two looks, and so on
+_PARTS = 4  # of the time between two looks, and so on
 _AT_A_TIME = 50_000  # paths and times
 
 
@@ -99,11 +100,8 @@ def _changes(status: Status, rows: NDArray[np.int64], between: tuple[Floats, Flo
         differs = _at(status, rows, times) != before[:, None]
         any_differs, first = differs.any(axis=1), np.argmax(differs, axis=1)
         step = (end - begin) / _PARTS
-        low = np.where(any_differs, begin + step * first, begin + step * (_PARTS - 1))
-        end = np.where(any_differs, begin + step * (first + 1), end)
-        if np.array_equal(low, begin):
-            break
-        begin = low
+        part = np.where(any_differs, first, _PARTS - 1)
+        begin, end = begin + step * part, np.where(any_differs, begin + step * (part + 1), end)
     return end
 
 

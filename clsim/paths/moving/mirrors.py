@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import read_only
-from clsim.numerics.quaternions import rotate
+from clsim.numerics.quaternions import cross_product, rotate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -130,7 +130,7 @@ class Mirrors:
             arm = place - origin
             far = np.linalg.norm(arm, axis=-1, keepdims=True)
             arm = arm * np.minimum(_FARTHEST * body.radius / np.maximum(far, 1e-300), 1.0)
-            moved = motion.velocity(time) + np.cross(motion.angular_velocity(time), arm)
+            moved = motion.velocity(time) + cross_product(motion.angular_velocity(time), arm)
             speed = np.sum(normal * moved, axis=-1)
         out[0][mine], out[2][mine] = normal, speed
         out[1][mine] = self.offset[walls][:, None] + np.sum(normal * origin, axis=-1) - speed * event

@@ -1,10 +1,10 @@
-"""Every path by bodies: sequences from beam trees among walls and bodies as they are now and then, looked at closely."""
+"""Every path by bodies: sequences from beam trees about poses of the bodies, and when each is heard."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.moving.events import find_events
 from clsim.paths.moving.family import BodyPaths
-from clsim.paths.moving.looks import intervals, looks
+from clsim.paths.moving.looks import ROUNDS, intervals, looks
 from clsim.paths.moving.visibility import Obstacles
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from clsim.paths.propagation import UniformAir
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import VisibilityQuery
-    from clsim.scene.ends import End
+    from clsim.scene.ends import End, Receiver, Source
     from clsim.scene.motion.motion import Motion
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
@@ -119,21 +119,20 @@ class BodySearch:
                 f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
             )
         self._queries = [
-            visibility_query(scene, self.room, source, search.max_order, search.resolution)
-            for source in scene.sources
+            visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
         ]
 
     def pair(self, source: int, receiver: int) -> PairQuery:
         """Return what is looked at between two ends."""
         scene, (query, longest) = self.scene, self._queries[source]
-        ends = (scene.sources[source], scene.receivers[receiver])
+        ends: tuple[Source, Receiver] = (scene.sources[source], scene.receivers[receiver])
         moving = [body.trajectory.end for body in scene.bodies if not body.is_static]
         last = float(query.last[receiver])
         if all(math.isinf(end.trajectory.end) for end in ends):
             last = max((t for t in moving if math.isfinite(t)), default=0.0) + longest
         motions = ends[0].trajectory, ends[1].trajectory
         times = looks(scene.bodies, motions, last, longest, self.search.body_step)
-        lifted: Any = tuple(_Lifted(scene, end, shift) for end, shift in zip(ends, PERTURBATIONS, strict=True))
+        lifted: Any = tuple(_Lifted(scene, ends[i], PERTURBATIONS[i]) for i in range(2))
         medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
         return PairQuery(lifted, medium, times, query.resolution)
 
@@ -166,7 +165,7 @@ class BodySearch:
         """Return the mirrors of paths, and when they are heard, of sequences (n, N) in cells (n,) of time."""
 
         def status(rows: NDArray[np.int64], times: Floats) -> NDArray[np.bool_]:
-            events = find_events(self.obstacles.mirrors, sequence[rows], pair.ends, pair.medium, times)
+            events = find_events(self.obstacles.mirrors, sequence[rows], pair.ends, pair.medium, times, rounds=ROUNDS)
             return self.obstacles.there(sequence[rows], events, times)
 
         parts: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
@@ -184,14 +183,14 @@ class BodySearch:
     def _sequences(
         self, source: int, pairs: list[PairQuery]
     ) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
-        """Return for each receiver sequences of mirrors (n, N), the cells of time that they are of, and their bounds."""
+        """Return for each receiver sequences of mirrors (n, N), of which cells of time they are, and the cells' bounds."""
         query, longest = self._queries[source]
         last = max(pair.times[-1] for pair in pairs)
         instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
         speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0)
         waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
         waiting = waiting if len(waiting) > 1 else [0.0, last]
-        spans = list(zip(waiting[:-1], waiting[1:], strict=True))[::-1]
+        spans = list(pairwise(waiting))[::-1]
         bounds, rows = [0.0], []
         while spans:
             begin, end = spans.pop()
@@ -259,9 +258,7 @@ class BodySearch:
         flatness = max(mesh.flatness for mesh in meshes)
         return build_walls(np.concatenate(placed), triangles, surface, 10.0 * flatness)
 
-    def _family(
-        self, found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]]
-    ) -> BodyPaths:
+    def _family(self, found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]]) -> BodyPaths:
         """Return paths as columns."""
         source, receiver = (
             np.concatenate([np.full(len(path), ends[i], dtype=np.int32) for path, _, _, ends in found])

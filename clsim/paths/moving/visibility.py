@@ -131,7 +131,9 @@ def hidden_by(body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -
     curve touches, and not the ends, is not seen.
     """
     walls, found = body.mesh.walls, np.zeros(len(legs.left), dtype=bool)
-    near = np.flatnonzero(_apart(body.trajectory.position(0.5 * (legs.left + legs.arrived)), legs) <= _reach(body, legs))
+    near = np.flatnonzero(
+        _apart(body.trajectory.position(0.5 * (legs.left + legs.arrived)), legs) <= _reach(body, legs)
+    )
     some = legs.part(near)
     start, stop = body.seen(some.start, some.left), body.seen(some.stop, some.arrived)
     plane = np.append(walls.plane, -1)
