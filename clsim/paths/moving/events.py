@@ -1,13 +1,13 @@
 """Sound by mirrors that move, exactly: images of events.
 
-A mirror ``n x = h + V t`` that moves evenly makes of a wave from an event at the time t and the place x that of the image
+A mirror ``n x = h + V t`` that moves evenly makes of the wave from an event at a time t and a place x that of the image
 
     x' = x - 2 g n / (1 - M²),    t' = t - 2 g V / (c² (1 - M²)),    g = n x - V t - h,    M = V / c
 
 (a Lorentz reflection, with the speed of sound for that of light): what the image emits meets the boundary condition on
-the mirror, and at rest it is the usual one. Sequences of mirrors compose. What a mirror does otherwise, such as turning,
-is taken from its tangent in time and space about the event in which the sound meets it, which is found by iteration:
-paths are stationary, so that each round squares what is left but for a factor M.
+the mirror, and at rest it is the usual one. Sequences of mirrors compose. What a mirror does otherwise, such as
+turning, is taken from its tangent in time and space about the event in which the sound meets it, which is found by
+iteration: paths are stationary, so that each round squares what is left but for a factor M.
 """
 
 from __future__ import annotations

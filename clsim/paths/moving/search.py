@@ -183,7 +183,7 @@ class BodySearch:
     def _sequences(
         self, source: int, pairs: list[PairQuery]
     ) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
-        """Return for each receiver sequences of mirrors (n, N), of which cells of time they are, and the cells' bounds."""
+        """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
         query, longest = self._queries[source]
         last = max(pair.times[-1] for pair in pairs)
         instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
