@@ -60,6 +60,11 @@ def cross_product(a: Floats, b: Floats) -> Floats:
     -------
     ndarray (..., 3)
         The product of both units.
+
+    Notes
+    -----
+    The definition, component by component: G. B. Arfken, H. J. Weber and F. E. Harris, "Mathematical Methods for
+    Physicists", Academic Press, 2013, section 3.2.
     """
     out: Floats = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i in range(3):

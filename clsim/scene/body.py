@@ -16,6 +16,7 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.checks import as_places
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.protocol import is_room
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -37,7 +38,8 @@ class Body:
     name : str
         Unique among the scene's bodies.
     mesh : MeshRoom
-        Its faces in its own coordinates, m, with their materials; it may be open, and faces have two sides.
+        Its faces in its own coordinates, m, with their materials; it may be open, and faces have two sides. Another
+        `Room` is kept as its mesh.
     trajectory : Trajectory
         Where the origin of its coordinates is, and how they are turned.
 
@@ -64,12 +66,14 @@ class Body:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
             raise InputError("name", f"must be a text that is not empty, but is {self.name!r:.80}")
-        if not isinstance(self.mesh, MeshRoom):
-            raise InputError("mesh", f"must be a MeshRoom, but is {self.mesh!r:.80}")
+        mesh: Any = self.mesh
+        if not is_room(mesh):
+            raise InputError("mesh", f"must be a MeshRoom or another Room, but is {self.mesh!r:.80}")
         if not isinstance(self.trajectory, Trajectory):
             raise InputError("trajectory", f"must be a Trajectory, but is {self.trajectory!r:.80}")
         if self.trajectory.start > 0.0:
             raise InputError("trajectory", f"must begin at 0 s or before, but begins at {self.trajectory.start:g} s")
+        object.__setattr__(self, "mesh", mesh.as_mesh())
         corners, turning = self.mesh.vertices, self.trajectory.turning
         object.__setattr__(self, "radius", float(np.linalg.norm(corners, axis=1).max()))
         object.__setattr__(self, "lever", 0.0 if turning is None else turning.lever(corners))

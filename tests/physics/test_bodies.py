@@ -86,7 +86,9 @@ def test_doppler_shifts_are_those_of_a_moving_mirror() -> None:
         scene = scene_of(FIXED(BIG), FIXED(at(0.0, 0.02, 0.0)), [sheet("wall", (1, 0, 0), 0.0, approaching)])
         table = clsim.find_paths(scene, 1).table([0.1])
         row = np.flatnonzero(table.interactions[:, 0] == 3)
-        factor = (1.0 + speed / C) / (1.0 - speed / C)  # 10 mm off the normal over 2 m to 6 m: by up to 1.3e-5 of the shift less
+        factor = (1.0 + speed / C) / (
+            1.0 - speed / C
+        )  # 10 mm off the normal over 2 m to 6 m: by up to 1.3e-5 of the shift less
         assert table.doppler_shift[row, 0] == pytest.approx([shift], rel=1.3e-5, abs=1e-3)
         assert 40e3 * (factor - 1.0) == pytest.approx(shift, abs=5e-4)
     # Oblique, as the angle of incidence is in the air at rest.
@@ -251,7 +253,7 @@ def door_answer(scene: clsim.Scene, times: Any) -> tuple[Any, Any]:
         heard, hit, place = way(emission, u)
         emission = emission + times - heard
     step = 1e-4
-    stretch = (way(emission + step, earliest(emission + step))[0] - way(emission - step, earliest(emission - step))[0])
+    stretch = way(emission + step, earliest(emission + step))[0] - way(emission - step, earliest(emission - step))[0]
     angle = omega * hit
     normal = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     speed = omega * u * -1.0
