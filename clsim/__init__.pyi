@@ -36,6 +36,7 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
+from clsim.scene.target_fluctuation import TargetFluctuation
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 from clsim.scene.walking import walking_person
@@ -81,6 +82,7 @@ __all__ = [
     "Signal",
     "Source",
     "SphericalDirectivity",
+    "TargetFluctuation",
     "Tracks",
     "Trajectory",
     "Transducer",

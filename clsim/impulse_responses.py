@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.paths.coverage import check_band_coverage
 from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
@@ -63,6 +63,8 @@ class ImpulseResponses:
     scene: Scene
     first_arrivals: Floats
     cut_db: Floats
+
+    __repr__ = short_repr
 
     @property
     def times(self) -> Floats:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
 from clsim.paths.channel import (
@@ -73,6 +73,8 @@ class PathSet:
 
     scene: Scene
     families: tuple[PathFamily, ...]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not self.families or not all(isinstance(family, PathFamily) for family in self.families):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import texts
+from clsim.arrays import short_repr, texts
 from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
 from clsim.paths.labelled import labelled_dataset, labelled_frame
@@ -73,6 +73,8 @@ class PathTable:
     receiver_names: tuple[str, ...]
     object_names: tuple[str, ...]
 
+    __repr__ = short_repr
+
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:
         """Walls of reflections (P, N) from the source's side, -1 elsewhere."""
@@ -111,6 +113,7 @@ class PathTable:
         import pandas
 
         def words(values: Sequence[str], which: Any) -> Any:
+            """Return a categorical column of the texts of `values` in the rows `which`."""
             kinds, code = np.unique(texts(values), return_inverse=True)
             return pandas.Categorical.from_codes(code[which], kinds)
 
@@ -168,6 +171,7 @@ def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], 
     kinds = [_listed(row) for row in table.interactions[part].tolist()]
 
     def per_path(values: Any) -> Any:
+        """Return a column of one value per path, repeated at the instants at which it is heard."""
         return np.repeat(np.asarray(values), count)[heard]
 
     columns = {

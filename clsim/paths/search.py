@@ -21,6 +21,8 @@ class PathSearch:
         Largest number of reflections; at least 0, and how many there may be is the finder's to say.
     diffraction : int
         Largest number of edges that a path turns round, 0 to 2.
+    diffraction_model : str
+        Of the field at an edge.
     scattering_order : int
         Largest number of reflections before a scatterer, and of those after it.
     body_order : int or None
@@ -41,6 +43,7 @@ class PathSearch:
 
     max_order: int
     diffraction: int
+    diffraction_model: str
     scattering_order: int
     body_order: int | None
     body_step: float

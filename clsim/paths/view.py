@@ -177,4 +177,6 @@ def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: 
         for p, decibels in zip(heard, level, strict=True)
     ]
     order = table.order[heard]
-    return ViewedPaths(tuple(c[: n + 2] for c, n in zip(corners, order, strict=True)), order, tuple(names))
+    pairs = tuple((table.source_names[table.source[p]], table.receiver_names[table.receiver[p]]) for p in heard)
+    drawn = tuple(c[: n + 2] for c, n in zip(corners, order, strict=True))
+    return ViewedPaths(drawn, order, tuple(names), pairs, level)

@@ -6,13 +6,13 @@ import html
 import json
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
-from clsim.pictures.view_template import PAGE
 
 if TYPE_CHECKING:
     import os
@@ -29,7 +29,9 @@ _MATERIALS = (
 )  # fmt: skip
 _ORDERS = ("#c1272d", "#3b0f70", "#2c728e", "#21a685", "#8bc34a", "#c0b000", "#e69f00", "#999999")
 _BODIES = ("#5d4037", "#7b1fa2", "#00695c", "#283593")
+_HERE = Path(__file__).parent
 _EDGES = "#b8860b"
+_AIM = 0.06  # length of a drawn aim, of the room's
 _SOURCE, _RECEIVER = "#c1272d", "#111111"
 
 
@@ -47,13 +49,14 @@ class ViewedWall:
 class ViewedEnd:
     """A source or receiver: name, kind, positions (F, 3) at the frames and its whole way (M, 3), m.
 
-    A position that is not known is NaN: nothing is drawn there.
+    A position that is not known is NaN: nothing is drawn there. `aims` (F, 3) are unit vectors of what it is aimed at.
     """
 
     name: str
     kind: str
     positions: Floats
     trail: Floats
+    aims: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,11 +79,18 @@ class ViewedBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewedPaths:
-    """The paths of a frame: corners (order + 2, 3) of each, m, orders (P,) and labels."""
+    """The paths of a frame: corners (order + 2, 3), m, orders (P,), labels, between whom, and levels (P,), dB."""
 
     corners: tuple[Floats, ...]
     order: NDArray[np.int32]
     labels: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    levels: Floats
+
+    @classmethod
+    def none(cls) -> ViewedPaths:
+        """Return a frame without paths."""
+        return cls((), np.zeros(0, dtype=np.int32), (), (), np.zeros(0))
 
 
 def write_page(path: str | os.PathLike[str], **what: Any) -> None:
@@ -141,17 +151,15 @@ def page_text(
     _check_times(times, ends, frames)
     for i, frame in enumerate(frames):
         _check_paths(f"frames[{i}]", frame)
-    from plotly.offline import get_plotlyjs
-
     text = json.dumps(_document(walls, ends, times, frames, edges, bodies), separators=(",", ":"), allow_nan=False)
     parts = {
         "title": html.escape(title),
         "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
         "data": text.replace("<", "\\u003c"),
-        "plotly": get_plotlyjs(),
+        "plotly": (_HERE / "plotly" / "plotly-gl3d.min.js").read_text("utf-8"),
     }
     # In one go: what is put in is not searched again, whatever the names in it are.
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], PAGE)
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], (_HERE / "view_page.html").read_text("utf-8"))
 
 
 def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[ViewedPaths]) -> None:
@@ -173,7 +181,8 @@ def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[View
 
 
 def _check_paths(field: str, paths: ViewedPaths) -> None:
-    for name, count in (("order", len(paths.order)), ("labels", len(paths.labels))):
+    for name in ("order", "labels", "pairs", "levels"):
+        count = len(getattr(paths, name))
         if count != len(paths.corners):
             raise InputError(f"{field}.{name}", f"must be one per path, {len(paths.corners)}, but there are {count}")
     for p, (corners, order) in enumerate(zip(paths.corners, paths.order, strict=True)):
@@ -197,14 +206,20 @@ def _document(
 ) -> dict[str, Any]:
     """Return all that the page draws: traces that stay, those that change, and per frame what goes into them."""
     last = max(int(np.max(f.order, initial=0)) for f in frames)
+    pairs = [pair for frame in frames for pair in frame.pairs]
+    sources, receivers = (list(dict.fromkeys(names)) for names in zip(*pairs, strict=True)) if pairs else ([], [])
+    reach = _AIM * max((float(np.max(np.ptp(wall.triangles, axis=(0, 1)))) for wall in walls), default=1.0)
     return {
         "times": [float(f"{t:.9g}") for t in times],
         "fixed": [*_wall_traces(walls), *_edge_traces(edges), *_trail_traces(ends)],
         "bodies": [_body(body, _BODIES[i % len(_BODIES)]) for i, body in enumerate(bodies)],
         "marks": _mark_trace(ends),
         "places": [[_rounded(end.positions[i]) for end in ends] for i in range(len(times))],
+        "aims": [_aim_lines(ends, i, reach) for i in range(len(times))],
         "orders": [_order_trace(n) for n in range(last + 1)],
-        "frames": [_frame(f, last) for f in frames],
+        "sources": sources,
+        "receivers": receivers,
+        "frames": [_frame(f, last, sources, receivers) for f in frames],
     }
 
 
@@ -300,6 +315,12 @@ def _mark_trace(ends: Sequence[ViewedEnd]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _aim_lines(ends: Sequence[ViewedEnd], frame: int, reach: float) -> list[Any]:
+    """Return the ends of the lines, `reach` m long, that show what is aimed where: three coordinates each."""
+    aimed = [(end.positions[frame], end.aims[frame]) for end in ends if end.aims is not None]
+    return [[_rounded(at), _rounded(at + reach * aim)] for at, aim in aimed]
+
+
 def _order_trace(order: int) -> dict[str, Any]:
     """Return the trace of all paths of an order, without their points."""
     return {
@@ -310,13 +331,19 @@ def _order_trace(order: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _frame(paths: ViewedPaths, last: int) -> list[dict[str, Any]]:
-    """Return for each order the labels of its paths and all their corners in a row: x, y, z, x, ..., whole mm."""
+def _frame(paths: ViewedPaths, last: int, sources: list[str], receivers: list[str]) -> list[dict[str, Any]]:
+    """Return for each order what is told of its paths, and all their corners in a row: x, y, z, x, ..., whole mm."""
     order = np.asarray(paths.order)
     orders = []
     for n in range(last + 1):
         rows = np.flatnonzero(order == n)
         points = np.concatenate([paths.corners[p] for p in rows]) if len(rows) else np.empty((0, 3))
         millimetres = np.round(points * 1e3).astype(np.int64).ravel().tolist()
-        orders.append({"mm": millimetres, "labels": [_plain(paths.labels[p]) for p in rows]})
+        part = {
+            "mm": millimetres, "labels": [_plain(paths.labels[p]) for p in rows],
+            "source": [sources.index(paths.pairs[p][0]) for p in rows],
+            "receiver": [receivers.index(paths.pairs[p][1]) for p in rows],
+            "level": np.round(paths.levels[rows], 1).tolist(),
+        }  # fmt: skip
+        orders.append(part)
     return orders

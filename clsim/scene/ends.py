@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, as_number
+from clsim.arrays import Floats, as_floats, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
 from clsim.scene.directivity.directivity import Directivity
@@ -70,6 +70,8 @@ class Source:
     flush: Any = False
     mounted_on: str | None = None
     emitted: Signal = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_end(self))
@@ -141,6 +143,8 @@ class Receiver:
     electronics: Electronics | None = None
     flush: Any = False
     mounted_on: str | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_end(self))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clsim.arrays import FARTHEST, as_count, as_number
+from clsim.arrays import FARTHEST, as_count, as_number, short_repr
 from clsim.errors import InputError
 from clsim.pictures.notebook import html_table, inline_page
 from clsim.scene.air import Air
@@ -66,6 +66,8 @@ class Scene:
     min_distance: float = 0.01
     scatterers: Sequence[Scatterer] = ()
     bodies: Sequence[Body] = ()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", as_bodies(self.bodies))

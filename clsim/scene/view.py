@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.numerics.quaternions import rotate
 from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedPaths, ViewedWall, page_text
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def scene_page(room: Room, ends: Ends, bodies: Bodies, frames: int, title: str) 
     """Return the page of a room and of what moves in it: frames from 0 s until the first trajectory ends."""
     moving = [*ends, *bodies]
     times = frame_times(moving, known_until(moving), frames)
-    nothing = ViewedPaths((), np.zeros(0, dtype=np.int32), ())
+    nothing = ViewedPaths.none()
     return page_text(
         title=title, walls=viewed_walls(room), ends=viewed_ends(ends, times), times=times,
         frames=[nothing] * len(times), bodies=viewed_bodies(bodies, times),
@@ -65,7 +66,8 @@ def viewed_ends(ends: Ends, times: Floats) -> list[ViewedEnd]:
         first, last = item.time_range
         trail = item.trajectory.position(np.linspace(first, max(last, first), _TRAIL if last > first else 1))
         at = item.trajectory.position(np.clip(times, first, last) if np.isfinite(item.trajectory.end) else times)
-        found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail)))
+        aims = _aims(item, np.clip(times, first, last))
+        found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail), aims))
     return found
 
 
@@ -78,3 +80,13 @@ def viewed_bodies(bodies: Bodies, times: Floats) -> list[ViewedBody]:
         vertices, triangles = body.mesh.vertices, body.mesh.triangles
         found.append(ViewedBody(body.name, vertices, triangles, origin, axes))
     return found
+
+
+def _aims(item: End | Scatterer, times: Floats) -> Floats | None:
+    """Return the unit vectors (F, 3) in which the axis of a source or receiver points, None for one that has no aim."""
+    aim: Floats | None = getattr(item, "aim", None)
+    if aim is not None:
+        return np.broadcast_to(aim / np.linalg.norm(aim), (len(times), 3))
+    if not item.trajectory.has_orientation:
+        return None
+    return rotate(item.trajectory.orientation(times), (1.0, 0.0, 0.0))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS
 from clsim.paths.family import PeakSpeeds
@@ -268,6 +268,8 @@ class SceneTracks(Tracks):
     source_count: int
     receiver_names: tuple[str, ...]
 
+    __repr__ = short_repr
+
     @property
     def of_scene(self) -> SceneTracks:
         """These tracks."""
@@ -363,6 +365,8 @@ class SampledTracks(Tracks):
     largest_rate: float
     end: float
     transition: float
+
+    __repr__ = short_repr
 
     def evaluate(
         self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1

@@ -366,7 +366,7 @@ def test_resume_makes_what_is_missing_and_nothing_else(done: Path, finished: Pat
     assert everything(out) == everything(finished / "out")
     capsys.readouterr()
     assert run(done / "s.toml", out, "--resume") == 0
-    assert "nothing was missing" in capsys.readouterr().err
+    assert "already finished" in capsys.readouterr().err
 
 
 def test_resume_makes_cut_and_changed_results_again_and_keeps_them_beside(done: Path, finished: Path, capsys) -> None:
@@ -539,4 +539,4 @@ def test_scene_files_may_begin_with_a_byte_order_mark(tmp_path: Path, capsys) ->
     scene.write_text('"" = 1\n' + (SCENE % (TONE, "right")), "utf-8")
     capsys.readouterr()
     assert main(["check", str(scene)]) == 2
-    assert capsys.readouterr().err == 'clsim: error: "": is no known key\n'
+    assert capsys.readouterr().err == f'clsim: error: {scene}: "": is no known key\n'

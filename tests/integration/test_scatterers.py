@@ -15,6 +15,7 @@ from clsim.paths.view import viewed
 from clsim.render import planning
 from clsim.render.contributions import Stateless
 from clsim.render.static_pairs import find_static_pairs
+from clsim.scene_file.scene import completed_scene
 from clsim.study.content import computed
 from clsim.study.file import load_study
 from clsim.tracks.pruning import pruned
@@ -48,6 +49,7 @@ trajectory = { kind = "fixed", position = [3.0, 3.0, 1.0] }
 kind = "point"
 name = "bat"
 target_strength_db = -30.0
+fluctuation = { correlation_time = 0.05, steady = 0.3, seed = 7 }
 trajectory = { kind = "circle", center = [3.0, 2.5, 2.0], radius = 0.3, period = 0.5, duration = 0.2 }
 [paths]
 max_order = 1
@@ -271,8 +273,46 @@ def test_a_sonar_without_its_cross_talk(file: Any, paths: PathSet, direct: PathS
     nothing = clsim.find_paths(bare, 0, direct=False)
     assert len(nothing) == 0
     assert not np.any(clsim.render(nothing, RATE, duration=0.01).pressure)
-    with pytest.raises(clsim.InputError, match="direct: must be True or False"):
+    with pytest.raises(clsim.InputError, match="direct: must be True, False or a level below 0 dB, but is 0"):
         clsim.find_paths(file.scene, 0, direct=0)
+
+
+def test_cross_talk_by_pair(file: Any, paths: PathSet, tmp_path: Path, device: None) -> None:
+    """A baffle's 20 dB for one ear, nothing for another; by name, from Python and from files; all else stays."""
+    scene = file.scene
+    far = [clsim.Receiver(name, clsim.Trajectory.fixed((1.0, y, 1.2))) for name, y in (("left", 1.5), ("right", 2.5))]
+    wide = clsim.Scene(scene.room, scene.air, scene.sources, [*scene.receivers, *far])
+    free = clsim.find_paths(wide, 1)
+    wanted = {("sonar", "ear"): -20.0, ("sonar", "right"): False, ("sonar", "left"): True}
+    found = clsim.find_paths(wide, 1, direct=wanted)
+    assert len(found) == len(free) - 1
+    assert found.digest() != clsim.find_paths(wide, 1, direct=wanted | {("sonar", "ear"): -20.5}).digest()
+    parts = [
+        clsim.PathSet(wide, (free.families[0].part(np.flatnonzero(rows)),))
+        for rows in (free.order == 0, free.order > 0)
+    ]
+    for engine in ("opencl", "reference"):
+        direct, echoes = (clsim.render(part, RATE, duration=0.04, engine=engine).pressure for part in parts)
+        heard = clsim.render(found, RATE, duration=0.04, engine=engine).pressure
+        levels = np.array([0.1, 1.0, 0.0])[:, None]
+        assert level_db(heard - echoes - levels * direct, heard) < -110.0
+    assert clsim.direct_path(found, [0.03]).line_of_sight[0, :, 0].tolist() == [True, True, False]
+    text = SCENE.replace("scattering_order = 1", 'direct = [{ source = "sonar", receiver = "ear", level_db = -20.0 }]')
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
+    read = clsim.load_scene(tmp_path / "scene.toml")
+    assert read.paths["direct"] == {("sonar", "ear"): -20.0}
+    (tmp_path / "again.toml").write_text(completed_scene(read, tmp_path), "utf-8")
+    assert clsim.load_scene(tmp_path / "again.toml").paths == read.paths
+    (tmp_path / "scene.toml").write_text(text.replace(", level_db = -20.0", ""), "utf-8")
+    assert clsim.load_scene(tmp_path / "scene.toml").paths["direct"] == {("sonar", "ear"): False}
+    for direct, message in (
+        ({("sonar", "nose"): False}, r"direct: must name a receiver of the scene \('ear'\), but names 'nose'"),
+        ({("bat", "ear"): False}, r"direct: must name a source of the scene \('sonar'\), but names 'bat'"),
+        ({"sonar": False}, "direct: must have pairs"), ({("sonar", "ear"): 3.0}, r"direct\[sonar, ear\]: must be True, False"),
+        (np.inf, "direct: must be True, False"), (-np.inf, "direct: must be finite"),
+    ):  # fmt: skip
+        with pytest.raises(clsim.InputError, match=message):
+            clsim.find_paths(scene, 0, direct=direct)
 
 
 def test_walls_hide_scatterers_for_as_long_as_they_are_in_the_way() -> None:
@@ -301,6 +341,8 @@ BAD = [
     (lambda t: clsim.Scatterer.sphere("a", 0.1, t, model="exact"), "model"),
     (lambda t: clsim.Scatterer.ellipsoid("a", (0.1, -0.1, 0.1), t), r"semi_axes\[1\]: must be above 0 m, but is -0.1"),
     (lambda t: clsim.Scatterer.point("a", 61.0, t), "target_strength_db: must be at most 60 dB, but is 61"),
+    (lambda t: clsim.Scatterer.capsule("a", 0.1, 0.0, t), "length: must be above 0 m, but is 0"),
+    (lambda t: clsim.Scatterer.capsule("a", -0.1, 0.1, t), "radius: must be above 0 m, but is -0.1"),
     (lambda t: clsim.Scatterer.point(" ", 0.0, t), "name: must be a text"),
     (lambda t: clsim.Scatterer.point("a", 0.0, (1, 2, 3)), "trajectory: must be a Trajectory"),
 ]
@@ -316,6 +358,7 @@ FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
 REFUSED = [
     ([clsim.Scatterer.sphere("b", 1.0, FIXED((1.5, 2.0, 1.0)))], r"scatterers\[0\].*'sonar' is in 'b' or nearer.* at 0 s"),
     ([clsim.Scatterer.ellipsoid("b", (0.5, 0.1, 0.1), LINE((3, 2.05, 1), (1.2, 2.05, 1), 0.2))], "'sonar' is in 'b'"),
+    ([clsim.Scatterer.capsule("b", 0.1, 0.5, LINE((3, 2, 1.2), (1, 2, 1.3), 0.2))], r"'sonar' is in 'b' or nearer.* at 0\.\d+ s"),
     ([clsim.Scatterer.point("b", 0.0, LINE((3, 2, 1), (7, 2, 1), 0.2))], r"scatterers\[0\].trajectory: must stay inside"),
     ([clsim.Scatterer.point("b", 0.0, LINE((1.5, 4, 1), (2.5, 4, 1), 0.01))], "must last as long as all signals"),
     ([clsim.Scatterer.point("b", 0.0, clsim.Trajectory.circle((3, 2.5, 1.5), 1.0, 0.015, 0.2))], "speed of sound"),
@@ -365,7 +408,11 @@ def test_in_wind_there_and_back_are_not_alike(paths: PathSet) -> None:
 def test_files_name_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for old, new, message in (
         ("radius = 0.03", "radius = -0.03", "scatterers[1].radius"), ('kind = "sphere"', 'kind = "cube"', "scatterers[1].kind"),
+        ("correlation_time = 0.05", "correlation_time = 0.0", "scatterers[2].fluctuation.correlation_time"),
         ("scattering_order = 1", "scattering_order = 4", "paths.scattering_order"),
+        ("scattering_order = 1", 'direct = [{ source = "sonar", receiver = "nose" }]', "paths.direct: must name a receiver"),
+        ("scattering_order = 1", "direct = 0", "paths.direct: must be True, False or a level below 0 dB"),
+        ("scattering_order = 1", 'direct = [{ source = "sonar" }]', "paths.direct[0].receiver: must be given"),
     ):  # fmt: skip
         (tmp_path / "scene.toml").write_text(SCENE.replace(old, new), "utf-8")
         assert main(["check", str(tmp_path / "scene.toml")]) == 2

@@ -113,7 +113,7 @@ def test_far_ellipsoids_and_planes() -> None:
 
 
 def swinging() -> list[clsim.Scatterer]:
-    """Return a point, a sphere and an ellipsoid that move, the last one turns as well."""
+    """Return a point, a sphere, an ellipsoid and a capsule that move, the last two turn as well."""
     t = np.linspace(-0.1, 0.6, 15)
     angle = 1.5 * t + 0.3
     turns = np.stack([0 * t, 0 * t, np.sin(angle / 2), np.cos(angle / 2)], axis=1)
@@ -122,6 +122,9 @@ def swinging() -> list[clsim.Scatterer]:
         clsim.Scatterer.point("point", -20.0, clsim.Trajectory.line((3.0, 2.0, 1.0), (3.0, 4.0, 1.0), 0.5)),
         clsim.Scatterer.sphere("ball", 0.06, clsim.Trajectory.circle((4.0, 2.0, 1.5), 0.3, 0.5, 0.5)),
         clsim.Scatterer.ellipsoid("arm", (0.1, 0.3, 0.15), clsim.Trajectory.waypoints(t, way, turns)),
+        clsim.Scatterer.capsule(
+            "leg", 0.08, 0.3, clsim.Trajectory.waypoints(t, way + np.array([0.0, 1.0, -0.2]), turns[::-1])
+        ),
     ]
 
 
@@ -150,8 +153,7 @@ def exact_delay(scene: clsim.Scene, body: clsim.Scatterer, walls: tuple[list[int
 
     def emitted(v: np.ndarray) -> float:
         """Return how long ago the sound was emitted that the surface in the direction v sends, s."""
-        axes = getattr(body.shape, "semi_axes", body.shape.radius * np.ones(3))
-        own = axes * v / np.linalg.norm(v)
+        own = surface(body, v / np.linalg.norm(v))
 
         def place(event: float) -> np.ndarray:
             return body.trajectory.position(event) + rotate(body.trajectory.orientation(event), own)
@@ -177,7 +179,19 @@ def exact_delay(scene: clsim.Scene, body: clsim.Scatterer, walls: tuple[list[int
     return 1e-3 * float(found.fun)
 
 
-@pytest.mark.parametrize("name", ["point", "ball", "arm"])
+def surface(body: clsim.Scatterer, v: np.ndarray) -> np.ndarray:
+    """Return the place on the surface that a unit vector stands for."""
+    if body.name != "leg":
+        return getattr(body.shape, "semi_axes", body.shape.radius * np.ones(3)) * v
+    radius, half = body.shape.cylinder_radius, 0.5 * body.shape.length
+    aside = np.hypot(v[0], v[1])
+    if radius * abs(v[2]) <= half * aside:
+        return v * radius / aside
+    along = abs(v[2]) * half  # on the sphere about the nearer end: |s v - c| = radius
+    return v * (along + np.sqrt(along**2 - half**2 + radius**2))
+
+
+@pytest.mark.parametrize("name", ["point", "ball", "arm", "leg"])
 def test_delays_are_those_of_the_shortest_way_at_the_time_of_each_event(moving: clsim.PathSet, name: str) -> None:
     """By brute force over the surface and two roots, for walls of either side; asked are 1e-9 s."""
     time = 0.3
@@ -250,14 +264,14 @@ def test_source_and_receiver_change_places() -> None:
     turned = clsim.Trajectory.fixed((4.0, 2.0, 1.5), np.array([0.0, 0.6, 0.0, 0.8]))
     things = [
         clsim.Scatterer.ellipsoid("e", (0.3, 0.1, 0.2), turned), clsim.Scatterer.sphere("s", 0.05, turned),
-        clsim.Scatterer.point("p", -10.0, turned),
+        clsim.Scatterer.point("p", -10.0, turned), clsim.Scatterer.capsule("c", 0.05, 0.3, turned),
     ]  # fmt: skip
     tables = [
         clsim.find_paths(scene_of(things, *ends, room=ROOM), 0, scattering_order=1).table(np.array([0.1]))
         for ends in (at, at[::-1])
     ]
     backwards = {", ".join(reversed(tables[1].name_way(i).split(", "))): i for i in range(len(tables[1].source))}
-    assert len(backwards) == len(tables[0].source) == 1 + 3 * 49
+    assert len(backwards) == len(tables[0].source) == 1 + 4 * 49
     other = np.array([backwards[tables[0].name_way(i)] for i in range(len(backwards))])
     np.testing.assert_allclose(tables[0].delay, tables[1].delay[other], rtol=1e-14)
     np.testing.assert_allclose(tables[0].gain, tables[1].gain[other], rtol=1e-10)

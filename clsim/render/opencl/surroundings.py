@@ -80,6 +80,10 @@ class Surroundings:
         product = self._responses.reflection(walls)
         return np.stack([product.real, product.imag][: self.parts], axis=1)
 
+    def tables_of(self, walls: Walls) -> NDArray[np.int32]:
+        """Return the tables of walls (...) that depend on the angle, -1 for others."""
+        return np.asarray(self._material_of[walls])
+
     def bounces(self, walls: Walls) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return material and normal of every bounce that depends on the angle, those of each path first."""
         wall_of, normal = self.no_bounces(len(walls))

@@ -240,6 +240,7 @@ class Motion:
         best = (float(np.linalg.norm(self.velocity(start))), start)
 
         def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+            """Return no hits, and which spans may hold a speed above the best so far."""
             nonlocal best
             times = instants.times(middle)
             speed = np.linalg.norm(self.velocity(times), axis=1)

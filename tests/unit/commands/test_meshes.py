@@ -183,13 +183,13 @@ def test_run_of_a_mesh_can_be_repeated_from_its_results(mesh_scene: Path, tmp_pa
         ),
         (('"hard floor" =', '"soft floor" ='), "room.materials.soft floor: is no group of room.obj, whose groups are "),
         (("default = { reflection = 0.9 }, ", ""), "room.materials: must name the group 'side' of room.obj"),
-        (('up = "y"', 'up = "up"'), "room.up: must be 'x', 'y' or 'z'"),
+        (('up = "y"', 'up = "up"'), 'room.up: must be one of "x", "y", "z"'),
         (("scale = 0.001", "scale = -1.0"), "room.scale: must be at least 1e-09"),
         (("position = [7, 2, 1]", "position = [4, 2, 1]"), "receivers[0].trajectory: must stay 1e-06 m away"),
         (("[1, 2, 1], [1, 2, 1]]", "[6, 2, 1], [6, 2, 1]]"), "meets the wall 'screen' at (4, 3, 1) m"),
         (("max_order = 1", "max_order = 21"), "paths.max_order: must be from 0 to 20"),
         (("max_order = 1", "max_order = 1\nresolution = -1.0"), "paths.resolution: must be"),
-        (("max_order = 1", 'max_order = 1\nfinder = "luck"'), "paths.finder: must be 'auto', 'beam-tree' or 'shooting'"),
+        (("max_order = 1", 'max_order = 1\nfinder = "luck"'), 'paths.finder: must be one of "auto", "beam-tree", "shooting"'),
     ],
 )  # fmt: skip
 def test_errors_of_meshes_are_one_line_and_status_2(
@@ -355,7 +355,7 @@ def test_a_receiver_outside_is_refused_by_name_by_every_command(
     assert main([door, str(corner_scene), *(["-o", str(tmp_path / "out")] if door == "run" else [])]) == 2
     error = capsys.readouterr().err
     assert error.startswith(
-        "clsim: error: receivers[0].trajectory: must be where other ends can be heard, but 'corner'"
+        f"clsim: error: {corner_scene}: receivers[0].trajectory: must be where other ends can be heard, but 'corner'"
     )
     assert error.count("\n") == 1
 

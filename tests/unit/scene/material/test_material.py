@@ -3,6 +3,7 @@
 import cmath
 import math
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -523,6 +524,49 @@ def test_roughness_multiplies_by_its_loss(make):
     assert twice.roughness == pytest.approx(5e-4, rel=1e-15)
     assert smooth.rough(0.0).reflection_at(40e3) == smooth.reflection_at(40e3)
     assert not Material.from_reflection(1.0).rough(0.0).depends_on_angle
+
+
+# scattering
+
+
+def test_what_is_scattered_leaves_the_mirrors_direction():
+    """Energies add up: in the mirror's direction, in others, and absorbed."""
+    table = [500.0, 2000.0, 8000.0], [0.1, 0.5, 0.9]
+    f, cosine = np.array([100.0, 500.0, 1000.0, 4000.0, 20e3]), np.array([[1.0], [0.3]])
+    for material in (
+        Material.from_absorption([100.0, 20e3], [0.1, 0.4], scattering=table),
+        Material.from_impedance([100.0, 20e3], [3.0 - 1.0j, 2.0], scattering=table).rough(1e-3),
+    ):
+        smooth = replace(material, scattering=None, roughness=0.0)
+        sent = np.abs(smooth.reflection_at(f, cosine)) ** 2
+        np.testing.assert_allclose(material.energy_at(f, cosine), sent, rtol=EXACT)
+        left = np.abs(material.reflection_at(f, cosine)) ** 2
+        np.testing.assert_allclose(left, sent * (1.0 - material.scattered_share(f, cosine)), rtol=1e-12)
+    wall = Material.from_reflection(0.9, scattering=table)
+    np.testing.assert_allclose(wall.scattered_share(f), [0.1, 0.1, 0.3, 0.7, 0.9], rtol=1e-12)
+    assert not wall.depends_on_angle
+    assert wall.reflection_at(500.0) == pytest.approx(0.9 * math.sqrt(0.9), rel=EXACT)
+
+
+def test_without_scattering_nothing_changes():
+    for none in (None, 0.0, ([1e3], [0.0])):
+        assert Material.from_reflection(0.9, scattering=none).scattering is None
+    assert "scatters" in Material.named("concrete", scattering=0.2).describe()
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (1.2, r"scattering: must be at most 1, but is 1.2"),
+        ("much", r"scattering: must be a number or a pair of frequencies and values, but is 'much'"),
+        (([1e3, 500.0], [0.1, 0.2]), r"scattering\.frequencies: must increase strictly"),
+        (([1e3], [0.1, 0.2]), r"scattering\.values: must have the shape 1, but has 2"),
+        (([1e3, 2e3], [0.1, 1.5]), r"scattering\.values\[1\]: must be from 0 to 1, but is 1.5"),
+    ],
+)
+def test_scattering_is_a_share(value, message):
+    with pytest.raises(InputError, match=message):
+        Material.from_reflection(0.9, scattering=value)
 
 
 # all of them
