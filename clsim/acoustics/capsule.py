@@ -43,7 +43,8 @@ def capsule_glint(
     -----
     The capsule is all spheres about points of its axis, so that the specular point is that of the sphere by which the
     way ``d1 + w d2`` is shortest: Newton's method over the point and the direction from it, with the point held to the
-    axis. The way is convex in it. What finds a glint nearby is its place.
+    axis; our own derivation from Fermat's principle (M. Born and E. Wolf, Principles of Optics, 1999, section 3.3.2).
+    The way is convex in it. What finds a glint nearby is its place.
 
     Examples
     --------
@@ -76,7 +77,8 @@ def capsule_aspects(
 
     Notes
     -----
-    Our own derivation. Around the capsule the principle of stationary phase holds; along it the way is a parabola on
+    Our own derivation, by physical optics (G. T. Ruck et al., Radar Cross Section Handbook, 1970, section 2.2.2).
+    Around the capsule the principle of stationary phase holds; along it the way is a parabola on
     the side and a steeper one on either end, with one slope where they meet, so that the integral along a line of it
     (Kirchhoff's) is a sum of Fresnel integrals: on the side all of it, ``1 / sqrt(h)`` with the bend h, less what is
     missing beyond its ends, and more what the round ends add. At a distance of many lengths that is the finite
@@ -132,7 +134,7 @@ def capsule_field(wave: Floats, aspects: Floats) -> Complexes:
     -----
     ``m + sum exp(-j k t) (A E(a sqrt k) - B E(b sqrt k))`` over both ends of the side, with the Fresnel integral
     ``E(x) = exp(j x^2) erfc(exp(j pi / 4) x)`` (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions,
-    7.1.3).
+    1964, eq. 7.1.3).
     """
     from scipy.special import wofz
 

@@ -160,7 +160,11 @@ def sphere_strength(radius: float, source: Floats, receiver: Floats, glint: Glin
 
 
 def lit_share(cosine: Floats) -> Floats:
-    """Return how much of a mirror bodies are, by the cosine (n,) of the angle of incidence; see `ellipsoid_strength`.
+    """Return how much of a mirror bodies are, by the cosine (n,) of the angle of incidence.
+
+    Notes
+    -----
+    ``1 - exp(-(cos(theta) / 0.25)^3)``, our own choice; see `ellipsoid_strength`.
 
     Examples
     --------

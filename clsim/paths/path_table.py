@@ -34,7 +34,8 @@ class PathTable:
     source, receiver, order : ndarray (P,) int
         Indices in the scene, and number of interactions.
     interactions : ndarray (P, N) int
-        What happens on the way from the source: 0 specular reflection, 1 diffraction, 2 scattering; filled up with -1.
+        What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
+        reflection by a body; filled up with -1.
     objects : ndarray (P, N) int
         Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
     direct : ndarray (P,) bool

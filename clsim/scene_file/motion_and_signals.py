@@ -132,6 +132,18 @@ class _Circle(Model):
         return Trajectory.circle(**self.arguments())
 
 
+class _Swing(Model):
+    kind: Literal["swing"]
+    axis_point: Vector
+    axis: Vector
+    angles: list[float]
+    times: list[float]
+    origin: Vector | None = None
+
+    def build(self, base: Path) -> Trajectory:
+        return Trajectory.swing(**self.arguments())
+
+
 class _Waypoints(Model):
     kind: Literal["waypoints"]
     times: list[float]
@@ -165,4 +177,4 @@ class _File(Model):
 
 
 SignalModel = Annotated[_Tone | _Chirp | _Noise | _Sequence | _Wav | _Pulses, Field(discriminator="kind")]
-TrajectoryModel = Annotated[_Fixed | _Line | _Circle | _Waypoints | _File, Field(discriminator="kind")]
+TrajectoryModel = Annotated[_Fixed | _Line | _Circle | _Swing | _Waypoints | _File, Field(discriminator="kind")]

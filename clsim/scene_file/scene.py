@@ -17,6 +17,7 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Scene
+from clsim.scene_file.bodies import BodyModel
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.explain import explain
 from clsim.scene_file.model import Model, Pair, Vector, within
@@ -61,6 +62,7 @@ class _Common(Model):
     aim: Vector | None = None
     transducer: TransducerModel | None = None
     flush: bool | Vector = False
+    mounted_on: str | None = None
 
     def parts(self, base: Path) -> dict[str, Any]:
         """Return the arguments that sources, receivers and arrays of them share."""
@@ -70,6 +72,7 @@ class _Common(Model):
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
             "flush": self.flush,
+            "mounted_on": self.mounted_on,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
 
@@ -149,6 +152,8 @@ class _Paths(Model):
     diffraction: int = 0
     diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
+    body_order: int | None = None  # max_order where left out
+    body_step: float | None = None  # 0.01 m where left out
     direct: bool | float | list[_Direct] | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
@@ -159,7 +164,8 @@ class _Paths(Model):
         given = {
             name: value
             for name, value in super().arguments().items()
-            if name not in ("diffraction_model", "scattering_order", "direct") or value is not None
+            if name not in ("diffraction_model", "scattering_order", "body_order", "body_step", "direct")
+            or value is not None
         }
         if isinstance(self.direct, list):
             levels = [False if pair.level_db is None else pair.level_db for pair in self.direct]
@@ -182,6 +188,7 @@ class SceneModel(Model):
         ]
     ]
     scatterers: list[ScattererModel] | None = None
+    bodies: list[BodyModel] | None = None
     paths: _Paths
     render: RenderModel
 
@@ -243,9 +250,10 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     receivers = [receiver for entry in entries for receiver in entry]
     things = [within(f"scatterers[{i}]", partial(t.build, base)) for i, t in enumerate(model.scatterers or [])]
     scatterers = [scatterer for thing in things for scatterer in thing]
+    bodies = [within(f"bodies[{i}]", partial(body.build, base)) for i, body in enumerate(model.bodies or [])]
     room = within("room", lambda: model.room.build(base))
     air = within("air", model.air.build)
-    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers)
+    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers, bodies)
     arguments = within("render", model.render.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)

@@ -64,8 +64,8 @@ format = 1
 scene = "scene.toml"
 keep = ["ground_truth"]
 [[vary]]
-field = "paths.max_order"
-values = [0]
+field = "scatterers[1].radius"
+values = [0.03, 0.06]
 """
 
 
@@ -246,7 +246,8 @@ def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> None:
     pytest.importorskip("zarr")
-    (tmp_path / "scene.toml").write_text(SCENE.replace("scattering_order = 1", "scattering_order = 0"), "utf-8")
+    text = SCENE.replace("scattering_order = 1", "scattering_order = 0").replace("max_order = 1", "max_order = 0")
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     study = load_study(tmp_path / "study.toml")
     content = computed(study, study.members[0], None, tmp_path / "member")[0]
@@ -256,6 +257,9 @@ def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> N
     assert content.scatterer_bearing.shape == truth.bearing.shape
     np.testing.assert_array_equal(content.scatterer_range, truth.range)
     assert content.scatterer_delay.attrs["units"] == "s"
+    larger = computed(study, study.members[1], None, tmp_path / "other")[0].scatterer_range.values - truth.range
+    np.testing.assert_array_equal(larger[[0, 2]], 0.0)
+    np.testing.assert_allclose(larger[1], -0.03, atol=1e-3)  # of the ball: its surface is nearer by 3 cm
 
 
 def test_a_sonar_without_its_cross_talk(file: Any, paths: PathSet, direct: PathSet) -> None:
@@ -297,6 +301,18 @@ def test_cross_talk_by_pair(file: Any, paths: PathSet, tmp_path: Path, device: N
         levels = np.array([0.1, 1.0, 0.0])[:, None]
         assert level_db(heard - echoes - levels * direct, heard) < -110.0
     assert clsim.direct_path(found, [0.03]).line_of_sight[0, :, 0].tolist() == [True, True, False]
+    truth = clsim.scatterer_truth(wide, [0.03])  # every scatterer, as seen from every pair
+    table = clsim.find_paths(wide, 0).table([0.03])
+    for i in np.flatnonzero(table.order):
+        here = (
+            wide.scatterers.index(next(s for s in wide.scatterers if s.name == table.name_way(i))),
+            0,
+            table.receiver[i],
+            0,
+        )
+        assert truth.delay[here] == pytest.approx(table.delay[i, 0], rel=1e-14)
+        np.testing.assert_allclose(truth.bearing[here], table.arrival[i, 0], atol=1e-12)
+    assert truth.delay.shape == (3, 1, 3, 1)
     text = SCENE.replace("scattering_order = 1", 'direct = [{ source = "sonar", receiver = "ear", level_db = -20.0 }]')
     (tmp_path / "scene.toml").write_text(text, "utf-8")
     read = clsim.load_scene(tmp_path / "scene.toml")
@@ -362,6 +378,9 @@ REFUSED = [
     ([clsim.Scatterer.point("b", 0.0, LINE((3, 2, 1), (7, 2, 1), 0.2))], r"scatterers\[0\].trajectory: must stay inside"),
     ([clsim.Scatterer.point("b", 0.0, LINE((1.5, 4, 1), (2.5, 4, 1), 0.01))], "must last as long as all signals"),
     ([clsim.Scatterer.point("b", 0.0, clsim.Trajectory.circle((3, 2.5, 1.5), 1.0, 0.015, 0.2))], "speed of sound"),
+    ([clsim.Scatterer.capsule("b", 0.1, 0.9, clsim.Trajectory.waypoints(
+        [0.0, 0.1, 0.102, 0.2], [(3, 2, 1.0)] * 4, [(0, 0, 0, 1), (0, 0, 0, 1), (0, 0.9, 0, 0.4358898943540674), (0, 1, 0, 0)],
+    ))], r"scatterers\[0\].trajectory: must keep the surface below .*'b' may move at .* m/s, about 0.1(0[0-2])? s"),
     ([clsim.Scatterer.point("b", 0.0, FIXED((3, 2, 1)))] * 2, r"scatterers\[1\].name: must be unique"),
     ("b", "scatterers: must be a list"), ([3], r"scatterers\[0\]: must be a Scatterer"),
 ]  # fmt: skip
@@ -403,6 +422,61 @@ def test_in_wind_there_and_back_are_not_alike(paths: PathSet) -> None:
     scene = clsim.Scene(paths.scene.room, air, *ends, scatterers=[clsim.Scatterer.point("p", 0.0, at[2])])
     delay = clsim.scatterer_truth(scene, [0.1]).delay.ravel()[0]
     assert delay == pytest.approx(3.0 / 350.0 + 3.0 / 330.0, rel=2e-5)
+
+
+PEOPLE = """
+[[scatterers]]
+kind = "person"
+name = "Ada"
+height = 1.7
+trajectory = { kind = "line", start = [4.0, 2.0, 0.0], end = [3.8, 2.0, 0.0], duration = 0.2 }
+[[scatterers]]
+kind = "captured-person"
+name = "Bob"
+path = "arm.csv"
+segments = [{ start = "elbow", end = "wrist", radius = 0.04 }]
+shape = "capsule"
+translate = [1.0, 0.0, 0.0]
+[[scatterers]]
+kind = "hand"
+name = "fist"
+trajectory = { kind = "fixed", position = [2.0, 2.0, 1.5] }
+opening = [[0.0, 1.0], [0.2, 0.0]]
+"""
+
+
+def test_people_in_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They are those from Python; the completed scene is the same one from elsewhere; what is wrong has its field."""
+    rows = "\n".join(f"{t / 10},2,3,1,2.3,3,{1 + t / 30}" for t in range(4))
+    (tmp_path / "arm.csv").write_text("t,elbow x,elbow y,elbow z,wrist x,wrist y,wrist z\n" + rows, "utf-8")
+    text = SCENE.replace("[paths]", PEOPLE + "[paths]")
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
+    file = clsim.load_scene(tmp_path / "scene.toml")
+    people = [s for s in file.scene.scatterers if s.name not in ("hand", "ball", "bat")]
+    way = clsim.Trajectory.line((4.0, 2.0, 0.0), (3.8, 2.0, 0.0), 0.2)
+    arm = clsim.captured_person(
+        "Bob", tmp_path / "arm.csv", segments=[("elbow", "wrist", 0.04)], shape="capsule", translate=(1.0, 0.0, 0.0)
+    )
+    fist = clsim.hand("fist", clsim.Trajectory.fixed((2.0, 2.0, 1.5)), opening=[(0.0, 1.0), (0.2, 0.0)])
+    wanted = [*clsim.walking_person("Ada", 1.7, way), *arm, *fist]
+    assert [s.name for s in people] == [s.name for s in wanted]
+    for one, other in zip(people, wanted, strict=True):
+        np.testing.assert_array_equal(one.trajectory.position(0.13), other.trajectory.position(0.13))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "again.toml").write_text(completed_scene(file, tmp_path / "other"), "utf-8")
+    assert 'path = "../arm.csv"' in (tmp_path / "other" / "again.toml").read_text("utf-8")
+    again = clsim.load_scene(tmp_path / "other" / "again.toml")
+    assert [s.name for s in again.scene.scatterers] == [s.name for s in file.scene.scatterers]
+    for old, new, message in (
+        ("end = [3.8, 2.0, 0.0]", "end = [-99.0, 2.0, 0.0]", "scatterers[3].trajectory: must walk at 0.0901 to 2.7 m/s, but is at 515 m/s at 0 s"),
+        ('end = "wrist"', 'end = "toe"', "scatterers[4].segments[0]: must name joints of the file (elbow, wrist), but names 'toe'"),
+        ("opening = [[0.0, 1.0]", "opening = [[0.0, 2.0]", "scatterers[5].opening[0][1]: must be at most 1, but is 2"),
+        ('path = "arm.csv"', 'path = "leg.csv"', "scatterers[4].path: cannot read"),
+        ("position = [2.0, 2.0, 1.5]", "position = [1.0, 2.0, 1.05]", "'sonar' is in 'fist palm' or nearer to it at (1, 2, 1) m at 0 s"),
+    ):  # fmt: skip
+        (tmp_path / "scene.toml").write_text(text.replace(old, new), "utf-8")
+        assert main(["check", str(tmp_path / "scene.toml")]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_files_name_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,7 +93,7 @@ def test_device_and_host_make_the_same(layout: Layout) -> None:
 
 
 MUTANTS = {
-    "the other side of a boundary": ("side * sine * breadth", "-side * sine * breadth"),
+    "the other side of a boundary": ("side * rise * breadth", "-side * rise * breadth"),
     "phases of what is heard": ("2.0 * r_s * r_r / length * raised", "2.0 * r_s * r_r / length"),
     "continued as before the boundary": ("beyond.part[part][b] - r->part[part][b]", "r->part[part][b]"),
     "angle to the 0-face": ("HALF_TURN - together,", "HALF_TURN + together,"),

@@ -23,7 +23,7 @@ _MIDDLE_PHASE = 4.0  # rad, of the middle of the table of the transition functio
 # An edge as both ends are seen by it, as in nodes/edge_view.h.
 EDGE_VIEW = np.dtype(
     [("source_turn", "f8", 9), ("source_shift", "f8", 3), ("receiver_turn", "f8", 9), ("receiver_shift", "f8", 3),
-     ("n", "f8"), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("unused", "i4")]
+     ("n", "f8"), ("wide", "f8", 2), ("narrow", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("unused", "i4")]
 )  # fmt: skip
 
 
@@ -60,6 +60,8 @@ class EdgeTracks(DeviceTracks):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
         for name in ("n", "lit", "end_side"):
             edges[name] = getattr(family, name)[rows]
+        for name, angle in (("wide", np.pi * edges["n"]), ("narrow", 0.5 * np.pi / edges["n"])):
+            edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         edges["end"] = np.nan_to_num(family.end_place[rows])
         edges["face"] = around.tables_of(family.faces[rows])
         return self._uploaded(edges=edges) | {"image_matrix": None, "image_offset": None}
