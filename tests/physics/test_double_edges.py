@@ -92,8 +92,6 @@ def test_behind_thin_walls(millimetres: int, bound: float) -> None:
     assert error_db(at_rest(2, wall), exact) < -58.0
     if millimetres == 2:
         assert error_db(at_rest(1, prism(thickness, HEIGHT, turned=True)), exact) < bound
-        nothing = np.sum(at_rest(1, wall).order == 1)
-        assert nothing == 0, "one edge alone is silent behind a wall that has two"
 
 
 def double_integral(a: float, b: float, tie: float) -> complex:
