@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 TERMS = 4  # past the edge above -π and below π, by the 0-face, by the n-face
-_ON_BOUNDARY = 1e-9  # radians, below which an angle to a boundary is taken as none
+ON_BOUNDARY = 1e-9  # radians, below which an angle to a boundary is taken as none
 _FAR = 8.0  # root of a phase from which on the series is taken
 _LEAST_ROOT = -1.0  # of the table of the transition function
 _CELLS = 8192
@@ -143,7 +143,7 @@ def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> t
     if lit is not None:
         side = np.where(turns == 0.0, lit, side)
     sine = np.sin(0.5 * angle)
-    near = np.abs(angle) < _ON_BOUNDARY
+    near = np.abs(angle) < ON_BOUNDARY
     cotangent = np.where(near, n, sine / np.tan(0.5 * np.where(near, 1.0, angle) / n))
     return np.asarray(-side * cotangent / n), np.asarray(side * sine)
 

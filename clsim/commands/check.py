@@ -31,10 +31,11 @@ def execute(options: argparse.Namespace) -> int:
     if file.paths["diffraction"]:
         print(*file.scene.room.edges().describe(), *_thin(file), sep="\n", flush=True)
     planned = plan_scene(file, progress)
-    passing = [] if file.scene.room.is_convex else [_comings_and_goings(planned.paths)]
+    passing = [] if file.scene.room.is_convex and not file.scene.bodies else [_comings_and_goings(planned.paths)]
     for line in [*passing, *planned.plan.describe()]:
         print(line)
-    for field, item in [*file.scene.named_ends(), *file.scene.named_scatterers()]:
+    scene = file.scene
+    for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
         for note in item.trajectory.notes:
             print(f"{field}.trajectory: {note}")
     print("the scene file is valid")

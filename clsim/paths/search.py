@@ -25,6 +25,10 @@ class PathSearch:
         Of the field at an edge.
     scattering_order : int
         Largest number of reflections before a scatterer, and of those after it.
+    body_order : int or None
+        Largest number of reflections of paths by bodies; `max_order` when None.
+    body_step : float
+        How far all that moves goes from one look at paths by and behind bodies to the next, m.
     path_limit : int
         Number of paths of a kind above which the search is refused or given up.
     finder : str
@@ -41,6 +45,8 @@ class PathSearch:
     diffraction: int
     diffraction_model: str
     scattering_order: int
+    body_order: int | None
+    body_step: float
     path_limit: int
     finder: str
     resolution: float | None

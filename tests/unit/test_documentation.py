@@ -43,6 +43,7 @@ OWN = {
     "end_detour": "derived: differences of lengths without cancellation",
     "fit_delay": "derived: least squares of phases of neighbours' products",
     "largest_hole": "a maximum",
+    "lit_share": "the choice that ellipsoid_strength tells of",
     "merged": "a mean",
     "neighbours_on_sphere": "a hull of scipy",
     "normalised": "what the name says",

@@ -51,6 +51,11 @@ class DoubleEdgePaths(EdgePaths):
         *EdgePaths.columns, "last_frame", "last_n", "last_faces", "last_lit", "shared",
     )  # fmt: skip
 
+    @property
+    def device(self) -> None:
+        """None: the host makes their nodes."""
+        return
+
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field beyond two edges."""
         return _LOUDEST * at.largest_reflection(self.walls[rows])

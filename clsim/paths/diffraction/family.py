@@ -12,7 +12,7 @@ from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angle
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
 from clsim.paths.diffraction.ways_over import WaysOver
-from clsim.paths.propagation import arrivals_by
+from clsim.paths.propagation import UniformAir, arrivals_by
 from clsim.paths.two_sided import TwoSidedPaths
 
 if TYPE_CHECKING:
@@ -63,6 +63,13 @@ class EdgePaths(TwoSidedPaths):
     )  # fmt: skip
 
     costly: ClassVar[bool] = True
+
+    @property
+    def device(self) -> str | None:
+        """The program for paths over one edge; it knows air of one speed alone, that rests."""
+        media = [self.medium(source) for source in range(len(self.scene.sources))]
+        still = all(isinstance(m, UniformAir) and m.wind is None and m.fluctuation is None for m in media)
+        return "edges" if still else None
 
     @property
     def is_complex(self) -> bool:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only
-from clsim.errors import InputError
+from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only, short_repr
+from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
 from clsim.scene.room.contact import first_contact, first_off, walls_at
 from clsim.scene.room.edges import Edges, find_edges
@@ -97,6 +97,8 @@ class MeshRoom:
     walls: Walls = field(init=False)
     faces: Faces = field(init=False)
     shape: MeshShape = field(init=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         vertices = as_floats("vertices", self.vertices, (None, 3), within=FARTHEST, unit="m")
@@ -555,7 +557,9 @@ def _by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str
     listed = ", ".join(repr(g) for g in groups)
     for key, material in materials.items():
         if key != "default" and key not in groups:
-            raise InputError(f"materials.{key}", f"is no group of {name}, whose groups are {listed}")
+            raise InputError(
+                f"materials.{key}", f"is no group of {name}, whose groups are {listed}{meant(key, groups)}"
+            )
         if not isinstance(material, Material):
             raise InputError(f"materials.{key}", f"must be a Material, but is {material!r:.80}")
     missing = [g for g in groups if g not in materials]
