@@ -125,7 +125,7 @@ PROGRAMS = {
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
             "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h",
-            "nodes/write_delay.h", "nodes/smooth.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
+            "nodes/write_delay.h", "nodes/smooth.h", "nodes/cell.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **IMAGES,
