@@ -15,8 +15,9 @@ demo: .venv/installed
 test: .venv/tested
 	$(BIN)/python -m pytest
 
+# Many of these wait for processes that they start: three at a time.
 test-exhaustive: .venv/tested
-	$(BIN)/python -m pytest -m exhaustive
+	$(BIN)/python -m pytest -m exhaustive -n 3
 
 test-all: test test-exhaustive
 
