@@ -3,11 +3,13 @@
 Three of its reports are false, each shown here by a kernel of its own; `driver_scenes.py` does without their causes.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from driver_scenes import SCENES
 from drivers import EVERYTHING, FEW_ON_GPUS, OCLGRIND, PARITY_DB, apart_db, launched, render, run
+from exhaustive import exhaustive, few
 
 from clsim.opencl.kernels import PROGRAMS
 
@@ -46,15 +48,24 @@ NUMBERS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [BY_CPU, BY_GPU], ids=["layout for CPUs", "layout for GPUs"])
-def test_not_one_report(names: list[str], tmp_path: Path, by_pocl: Path) -> None:
-    simulated = tmp_path / "oclgrind"
+@pytest.mark.parametrize("names", [exhaustive(BY_CPU), exhaustive(BY_GPU)], ids=["layout for CPUs", "layout for GPUs"])
+def test_not_one_report(names: list[str], tmp_path: Path, by_pocl: Callable[..., Path]) -> None:
+    check(names, tmp_path, by_pocl())
+
+
+def test_not_one_report_of_one_scene(tmp_path: Path, by_pocl: Callable[..., Path]) -> None:
+    check(["plain.cpu"], tmp_path, by_pocl("plain.cpu"))
+
+
+def check(names: list[str], folder: Path, by_pocl: Path) -> None:
+    simulated = folder / "oclgrind"
     assert render(OCLGRIND, simulated, *names) == ""
     assert {name: db for name in names if (db := apart_db(simulated, by_pocl, name)) > PARITY_DB} == {}
 
 
-def test_scenes_run_every_kernel_with_every_option(by_pocl: Path) -> None:
-    ran = launched(by_pocl, *BY_CPU, *BY_GPU)
+@pytest.mark.exhaustive
+def test_scenes_run_every_kernel_with_every_option(by_pocl: Callable[..., Path]) -> None:
+    ran = launched(by_pocl(), *BY_CPU, *BY_GPU)
     assert {program for program, _ in ran} == set(PROGRAMS)
     assert unseen(ran, OPTIONS) == {}
     for program, options in OPTIONS_OF.items():
@@ -81,7 +92,7 @@ MUTANTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", MUTANTS)
+@pytest.mark.parametrize("name", few(MUTANTS))
 def test_mutants_are_reported(name: str, tmp_path: Path) -> None:
     scene, mutant, reported = MUTANTS[name]
     assert reported in render(OCLGRIND, tmp_path, scene, mutant=mutant)
