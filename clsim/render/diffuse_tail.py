@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.render.plan import Plan
     from clsim.scene.scene import Scene
-    from clsim.tail.design import SourceTail
     from clsim.tail.noise import Responses
 
 _TOGETHER = 16384  # samples of a moving receiver
@@ -78,9 +77,10 @@ class _Tail(Stateless):
         """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
         if self._heard is None:
             self._heard = [
-                _ZoneHeard(self._plan, source, tail, zone)
+                _ZoneHeard(self._plan, signals, zone)
                 for source, tail in enumerate(self._plan.tails)
                 if tail is not None
+                for signals in [SourceSignals(self._plan, source, tail)]
                 for zone in range(len(tail.receiver_zones))
             ]
         for heard in self._heard:
@@ -90,13 +90,13 @@ class _Tail(Stateless):
 class _ZoneHeard:
     """What is heard of one source in one zone of receivers."""
 
-    def __init__(self, plan: Plan, source: int, tail: SourceTail, zone: int) -> None:
+    def __init__(self, plan: Plan, signals: SourceSignals, zone: int) -> None:
         of_scene = plan.tracks.of_scene
         assert of_scene is not None, "tails are of scenes"
         self._scene: Scene = of_scene.scene
-        self._rate, self._source, self._tail, self._zone = plan.sampling_rate, source, tail, zone
-        self._signals = SourceSignals(plan, source, tail)
-        centre = self._scene.sources[source].emitted.centre_frequency
+        self._rate, self._zone, self._signals = plan.sampling_rate, zone, signals
+        self._source, self._tail = signals.source, signals.tail
+        centre = self._scene.sources[self._source].emitted.centre_frequency
         self._frequency = np.array([centre])
         there = [r for r in range(len(self._scene.receivers)) if not self._is_still(r) or self._is_here(r)]
         still = [r for r in there if self._is_still(r)]
@@ -138,7 +138,7 @@ class _ZoneHeard:
         gains = self._gains(receiver, times) * weight
         samples, total = np.arange(start, stop), np.zeros(len(pressure), np.float32)
         for stream, place, gain in zip(heard, places.T, gains, strict=True):
-            value = between.at(stream, np.interp(samples, grid, place - first))
+            value = between.at(stream, np.interp(samples, grid, place) - first)
             total += value * np.interp(samples, grid, gain).astype(np.float32)
         pressure += total
 

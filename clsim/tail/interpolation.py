@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
 
-_ERROR_DB = 70.0  # of what is passed, by which images of the spectrum are below it
+_ERROR_DB = 60.0  # of what is passed, by which images of the spectrum are below it
 _PHASES = 4096  # of a sample, between which the nearest is taken: -70 dB at 0.8 of Nyquist
-_MOST_TAPS = 64
+_MOST_TAPS = 32
 _TOGETHER = 16384  # samples
 
 
@@ -55,10 +56,15 @@ class Between:
     def at(self, signal: NDArray[Any], places: Floats) -> NDArray[np.float32]:
         """Return the values (n,) of a signal at places (n,), samples from its first one, which it must hold around."""
         windows = sliding_window_view(signal, self.table.shape[1])
+        whole = np.floor(places).astype(np.int64)
         out = np.empty(len(places), np.float32)
-        for first in range(0, len(places), _TOGETHER):
-            here = places[first : first + _TOGETHER]
-            whole = np.floor(here).astype(np.int64)
-            phase = np.rint((here - whole) * _PHASES).astype(np.int64)
-            out[first : first + len(here)] = np.einsum("nt,nt->n", windows[whole - self.half + 1], self.table[phase])
+        # Where the whole part of the delay stays the same, samples and windows go on side by side and are not copied.
+        ahead = whole - np.arange(len(places))
+        bounds = np.concatenate([[0], np.flatnonzero(np.diff(ahead)) + 1, [len(places)]])
+        for first, last in pairwise(bounds.tolist()):
+            for begin in range(first, last, _TOGETHER):
+                here = slice(begin, min(begin + _TOGETHER, last))
+                phase = np.rint((places[here] - whole[here]) * _PHASES).astype(np.int64)
+                start = int(whole[begin]) - self.half + 1
+                np.einsum("nt,nt->n", windows[start : start + len(phase)], self.table[phase], out=out[here])
         return out
