@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
     from clsim.tail.noise import Responses
 
-_TOGETHER = 16384  # samples of a moving receiver
+_TOGETHER = 16384  # samples of moving receivers, one after the other, so that they read the same streams
 
 
 def diffuse_tail(plan: Plan) -> DiffuseTail | None:
@@ -112,10 +112,9 @@ class _ZoneHeard:
             heard = self._of(waves=False).read(start, start + pressure.shape[1])
             if heard is not None:
                 pressure[still] += heard
-        for r in self._moving:
-            for first in range(0, pressure.shape[1], _TOGETHER):
-                part = pressure[r, first : first + _TOGETHER]
-                self._add_moving(part, r, start + first)
+        for first in range(0, pressure.shape[1], _TOGETHER):
+            for r in self._moving:
+                self._add_moving(pressure[r, first : first + _TOGETHER], r, start + first)
 
     def _add_moving(self, pressure: NDArray[Any], receiver: int, start: int) -> None:
         """Add what one receiver hears of all streams from sample `start` on to its pressure (n,)."""

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.paths.family import SPECULAR
-from clsim.tail.design import SourceTail, TailOptions, find_tail
+from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
 from clsim.tail.zones import Zones
 
 if TYPE_CHECKING:
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.render.options import RenderOptions
 
-ULTRASOUND = 40e3  # Hz, from which on images hold what is heard
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 
@@ -75,9 +73,3 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
         told += [f"source {i}: no tail, for images leave {tail.left_db:.0f} dB of the energy"] if faint else []
         found.append(None if faint else tail)
     return FoundTails(tuple(found), tuple(told))
-
-
-def searched_order(paths: PathSet) -> int:
-    """Return the highest order of images among paths."""
-    only_mirrored = np.all((paths.interactions == SPECULAR) | (paths.interactions < 0), axis=1)
-    return int(paths.order[only_mirrored].max(initial=0))

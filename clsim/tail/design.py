@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.numerics.sphere import fibonacci_sphere
+from clsim.paths.family import SPECULAR
 from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
 from clsim.tail.bands import band_centres
@@ -25,10 +26,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.path_set import PathSet
     from clsim.scene.scene import Scene
     from clsim.tail.zones import Zones
 
-DEPARTURES = 16  # directions of departure that are told apart
+ULTRASOUND = 40e3  # Hz, from which on images hold what is heard
+DEPARTURES = 32  # directions of departure that are told apart
 _STEP = 1e-3  # s, bins of time
 _RAYS, _MOST_RAYS = 2048, 131_072  # traced at a time, and from one place
 _LEAST_RUNS = 4
@@ -200,6 +203,12 @@ def find_tail(
     return SourceTail(
         centres, _STEP, of_source, of_receivers, pairs, arrivals, departures, most_rays, error_db, options.seed
     )
+
+
+def searched_order(paths: PathSet) -> int:
+    """Return the highest order of images among paths."""
+    only_mirrored = np.all((paths.interactions == SPECULAR) | (paths.interactions < 0), axis=1)
+    return int(paths.order[only_mirrored].max(initial=0))
 
 
 def _emitted(scene: Scene, source: int, turn: Floats, centres: Floats) -> Callable[[Floats], Floats]:

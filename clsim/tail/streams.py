@@ -87,9 +87,10 @@ class Streams:
 
     def _made(self, k: int) -> NDArray[np.float32] | None:
         if k not in self._blocks:
-            self._blocks[k] = self._block(k)
-            for old in sorted(self._blocks)[:-_KEPT]:
+            made = self._block(k)
+            for old in list(self._blocks)[: 1 - _KEPT]:  # those that were made first
                 del self._blocks[old]
+            self._blocks[k] = made
         return self._blocks[k]
 
     def _block(self, k: int) -> NDArray[np.float32] | None:

@@ -57,11 +57,20 @@ class Zones:
     @classmethod
     def along(cls, ends: Sequence[End], room: Room, until: float, *, beams: bool) -> Zones:
         """Return zones that cover the ways of ends from 0 s to a time, s; beams say whether turning matters."""
+        return cls._covering([(end, _instants(end, until)) for end in ends], room, beams=beams)
+
+    @classmethod
+    def frozen(cls, ends: Sequence[End], room: Room, at: float, *, beams: bool) -> Zones:
+        """Return zones that hold ends as they are at a time, s."""
+        return cls._covering([(end, np.array([at])) for end in ends], room, beams=beams)
+
+    @classmethod
+    def _covering(cls, ends: Sequence[tuple[End, Floats]], room: Room, *, beams: bool) -> Zones:
+        """Return zones that hold ends as they are at times (T,), s."""
         radius = zone_radius(room)
         found: list[Floats] = []
         turns: list[Floats] = []
-        for end in ends:
-            times = _instants(end, until)
+        for end, times in ends:
             turning = beams and not isinstance(end.directivity, Omni)
             poses, orientation = _poses(end, times, radius, turning=turning, beams=beams), end.orientation(times)
             left = np.ones(len(times), np.bool_)
