@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.commands.arguments import add_scene
+from clsim.render.tails import left_by_images
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import plan_scene
@@ -31,13 +32,22 @@ def execute(options: argparse.Namespace) -> int:
         print(*file.scene.room.edges().describe(), sep="\n", flush=True)
     planned = plan_scene(file, progress)
     passing = [] if file.scene.room.is_convex else [_comings_and_goings(planned.paths)]
-    for line in [*passing, *planned.plan.describe()]:
+    options = planned.plan.options
+    left = left_by_images(planned.paths, options.sampling_rate) if options.tail == "off" else None
+    beyond = [] if left is None else [_left(left)]
+    for line in [*passing, *planned.plan.describe(), *beyond]:
         print(line)
     for field, item in [*file.scene.named_ends(), *file.scene.named_scatterers()]:
         for note in item.trajectory.notes:
             print(f"{field}.trajectory: {note}")
     print("the scene file is valid")
     return 0
+
+
+def _left(left_db: float) -> str:
+    return (
+        f"images leave {left_db:.0f} dB of the energy to higher orders and to what walls scatter (tail, below 40 kHz)"
+    )
 
 
 def _comings_and_goings(paths: PathSet) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.render.options import RenderOptions
 
+_FEW = 256  # rays at a time, for a figure in passing
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 
@@ -73,3 +75,21 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
         told += [f"source {i}: no tail, for images leave {tail.left_db:.0f} dB of the energy"] if faint else []
         found.append(None if faint else tail)
     return FoundTails(tuple(found), tuple(told))
+
+
+def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
+    """Return the energy that images leave at 0 s, relative to all, of the source where it is most, dB, by a few rays.
+
+    None in open rooms, or where a package is missing that traces rays in a mesh.
+    """
+    scene, most = paths.scene, -np.inf
+    if scene.room.volume is None or not (scene.room.is_convex or find_spec("embreex")):
+        return None
+    receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
+    asked = TailOptions(searched_order(paths), directions=1, error_db=np.inf, rays=_FEW)
+    for i, source in enumerate(scene.sources):
+        low, high = source.emitted.band()
+        own = Zones.frozen([source], scene.room, 0.0, beams=True)
+        found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), asked)
+        most = max(most, found.left_db)
+    return float(most)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 ULTRASOUND = 40e3  # Hz, from which on images hold what is heard
 DEPARTURES = 32  # directions of departure that are told apart
 _STEP = 1e-3  # s, bins of time
-_RAYS, _MOST_RAYS = 2048, 131_072  # traced at a time, and from one place
+_MOST_RAYS = 131_072  # from one place
 _LEAST_RUNS = 4
 _WINDOW = 0.02  # s, in which energies are compared between runs
 _DEPTH = 1e-4  # of the loudest window's energy, down to which they are
@@ -139,12 +139,15 @@ class TailOptions:
         Standard error of its energies that is asked for, dB.
     seed : int
         Of rays and noise.
+    rays : int
+        That are traced at a time, four times at least.
     """
 
     max_order: int
     directions: int = 64
     error_db: float = 0.25
     seed: int = 0
+    rays: int = 2048
 
 
 def find_tail(
@@ -195,8 +198,8 @@ def find_tail(
             Listener(centre, of_receivers.radius, volume, arrivals, departures, _STEP * c, shape)
             for centre, volume in zip(of_receivers.centres, volumes, strict=True)
         ]
-        runs, error = _converged(tracer, until, listeners, rng, options.error_db)
-        most_rays, error_db = max(most_rays, runs * _RAYS), max(error_db, error)
+        runs, error = _converged(tracer, until, listeners, rng, options)
+        most_rays, error_db = max(most_rays, runs * options.rays), max(error_db, error)
         pairs |= {(i, j): _settled(listener, runs) for j, listener in enumerate(listeners)}
         if progress is not None:
             progress((i + 1) / len(of_source))
@@ -228,15 +231,15 @@ def _emitted(scene: Scene, source: int, turn: Floats, centres: Floats) -> Callab
 
 
 def _converged(
-    tracer: Tracer, until: float, listeners: list[Listener], rng: np.random.Generator, asked_db: float
+    tracer: Tracer, until: float, listeners: list[Listener], rng: np.random.Generator, options: TailOptions
 ) -> tuple[int, float]:
     """Trace until energies are known within an error, dB, or rays are very many; return runs and the error reached."""
     windows: list[Floats] = []
     before = np.zeros(1)
     runs, error = 0, math.inf
-    while runs < _LEAST_RUNS or (error > asked_db and runs * _RAYS < _MOST_RAYS):
+    while runs < _LEAST_RUNS or (error > options.error_db and runs * options.rays < _MOST_RAYS):
         for _ in range(max(_LEAST_RUNS, runs // 2)):
-            tracer.run(_RAYS, until, listeners, rng)
+            tracer.run(options.rays, until, listeners, rng)
             now = np.stack([_windowed(listener.tail.sum(axis=1)) for listener in listeners])
             windows.append(now - before)
             before = now
