@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.decay import clarity, decay_curve, definition, eyring_time, reverberation_time, sabine_time
-from clsim.arrays import Floats, as_choice, read_only, texts
+from clsim.arrays import Floats, as_choice, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.impulse_responses import ImpulseResponses
 from clsim.paths.labelled import labelled_dataset
@@ -58,6 +58,8 @@ class RoomMeasures:
     eyring: Floats
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
+
+    __repr__ = short_repr
 
     def to_xarray(self) -> Any:
         """Return it with dimensions ``source``, ``receiver`` and ``frequency``, coordinates and units.

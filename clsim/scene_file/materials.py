@@ -24,6 +24,7 @@ class _Absorption(Model):
     coefficients: list[float]
 
     def build(self, base: Path) -> Material:
+        """Return the material of these absorption coefficients."""
         return Material.from_absorption(**self.arguments())
 
 
@@ -33,6 +34,7 @@ class _Table(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Material:
+        """Return the material of this table of complex factors."""
         return Material.from_table(**self.arguments() | {"factors": _numbers("factors", self.factors)})
 
 
@@ -42,6 +44,7 @@ class _Impedance(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Material:
+        """Return the material of this impedance."""
         return Material.from_impedance(**self.arguments() | {"impedances": _numbers("impedances", self.impedances)})
 
 
@@ -57,6 +60,7 @@ class _ImpulseResponse(_Echo):
     sampling_rate: float
 
     def build(self, base: Path) -> Material:
+        """Return the material with this impulse response."""
         return Material.from_impulse_response(**self.arguments())
 
 
@@ -66,6 +70,7 @@ class _ImpulseResponseFile(_Echo):
     scale: float = 1.0
 
     def build(self, base: Path) -> Material:
+        """Return the material whose impulse response a file holds."""
         return Material.from_wav(**self.arguments() | {"path": base / self.path})
 
 
@@ -75,6 +80,7 @@ class _Solid(Model):
     boundary_layer: bool = True
 
     def build(self, base: Path) -> Material:
+        """Return the material of a half-space of this solid."""
         return Material.from_solid(**self.arguments())
 
 
@@ -84,6 +90,7 @@ class _Porous(Model):
     outside: Literal["extend"] | None = None
 
     def build(self, base: Path) -> Material:
+        """Return the material of this porous layer before a rigid wall."""
         return Material.from_porous(**self.arguments())
 
 
