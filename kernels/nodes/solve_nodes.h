@@ -74,9 +74,9 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     __global const edge_view* edge = s->edge;
     const triple from = place_by_edge(edge->source_turn, edge->source_shift, cubic(a->knot[beside], OF_NODE(a->u, beside)));
     const triple to = triple_of(&s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].ear.position, beside);
-    const double place = edge->end_side ? edge->end : (from.z * off_edge(to) + to.z * off_edge(from)) / (off_edge(from) + off_edge(to));
+    double place;
     response field[1];
-    const double length = edge_field(around, &s->tables, edge, s->slot, from, to, OF_NODE(a->mach_factor, beside), field);
+    const double length = edge_field(around, &s->tables, edge, s->slot, from, to, OF_NODE(a->mach_factor, beside), &place, field);
     const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, beside),
                           into_room(edge->source_turn, towards_edge(from, place)),
                           times(-1.0, into_room(edge->receiver_turn, towards_edge(to, place))), a->knot[beside], OF_NODE(a->u, beside)};
