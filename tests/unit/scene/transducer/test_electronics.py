@@ -42,7 +42,8 @@ def test_stream_filter_is_a_convolution_however_it_is_cut(length: int, rng: np.r
     samples, taps = rng.normal(size=COUNT), rng.normal(size=length) / np.sqrt(length)
     whole = StreamFilter(taps, SEGMENT)(samples)
     before = np.pad(samples, (length - 1, 0))
-    at = np.unique(np.r_[0:9, SEGMENT - 9 : SEGMENT + 9, COUNT - 9 : COUNT, rng.integers(0, COUNT, 300)])
+    cuts = [np.arange(at - 9, at + 9) for at in (9, SEGMENT, 2 * SEGMENT, 3 * SEGMENT, COUNT - 9)]
+    at = np.unique([*np.concatenate(cuts), *rng.integers(0, COUNT, 300)])
     np.testing.assert_allclose(whole[at], [before[n : n + length] @ taps[::-1] for n in at], atol=1e-12)
     pieces = StreamFilter(taps, SEGMENT)
     cut = [pieces(part) for part in np.split(samples, [SEGMENT, 3 * SEGMENT])]
