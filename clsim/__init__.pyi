@@ -21,12 +21,15 @@ from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
 from clsim.room_measures import RoomMeasures, room_measures
 from clsim.scene.air import Air
+from clsim.scene.body import Body
+from clsim.scene.captured import captured_person
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
+from clsim.scene.hands import hand
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
@@ -35,6 +38,7 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
+from clsim.scene.target_fluctuation import TargetFluctuation
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 from clsim.scene.walking import walking_person
@@ -50,6 +54,7 @@ __all__ = [
     "AxisymmetricDirectivity",
     "Bandlimited",
     "Baseband",
+    "Body",
     "ClsimError",
     "ClsimWarning",
     "DeviceError",
@@ -79,13 +84,16 @@ __all__ = [
     "Signal",
     "Source",
     "SphericalDirectivity",
+    "TargetFluctuation",
     "Tracks",
     "Trajectory",
     "Transducer",
     "TruncatedLagrange",
+    "captured_person",
     "direct_path",
     "find_paths",
     "grid_positions",
+    "hand",
     "impulse_responses",
     "list_devices",
     "load_recording",

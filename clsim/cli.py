@@ -61,6 +61,7 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong as all else does, and what was perhaps meant."""
 
     def error(self, message: str) -> NoReturn:
+        """Raise what argparse would print, so that it is told in one line as all errors are."""
         choice = _CHOICE.fullmatch(message)
         if choice:
             raise InputError(choice[1], not_one_of(choice[2], re.findall(r"[\w-]+", choice[3])))

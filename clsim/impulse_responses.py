@@ -236,7 +236,7 @@ def as_response_band(sampling_rate: float, band: Any) -> ResponseBand:
 def _as_instant(scene: Scene, at: Any) -> float:
     """Return a time at which all trajectories are known."""
     time = as_number("at", at, at_least=0.0, unit="s")
-    for field, end in [*scene.named_ends(), *scene.named_scatterers()]:
+    for field, end in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
         if time > end.trajectory.end:
             raise InputError(
                 "at", f"must lie within {field}.trajectory, up to {end.trajectory.end:g} s, but is {time:g} s"

@@ -195,8 +195,8 @@ def _diffuse(scene: Scene, frequencies: Floats) -> tuple[Floats, Floats]:
     for material in dict.fromkeys(mesh.faces.materials):
         mine = float(area[[m is material for m in mesh.faces.materials]].sum())
         at = np.clip(frequencies, *material.band)
-        factor = material.reflection_at(at, cosine[:, None] if material.depends_on_angle else 1.0, c)
-        absorbed = np.broadcast_to(1.0 - np.square(np.abs(factor)), (len(cosine), len(frequencies)))
+        returned = material.energy_at(at, cosine[:, None] if material.depends_on_angle else 1.0, c)
+        absorbed = np.broadcast_to(1.0 - returned, (len(cosine), len(frequencies)))
         total += mine * (weights @ absorbed)
     air = scene.air.absorption_at(frequencies) * (math.log(10.0) / 10.0)
     surface = float(area.sum())

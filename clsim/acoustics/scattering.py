@@ -129,8 +129,7 @@ def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glin
     steep = np.sqrt(_dot(normal, normal))
     cosine = np.maximum(-_dot(normal, away) / (steep * np.sqrt(_dot(away, away))), 0.0)
     bend = np.maximum(_bend(scale, source, receiver, u, 1.0)[0], _SMALL)
-    lit = -np.expm1(-((cosine / _PENUMBRA) ** 3))
-    strength = lit * cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend)
+    strength = lit_share(cosine) * cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend)
     return np.asarray(np.where(glint.hidden, 0.0, strength))
 
 
@@ -158,6 +157,21 @@ def sphere_strength(radius: float, source: Floats, receiver: Floats, glint: Glin
     apart = [glint.place - end for end in (source, receiver)]
     near = sum(1.0 / np.sqrt(_dot(away, away)) for away in apart)
     return np.asarray(0.5 * radius / (1.0 + 0.5 * radius * cosine * near)), cosine
+
+
+def lit_share(cosine: Floats) -> Floats:
+    """Return how much of a mirror bodies are, by the cosine (n,) of the angle of incidence.
+
+    Notes
+    -----
+    ``1 - exp(-(cos(theta) / 0.25)^3)``, our own choice; see `ellipsoid_strength`.
+
+    Examples
+    --------
+    >>> lit_share(np.array([0.0, 0.25, 1.0])).round(3).tolist()
+    [0.0, 0.632, 1.0]
+    """
+    return np.asarray(-np.expm1(-((cosine / _PENUMBRA) ** 3)))
 
 
 def _dot(a: Floats, b: Floats) -> Floats:

@@ -56,7 +56,8 @@ class PathSet:
     start, end : ndarray (paths,)
         Interval of reception in which the path is heard, s.
     interactions : ndarray (paths, N) int
-        What happens on the way from the source: 0 specular reflection, 1 diffraction, 2 scattering; filled up with -1.
+        What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
+        reflection by a body; filled up with -1.
     objects : ndarray (paths, N) int
         Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
     walls : ndarray (paths, N) int

@@ -28,6 +28,7 @@ _MATERIALS = (
     "#882255", "#6b4c1e",
 )  # fmt: skip
 _ORDERS = ("#c1272d", "#3b0f70", "#2c728e", "#21a685", "#8bc34a", "#c0b000", "#e69f00", "#999999")
+_BODIES = ("#5d4037", "#7b1fa2", "#00695c", "#283593")
 _HERE = Path(__file__).parent
 _EDGES = "#b8860b"
 _AIM = 0.06  # length of a drawn aim, of the room's
@@ -56,6 +57,24 @@ class ViewedEnd:
     positions: Floats
     trail: Floats
     aims: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewedBody:
+    """A body: name, corners (V, 3) in its own coordinates, m, triangles (T, 3); origin (F, 3), m, and axes (F, 3, 3).
+
+    Row i of the axes is where the body's own axis i points in a frame.
+    """
+
+    name: str
+    vertices: Floats
+    triangles: NDArray[np.int64]
+    places: Floats
+    axes: Floats
+
+    def corners(self, frame: int) -> Floats:
+        """Return where its corners (V, 3) are in a frame, m."""
+        return np.asarray(self.places[frame] + self.vertices @ self.axes[frame])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +122,7 @@ def page_text(
     frames: Sequence[ViewedPaths],
     notes: Sequence[str] = (),
     edges: Floats | None = None,
+    bodies: Sequence[ViewedBody] = (),
 ) -> str:
     """Return the text of one HTML page that holds everything, the drawing library included.
 
@@ -120,6 +140,8 @@ def page_text(
         Lines below the title.
     edges : ndarray (E, 2, 3), optional
         Ends of the edges at which sound is diffracted, m.
+    bodies : sequence of ViewedBody
+        What moves as a whole.
 
     Raises
     ------
@@ -129,7 +151,7 @@ def page_text(
     _check_times(times, ends, frames)
     for i, frame in enumerate(frames):
         _check_paths(f"frames[{i}]", frame)
-    text = json.dumps(_document(walls, ends, times, frames, edges), separators=(",", ":"), allow_nan=False)
+    text = json.dumps(_document(walls, ends, times, frames, edges, bodies), separators=(",", ":"), allow_nan=False)
     parts = {
         "title": html.escape(title),
         "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
@@ -180,6 +202,7 @@ def _document(
     times: Floats,
     frames: Sequence[ViewedPaths],
     edges: Floats | None,
+    bodies: Sequence[ViewedBody],
 ) -> dict[str, Any]:
     """Return all that the page draws: traces that stay, those that change, and per frame what goes into them."""
     last = max(int(np.max(f.order, initial=0)) for f in frames)
@@ -189,6 +212,7 @@ def _document(
     return {
         "times": [float(f"{t:.9g}") for t in times],
         "fixed": [*_wall_traces(walls), *_edge_traces(edges), *_trail_traces(ends)],
+        "bodies": [_body(body, _BODIES[i % len(_BODIES)]) for i, body in enumerate(bodies)],
         "marks": _mark_trace(ends),
         "places": [[_rounded(end.positions[i]) for end in ends] for i in range(len(times))],
         "aims": [_aim_lines(ends, i, reach) for i in range(len(times))],
@@ -252,6 +276,19 @@ def _lines(points: Floats, *, color: str, width: float, name: str) -> dict[str, 
         "type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "name": _plain(name),
         "line": {"color": color, "width": width}, "hoverinfo": "skip", "showlegend": False,
     }  # fmt: skip
+
+
+def _body(body: ViewedBody, color: str) -> dict[str, Any]:
+    """Return the trace of a body without its places, its corners, and its poses: origin and axes in a row."""
+    i, j, k = (column.tolist() for column in body.triangles.T)
+    name = _plain(body.name)
+    trace = {
+        "type": "mesh3d", "x": [], "y": [], "z": [], "name": name, "showlegend": True, "color": color, "i": i, "j": j,
+        "k": k, "opacity": 0.45, "flatshading": True, "hovertemplate": "%{fullData.name}<extra></extra>",
+    }  # fmt: skip
+    poses = np.concatenate([body.places, body.axes.reshape(-1, 9)], axis=1)
+    corners = [_rounded(corner) for corner in body.vertices]
+    return {"trace": trace, "corners": corners, "poses": [np.round(pose, 6).tolist() for pose in poses]}
 
 
 def _trail_traces(ends: Sequence[ViewedEnd]) -> list[dict[str, Any]]:

@@ -121,10 +121,19 @@ def check_scatterers(
             raise InputError(
                 f"{field_name}.trajectory",
                 f"must keep the surface below the speed of sound, {slowest:.6g} m/s, but that of "
-                f"{scatterer.name!r} may move at {surface:.6g} m/s",
+                f"{scatterer.name!r} may move at {surface:.6g} m/s, about {_fastest_turn(scatterer):.6g} s",
             )
         for _, end in ends:
             _check_apart(field_name, scatterer, end, nearest)
+
+
+def _fastest_turn(scatterer: Scatterer) -> float:
+    """Return when the surface of a scatterer is about as fast as it ever is, s."""
+    motion, (start, end) = scatterer.trajectory, scatterer.time_range
+    times = np.linspace(start, end, min(max(int((end - start) * _SCAN_RATE), 1), _SCAN_BLOCK) + 1)
+    turn = np.linalg.norm(motion.angular_velocity(times), axis=1)
+    speed = np.linalg.norm(motion.velocity(times), axis=1) + scatterer.shape.radius * turn
+    return float(times[np.argmax(speed)])
 
 
 def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float) -> None:

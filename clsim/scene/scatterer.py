@@ -1,4 +1,4 @@
-"""Things that scatter sound: points, spheres and ellipsoids that move through the room."""
+"""Things that scatter sound: points, spheres, ellipsoids and capsules that move through the room."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
+from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_glint
 from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength, sphere_field, sphere_strength
 from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.target_fluctuation import TargetFluctuation
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -38,8 +40,8 @@ class Shape(Protocol):
         ...
 
     @property
-    def strongest(self) -> float:
-        """Bound of the strength in any direction, m."""
+    def aspects(self) -> int:
+        """How many numbers `field` takes."""
         ...
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
@@ -47,11 +49,15 @@ class Shape(Protocol):
         ...
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        """Return how strongly (n,) it scatters between ends (3, n), m, and the cosine (n,) that `field` takes."""
+        """Return how strongly (n,) it scatters between ends (3, n), m, and what `field` takes (n, aspects)."""
         ...
 
-    def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
-        """Return by what its strength is multiplied (..., F) at wave numbers (F,) 1/m and cosines (...); None for 1."""
+    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
+        """Return by what its strength is multiplied (..., F) at wave numbers (F,), 1/m; None for 1."""
+        ...
+
+    def largest(self, wave: Floats) -> Floats:
+        """Return a bound (F,) of strength times field in any direction at wave numbers (F,) 1/m, m."""
         ...
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
@@ -66,6 +72,7 @@ class PointShape:
     strongest: float
     radius: ClassVar[float] = 0.0
     is_complex: ClassVar[bool] = False
+    aspects: ClassVar[int] = 1
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
         """Return None: it is its own centre."""
@@ -74,11 +81,15 @@ class PointShape:
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
         """Return the one strength (n,), m, and 1."""
         one = np.ones(source.shape[1])
-        return self.strongest * one, one
+        return self.strongest * one, one[:, None]
 
-    def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
+    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
         """Return None: it has no field of its own."""
         return None
+
+    def largest(self, wave: Floats) -> Floats:
+        """Return the one strength (F,), m."""
+        return np.full(len(wave), self.strongest)
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return which places (n, 3) are nearer than a margin, m."""
@@ -91,16 +102,12 @@ class EllipsoidShape:
 
     semi_axes: Floats
     is_complex: ClassVar[bool] = False
+    aspects: ClassVar[int] = 1
 
     @property
     def radius(self) -> float:
         """The longest semi-axis, m."""
         return float(self.semi_axes.max())
-
-    @property
-    def strongest(self) -> float:
-        """Half the largest geometric mean of both radii of curvature, where it is flattest, m."""
-        return float(0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2)
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
         """Return its specular point."""
@@ -109,11 +116,15 @@ class EllipsoidShape:
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
         """Return the strength (n,) at its specular point, m, and 1."""
         found = glint or self.glint(source, receiver, None, 1.0)
-        return ellipsoid_strength(self.semi_axes, source, receiver, found), np.ones(source.shape[1])
+        return ellipsoid_strength(self.semi_axes, source, receiver, found), np.ones((source.shape[1], 1))
 
-    def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
+    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
         """Return None: geometrical optics are the same at all frequencies."""
         return None
+
+    def largest(self, wave: Floats) -> Floats:
+        """Return half the largest geometric mean of both radii of curvature (F,), where it is flattest, m."""
+        return np.full(len(wave), 0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2)
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return which places (n, 3) are in the ellipsoid whose semi-axes are longer by a margin, m."""
@@ -126,22 +137,19 @@ class SphereShape:
 
     radius: float
     is_complex: ClassVar[bool] = True
-
-    @property
-    def strongest(self) -> float:
-        """Half the radius; what goes on behind a sphere is stronger, and is bounded by `field`, m."""
-        return 0.5 * self.radius
+    aspects: ClassVar[int] = 1
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
         """Return its specular point."""
         return ellipsoid_glint(np.full(3, self.radius), source, receiver, near, weight)
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        """Return the strength (n,) that its field is relative to, m, and the cosine (n,) of half the angle."""
+        """Return the strength (n,) that its field is relative to, m, and the cosine (n, 1) of half the angle."""
         found = glint or self.glint(source, receiver, None, 1.0)
-        return sphere_strength(self.radius, source, receiver, found)
+        strength, cosine = sphere_strength(self.radius, source, receiver, found)
+        return strength, cosine[:, None]
 
-    def field(self, wave: Floats, cosine: Floats) -> Complexes | None:
+    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
         """Return the field of its modes over that of geometrical optics."""
         most = self.radius * float(wave.max())
         if most > _LARGEST_KA:
@@ -150,16 +158,60 @@ class SphereShape:
                 f"must be at most {_LARGEST_KA:g} / wave number for a series, but ka is {most:.6g} for "
                 f'{self.radius:g} m; say model="geometrical"',
             )
-        return sphere_field(self.radius, wave, cosine)
+        return sphere_field(self.radius, wave, aspects[..., 0])
+
+    def largest(self, wave: Floats) -> Floats:
+        """Return half the radius times the largest field (F,): what goes on behind a sphere is stronger, m."""
+        field = self.field(wave, np.linspace(0.0, 1.0, 257)[:, None])
+        assert field is not None
+        return np.asarray(0.5 * self.radius * np.abs(field).max(axis=0))
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return which places (n, 3) are in the sphere, or nearer to it than a margin, m."""
         return np.asarray(np.linalg.norm(places, axis=-1) < self.radius + margin)
 
 
+@dataclass(frozen=True, slots=True)
+class CapsuleShape:
+    """A rigid cylinder about z with half spheres at its ends, of a radius and a length between their centres, m."""
+
+    cylinder_radius: float
+    length: float
+    is_complex: ClassVar[bool] = True
+    aspects: ClassVar[int] = ASPECTS
+
+    @property
+    def radius(self) -> float:
+        """Half of its whole length, m."""
+        return 0.5 * self.length + self.cylinder_radius
+
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
+        """Return its specular point."""
+        return capsule_glint(self.cylinder_radius, self.length, source, receiver, near, weight)
+
+    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+        """Return the strength (n,) that its field is relative to, m, and what that takes (n, aspects)."""
+        found = glint or self.glint(source, receiver, None, 1.0)
+        return capsule_aspects(self.cylinder_radius, self.length, source, receiver, found)
+
+    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
+        """Return the Fresnel integrals along it."""
+        return capsule_field(wave, aspects)
+
+    def largest(self, wave: Floats) -> Floats:
+        """Return a bound (F,) of both ends and the whole of the side in phase, m."""
+        return np.asarray(self.length * np.sqrt(self.cylinder_radius * wave / (4.0 * np.pi)) + self.cylinder_radius)
+
+    def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
+        """Return which places (n, 3) are in it, or nearer to it than a margin, m."""
+        beyond = np.maximum(np.abs(places[..., 2]) - 0.5 * self.length, 0.0)
+        off = np.stack([places[..., 0], places[..., 1], beyond], axis=-1)
+        return np.asarray(np.linalg.norm(off, axis=-1) < self.cylinder_radius + margin)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatterer:
-    """A thing that scatters sound, made by `point`, `sphere` or `ellipsoid`.
+    """A thing that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
     It is no obstacle: sound goes on behind it as if it were not there, and what one scatterer sends to another is left
     out.
@@ -172,16 +224,19 @@ class Scatterer:
         What it does to a wave.
     trajectory : Trajectory
         Where its centre is and how it is turned.
+    fluctuation : TargetFluctuation, optional
+        How its strength changes with time.
 
     Raises
     ------
     InputError
-        If the name is empty, or the trajectory is none or begins after 0 s.
+        If the name is empty, the trajectory is none or begins after 0 s, or the fluctuation is none.
     """
 
     name: str
     shape: Shape
     trajectory: Trajectory
+    fluctuation: TargetFluctuation | None = None
     flush: ClassVar[bool] = False  # it sits in no wall
 
     __repr__ = short_repr
@@ -193,9 +248,13 @@ class Scatterer:
             raise InputError("trajectory", f"must be a Trajectory, but is {self.trajectory!r:.80}")
         if self.trajectory.start > 0.0:
             raise InputError("trajectory", f"must begin at 0 s or before, but begins at {self.trajectory.start:g} s")
+        if not isinstance(self.fluctuation, TargetFluctuation | None):
+            raise InputError("fluctuation", f"must be a TargetFluctuation, but is {self.fluctuation!r:.80}")
 
     @staticmethod
-    def point(name: str, target_strength_db: float, trajectory: Trajectory) -> Scatterer:
+    def point(
+        name: str, target_strength_db: float, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None
+    ) -> Scatterer:
         """Return a point that scatters alike in all directions and at all frequencies.
 
         Parameters
@@ -206,6 +265,8 @@ class Scatterer:
             20 lg of the pressure at 1 m from it over that of the wave that meets it, dB; at most 60.
         trajectory : Trajectory
             Where it is.
+        fluctuation : TargetFluctuation, optional
+            How its strength changes with time.
 
         Returns
         -------
@@ -224,10 +285,16 @@ class Scatterer:
         0.01
         """
         level = as_number("target_strength_db", target_strength_db, at_most=_STRONGEST, unit="dB")
-        return Scatterer(name, PointShape(10.0 ** (level / 20.0)), trajectory)
+        return Scatterer(name, PointShape(10.0 ** (level / 20.0)), trajectory, fluctuation)
 
     @staticmethod
-    def sphere(name: str, radius: float, trajectory: Trajectory, model: str = "series") -> Scatterer:
+    def sphere(
+        name: str,
+        radius: float,
+        trajectory: Trajectory,
+        model: str = "series",
+        fluctuation: TargetFluctuation | None = None,
+    ) -> Scatterer:
         """Return a rigid sphere.
 
         Parameters
@@ -240,6 +307,8 @@ class Scatterer:
             Where its centre is.
         model : {"series", "geometrical"}
             The series over its modes, exact over frequency at distances of many radii, or geometrical optics.
+        fluctuation : TargetFluctuation, optional
+            How its strength changes with time.
 
         Returns
         -------
@@ -260,10 +329,12 @@ class Scatterer:
         size = as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m")
         as_choice("model", model, MODELS)
         shape: Shape = SphereShape(size) if model == "series" else EllipsoidShape(read_only(np.full(3, size)))
-        return Scatterer(name, shape, trajectory)
+        return Scatterer(name, shape, trajectory, fluctuation)
 
     @staticmethod
-    def ellipsoid(name: str, semi_axes: ArrayLike, trajectory: Trajectory) -> Scatterer:
+    def ellipsoid(
+        name: str, semi_axes: ArrayLike, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None
+    ) -> Scatterer:
         """Return a rigid ellipsoid, by geometrical optics: what is sent back by its specular point.
 
         Parameters
@@ -274,6 +345,8 @@ class Scatterer:
             Along its own x, y and z, m, above 0.
         trajectory : Trajectory
             Where its centre is, and how it is turned.
+        fluctuation : TargetFluctuation, optional
+            How its strength changes with time.
 
         Returns
         -------
@@ -295,7 +368,47 @@ class Scatterer:
         axes = as_floats("semi_axes", semi_axes, (3,), within=FARTHEST)
         for i, axis in enumerate(axes.tolist()):
             as_number(f"semi_axes[{i}]", axis, above=0.0, unit="m")
-        return Scatterer(name, EllipsoidShape(read_only(axes)), trajectory)
+        return Scatterer(name, EllipsoidShape(read_only(axes)), trajectory, fluctuation)
+
+    @staticmethod
+    def capsule(
+        name: str, radius: float, length: float, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None
+    ) -> Scatterer:
+        """Return a rigid capsule, a cylinder with round ends, by Fresnel integrals along it.
+
+        Parameters
+        ----------
+        name : str
+            Unique among the scene's scatterers.
+        radius : float
+            Of the cylinder and of both half spheres, m, above 0.
+        length : float
+            Of the cylinder, between the centres of the half spheres, along its own z, m, above 0.
+        trajectory : Trajectory
+            Where its middle is, and how it is turned.
+        fluctuation : TargetFluctuation, optional
+            How its strength changes with time.
+
+        Returns
+        -------
+        Scatterer
+            A capsule.
+
+        Raises
+        ------
+        InputError
+            If a value is of another kind or out of bounds.
+
+        Examples
+        --------
+        >>> from clsim import Scatterer, Trajectory
+        >>> finger = Scatterer.capsule("finger", 0.009, 0.07, Trajectory.fixed((2.0, 1.0, 1.0)))
+        >>> round(finger.shape.radius, 3)
+        0.044
+        """
+        size = as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m")
+        long = as_number("length", length, above=0.0, at_most=FARTHEST, unit="m")
+        return Scatterer(name, CapsuleShape(size, long), trajectory, fluctuation)
 
     @property
     def time_range(self) -> tuple[float, float]:
@@ -304,7 +417,9 @@ class Scatterer:
 
     @property
     def is_static(self) -> bool:
-        """Whether it neither moves nor turns in a way that matters."""
+        """Whether it neither moves nor turns in a way that matters, nor fluctuates."""
+        if self.fluctuation is not None:
+            return False
         alike = self.shape.radius == 0.0 or isinstance(self.shape, SphereShape)
         return self.trajectory.is_static and (alike or not self.trajectory.turns)
 

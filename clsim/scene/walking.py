@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import Floats, as_number, read_only
+from clsim.arrays import Floats, as_number
 from clsim.errors import InputError
 from clsim.scene.gait import FASTEST, SLOWEST, cycle_duration, gait_at
-from clsim.scene.motion.curves import spline_through
-from clsim.scene.motion.orientation import quaternion_product, turning_between
+from clsim.scene.motion.orientation import quaternion_product
 from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.posing import pose_times, through_poses
 from clsim.scene.scatterer import Scatterer
 
 if TYPE_CHECKING:
@@ -21,16 +20,15 @@ if TYPE_CHECKING:
     Pose = dict[str, tuple[Floats, tuple[Floats, Floats, Floats]]]
 
 # Lengths over the height of a person: R. Drillis and R. Contini, Body segment parameters (New York University, 1966).
-LEG, _THIGH, _SHANK, _FOOT_HEIGHT, _FOOT = 0.53, 0.245, 0.246, 0.039, 0.152
+LEG, THIGH, SHANK, _FOOT_HEIGHT, _FOOT = 0.53, 0.245, 0.246, 0.039, 0.152
 _UPPER_ARM, _FOREARM, _SHOULDERS, _HIPS, _TRUNK = 0.186, 0.2, 0.129, 0.0955, 0.288
 _HEEL = 0.04  # behind the ankle
-_TURNS, _EVERY = 1000.0, 4  # Hz of orientations; positions are splines through every fourth
 
 # Semi-axes forward, aside and along, over the height: our own choice.
 PARTS = {
     "head": (0.055, 0.045, 0.065), "chest": (0.065, 0.1, 0.11), "pelvis": (0.06, 0.095, 0.07),
     "upper arm": (0.028, 0.028, 0.5 * _UPPER_ARM), "forearm": (0.022, 0.022, 0.5 * _FOREARM),
-    "thigh": (0.045, 0.045, 0.5 * _THIGH), "shank": (0.032, 0.032, 0.5 * _SHANK), "foot": (0.5 * _FOOT, 0.025, 0.02),
+    "thigh": (0.045, 0.045, 0.5 * THIGH), "shank": (0.032, 0.032, 0.5 * SHANK), "foot": (0.5 * _FOOT, 0.025, 0.02),
 }  # fmt: skip
 
 
@@ -81,10 +79,7 @@ def walking_person(name: str, height: float, trajectory: Trajectory) -> list[Sca
         places = trajectory.position(times) + _turned(tall * (place - [0.0, 0.0, ground]), heading)
         x, y, z = (_about(axis, turned[:, axis]) for axis in range(3))
         quaternions = quaternion_product(z, quaternion_product(y, x))
-        way = Trajectory(
-            spline_through(times[::_EVERY], places[::_EVERY], "not-a-knot"), trajectory.start, trajectory.end,
-            turning_between(read_only(times), quaternions),
-        )  # fmt: skip
+        way = through_poses(times, places, quaternions)
         axes = tall * np.array(PARTS[part.removeprefix("left ").removeprefix("right ")])
         made.append(Scatterer.ellipsoid(f"{name} {part}", axes, way))
     return made
@@ -96,8 +91,7 @@ def _walk(trajectory: Trajectory, leg: float) -> tuple[Floats, Floats, Floats, F
         raise InputError("trajectory", f"must be a Trajectory, but is {trajectory!r:.80}")
     if trajectory.is_static:
         raise InputError("trajectory", "must move, for a person to walk, but is at rest")
-    count = _EVERY * max(4, math.ceil((trajectory.end - trajectory.start) * _TURNS / _EVERY))
-    times = np.linspace(trajectory.start, trajectory.end, count + 1)
+    times = pose_times(trajectory.start, trajectory.end)
     velocity = trajectory.velocity(times)[:, :2]
     speed = np.linalg.norm(velocity, axis=1) / leg
     bad = np.flatnonzero((speed < SLOWEST) | (speed > FASTEST))
@@ -128,7 +122,7 @@ def _posed(gait: Gait) -> Pose:
         hip = root + _frame((gait.turn, none, gait.tilt), 0.0, aside * _HIPS, 0.0)
         for begin, names, lengths, swings in (
             (shoulder, ("upper arm", "forearm"), (_UPPER_ARM, _FOREARM), (gait.shoulder, gait.shoulder + gait.elbow)),
-            (hip, ("thigh", "shank"), (_THIGH, _SHANK), (gait.hip, gait.hip - gait.knee)),
+            (hip, ("thigh", "shank"), (THIGH, SHANK), (gait.hip, gait.hip - gait.knee)),
         ):
             for part, length, swing in zip(names, lengths, swings, strict=True):
                 angles = none, -swing[row], none

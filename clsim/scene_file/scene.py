@@ -16,14 +16,15 @@ from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
-from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
+from clsim.scene_file.bodies import BodyModel
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
 from clsim.scene_file.explain import explain
 from clsim.scene_file.model import Model, Pair, Vector, within
 from clsim.scene_file.motion_and_signals import SignalModel, TrajectoryModel
 from clsim.scene_file.render_options import RenderModel
 from clsim.scene_file.rooms import RoomModel
+from clsim.scene_file.scatterers import ScattererModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
 
 _PATHS = ("path", "phases_path")  # keys that name files
@@ -48,6 +49,7 @@ class _Air(Model):
     fluctuation: _Fluctuation | None = None
 
     def build(self) -> Air:
+        """Return the air."""
         arguments, noise = self.arguments(), self.fluctuation
         if noise is not None:
             arguments["fluctuation"] = within("fluctuation", lambda: Fluctuation(**noise.arguments()))
@@ -60,6 +62,7 @@ class _Common(Model):
     aim: Vector | None = None
     transducer: TransducerModel | None = None
     flush: bool | Vector = False
+    mounted_on: str | None = None
 
     def parts(self, base: Path) -> dict[str, Any]:
         """Return the arguments that sources, receivers and arrays of them share."""
@@ -69,6 +72,7 @@ class _Common(Model):
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
             "flush": self.flush,
+            "mounted_on": self.mounted_on,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
 
@@ -85,6 +89,7 @@ class _Receiver(_End):
     electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> list[Receiver]:
+        """Return the receiver, in a list as arrays of receivers are."""
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
         return [Receiver(**self.parts(base), electronics=electronics)]
@@ -97,6 +102,7 @@ class _Grid(Model):
     z: float | list[float]
 
     def build(self, base: Path) -> Floats:
+        """Return the positions of the grid, `(n, 3)` m."""
         return grid_positions(self.x, self.y, self.z)
 
 
@@ -105,6 +111,7 @@ class _PositionsFile(Model):
     path: str
 
     def build(self, base: Path) -> Floats:
+        """Return the positions that a file holds, `(n, 3)` m."""
         return positions_from_file(base / self.path)
 
 
@@ -113,6 +120,7 @@ class _ReceiverArray(_Common):
     electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> list[Receiver]:
+        """Return the receivers of the array, named by their numbers."""
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
         positions = within("positions", lambda: self.positions.build(base))
@@ -128,63 +136,42 @@ class _Source(_End):
     start: float = 0.0
 
     def build(self, base: Path) -> Source:
+        """Return the source."""
         signal = within("signal", lambda: self.signal.build(base))
         return Source(**self.parts(base), signal=signal, start=self.start)
 
 
-class _Scatterer(Model):
-    name: str
-    trajectory: TrajectoryModel
-
-    def parts(self, base: Path) -> dict[str, Any]:
-        """Return the arguments of the constructor of this kind."""
-        return self.arguments() | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))}
-
-
-class _Point(_Scatterer):
-    kind: Literal["point"]
-    target_strength_db: float
-
-    def build(self, base: Path) -> Scatterer:
-        return Scatterer.point(**self.parts(base))
-
-
-class _Sphere(_Scatterer):
-    kind: Literal["sphere"]
-    radius: float
-    model: Literal["series", "geometrical"] = "series"
-
-    def build(self, base: Path) -> Scatterer:
-        return Scatterer.sphere(**self.parts(base))
-
-
-class _Ellipsoid(_Scatterer):
-    kind: Literal["ellipsoid"]
-    semi_axes: Vector
-
-    def build(self, base: Path) -> Scatterer:
-        return Scatterer.ellipsoid(**self.parts(base))
-
-
-ScattererModel = Annotated[_Point | _Sphere | _Ellipsoid, Field(discriminator="kind")]
+class _Direct(Model):
+    source: str
+    receiver: str
+    level_db: float | None = None  # left out without
 
 
 class _Paths(Model):
     max_order: int
     diffraction: int = 0
+    diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
-    direct: bool | None = None  # true where left out
+    body_order: int | None = None  # max_order where left out
+    body_step: float | None = None  # 0.01 m where left out
+    direct: bool | float | list[_Direct] | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
     path_limit: int = DEFAULT_PATH_LIMIT
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `find_paths` that are given or have a default here."""
-        return {
+        given = {
             name: value
             for name, value in super().arguments().items()
-            if name not in ("scattering_order", "direct") or value is not None
+            if name not in ("diffraction_model", "scattering_order", "body_order", "body_step", "direct")
+            or value is not None
         }
+        if isinstance(self.direct, list):
+            levels = [False if pair.level_db is None else pair.level_db for pair in self.direct]
+            names = [(pair.source, pair.receiver) for pair in self.direct]
+            given["direct"] = dict(zip(names, levels, strict=True))
+        return given
 
 
 class SceneModel(Model):
@@ -201,6 +188,7 @@ class SceneModel(Model):
         ]
     ]
     scatterers: list[ScattererModel] | None = None
+    bodies: list[BodyModel] | None = None
     paths: _Paths
     render: RenderModel
 
@@ -260,11 +248,12 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
     entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
     receivers = [receiver for entry in entries for receiver in entry]
-    things = model.scatterers or []
-    scatterers = [within(f"scatterers[{i}]", partial(thing.build, base)) for i, thing in enumerate(things)]
+    things = [within(f"scatterers[{i}]", partial(t.build, base)) for i, t in enumerate(model.scatterers or [])]
+    scatterers = [scatterer for thing in things for scatterer in thing]
+    bodies = [within(f"bodies[{i}]", partial(body.build, base)) for i, body in enumerate(model.bodies or [])]
     room = within("room", lambda: model.room.build(base))
     air = within("air", model.air.build)
-    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers)
+    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers, bodies)
     arguments = within("render", model.render.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)

@@ -347,9 +347,11 @@ class SceneTracks(Tracks):
                 yield batch, low - most[r], high - least[r]
 
     def last_time(self) -> float:
-        """Return the end of the first trajectory of a moving receiver or scatterer, or infinity."""
-        scattered = min((s.trajectory.end for s in self.scene.scatterers), default=np.inf)
-        return float(min(_clock_time(r, np.array([min(r.trajectory.end, scattered)]))[0] for r in self.scene.receivers))
+        """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity."""
+        scene = self.scene
+        motions = [*(thing.trajectory for thing in scene.scatterers), *(body.trajectory for body in scene.bodies)]
+        known = min((motion.end for motion in motions), default=np.inf)
+        return float(min(_clock_time(r, np.array([min(r.trajectory.end, known)]))[0] for r in self.scene.receivers))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

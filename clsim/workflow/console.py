@@ -42,6 +42,7 @@ def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
     shown = False
 
     def advance(amount: float) -> None:
+        """Move the bar on, and show it once the work has taken a while."""
         nonlocal shown
         bar.advance(task, amount)
         spent = time.monotonic() - begun
@@ -114,6 +115,7 @@ def one_line_warnings() -> Iterator[None]:
     seen: set[str] = set()
 
     def show(message: Any, *_: Any, **__: Any) -> None:
+        """Print a warning as one line, each text once."""
         text = as_toml(" ".join(str(message).split()))
         if text not in seen:
             seen.add(text)

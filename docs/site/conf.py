@@ -32,6 +32,7 @@ myst_heading_anchors = 3
 highlight_language = "none"
 
 html_theme = "furo"
+templates_path = ["templates"]  # beside this file
 html_show_sphinx = False
 html_show_sourcelink = False
 html_static_path: list[str] = []

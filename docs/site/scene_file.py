@@ -16,9 +16,10 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from clsim.render.options import RenderOptions
+from clsim.scene.ends import Receiver
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene_file.explain import kinds, tables_of
-from clsim.scene_file.scene import SceneModel
+from clsim.scene_file.scene import SceneModel, _Common
 
 PAGE = Path(__file__).parents[1] / "scene_file.md"
 UNIT = re.compile(
@@ -67,6 +68,12 @@ TEXTS = {
     "relative_to_axis": "Whether values are divided by that on the axis.",
     "sequence": "Which sequence of chips.",
     "magnitudes": "One per frequency, Pa/V of sources and V/Pa of receivers.",
+}  # fmt: skip
+# Of keys of small tables that no constructor tells of by their names, by the table.
+SMALL = {
+    "_Segment": {"start": "Name of the joint at which it begins.", "end": "Name of the joint at which it ends.", "radius": "Of its cross-section, m."},
+    "_Direct": {"source": "Name of the source.", "receiver": "Name of the receiver.", "level_db": "Of the direct sound, dB."},
+    "_Scattering": {"frequencies": "Increasing, Hz.", "values": "Scattering coefficients there, 0 to 1."},
 }  # fmt: skip
 
 
@@ -138,12 +145,14 @@ def described(function: Any) -> dict[str, str]:
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
     """Return what each key of a table means."""
-    told: dict[str, str] = {}
+    told: dict[str, str] = dict(SMALL.get(model.__name__, {}))
     owners = [*constructors(model), *((RenderOptions,) if model.__name__ == "_Render" else ())]
     if model.__name__ == "_Paths":
         from clsim.paths.find_paths import find_paths
 
         owners.append(find_paths)
+    if issubclass(model, _Common):
+        owners.append(Receiver)
     if model.__name__ == "_Fluctuation":
         owners.append(Fluctuation)
     if model is SceneModel:

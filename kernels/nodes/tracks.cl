@@ -3,14 +3,10 @@
 // depends on which others are solved: where signals pause (SPARSE), blocks in which nothing sounds are left out.
 // Node n is one block before the start of block n; the slope of a block's gain needs the node before and after its own.
 
-#if SPARSE
-static double later(double a, double b) { return a > b ? a : b; }
-static double sooner(double a, double b) { return a < b ? a : b; }
-#endif
-
 __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
                      __global const int* receiver_of,      // [slots]
+                     __global const edge_view* edges,      // [slots], of EDGES
                      __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
@@ -43,7 +39,9 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global float* unheld,               // [walks][slots]: mean square of what no function holds
                      __global const int* following, __global const int* preceding, int cells, double origin,  // in activity.h
                      double max_rate,                      // bound of how fast a delay changes
-                     __global int* activity)               // [blocks][slots]: subblocks in which it sounds, see activity.h
+                     __global int* activity,               // [blocks][slots]: subblocks in which it sounds, see activity.h
+                     __global const bins* transition, __global const bins* faces, __global const bins* waves, double middle)
+                                                           // these in edge_field.h
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
     const int first = walk * walk_blocks, apart = BESIDE;
@@ -68,44 +66,49 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
 #if SPARSE
     const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
 #endif
-    path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, rows + (STATIC_RECEIVERS ? 0 : first),
-                                start + first * block_time, block_time, 2.0 / walk_blocks, predicted, -1};
+    path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, edges + slot, rows + (STATIC_RECEIVERS ? 0 : first),
+                                start + first * block_time, block_time, 2.0 / walk_blocks, predicted, -1,
+                                {transition, faces, waves, middle}};
 #if STATIC_RECEIVERS
-    nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, rows);
+    nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, edges + slot, rows);
 #endif
 #if DELAY_TERMS == 4
     smooth_gains slow;
     slow.stretch = slow.cell = -1;
 #endif
+#if CELL_AT_ONCE
+    const cell_blocks of_cells = {slots, slot, function_count, block_samples, start, block_time, half_block, branch_rate,
+                                  delay_samples, emitted_first, emitted_last, angular_frequency, subblock_share, strengths,
+                                  polynomials, delay};
+#endif
     gains powers[4][GAIN_VECTORS];
     window w;
     int solved = first - 1;  // last node in the window
-    float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
+    float gain_error, left_over = 0.0f;
+    walk_found f = {0.0f, 0.0f, 0.0f, 1e30f, -1e30f};
     for (int block = first; block < last; block++) {
         const int heard = from < (block + 1) * block_samples && until > block * block_samples;
 #if SPARSE
         if (!heard) continue;
-        const double since = (block - first) * block_time, left = walk_time - since;
-        // Delays from here to the end of the walk, and of this block.
-        const double late0 = delay_samples + sampling_rate * ends[1], late1 = delay_samples + sampling_rate * ends[2];
-        const double drift = sampling_rate * max_rate, until_end = drift * left, of_block = drift * block_time;
-        const double low_here = later(late0 - drift * since, late1 - until_end);
-        const double high_here = sooner(late0 + drift * since, late1 + until_end);
-        const int ahead_of = next_active(&mask, block, low_here - until_end - 2.0, high_here + until_end + 2.0);
-        if (ahead_of >= last) break;
-        if (ahead_of > block) {
-            block = ahead_of - 1;
+        const int sounding = next_heard(&mask, block, first, last, walk_blocks, delay_samples + sampling_rate * ends[1],
+                                        delay_samples + sampling_rate * ends[2], sampling_rate * max_rate * block_time);
+        if (sounding > block) {
+            block = sounding - 1;
             continue;
         }
-        if (!is_active(&mask, block, low_here - of_block - 2.0, high_here + of_block + 2.0)) continue;
 #endif
-        float gain_error;
 #if DELAY_TERMS == 4
         if (smooth > 0.0f && make_cell(&slow, &nodes_of_path, (block - first) / CELL_BLOCKS, smooth, speed_of_sound, &around)) {
+            solved = first - 1;
+#if CELL_AT_ONCE
+            if (write_cell(&slow, &of_cells, block, first, last, from, until, &f)) {
+                block += CELL_BLOCKS - 1;
+                continue;
+            }
+#endif
             terms_in_cell(&slow, block - first, &w, powers);
             gain_error = slow.error;
             left_over = slow.left_over;
-            solved = first - 1;
         } else
 #endif
         {
@@ -128,8 +131,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         }
         for (int i = 1; i < 3; i++) {
             const float delay_now = (float)w.delay[i];
-            shortest = delay_now < shortest ? delay_now : shortest;
-            longest = delay_now > longest ? delay_now : longest;
+            f.shortest = delay_now < f.shortest ? delay_now : f.shortest;
+            f.longest = delay_now > f.longest ? delay_now : f.longest;
         }
         __global float* c = polynomials + place_of(block, slot, function_count, slots);
         delay[block * (long)slots + slot] = write_delay(&w, apart, branch_rate, half_block, delay_samples, c);
@@ -142,15 +145,18 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         activity[block * (long)slots + slot] =
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
-        strength = w.strength[3] > strength ? w.strength[3] : strength;
-        rest = left_over > rest ? left_over : rest;
+        f.strength = w.strength[3] > f.strength ? w.strength[3] : f.strength;
+        // Of paths over edges, nodes where one is not heard may lie beyond a boundary: the functions are not made for these.
+        const int of_use = EDGES ? from <= (block - GROUP) * block_samples && until >= (block + GROUP) * block_samples : 1;
+        const float left_here = of_use ? left_over : 0.0f;
+        f.rest = left_here > f.rest ? left_here : f.rest;
         const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
             const float squared = delay_error_squared(&w, angular_frequency, block_time, subblock_share) +
                                   left_out_squared(powers, strengths, subblock_share) + gain_error;
-            error = squared > error ? squared : error;
+            f.error = squared > f.error ? squared : f.error;
         }
     }
-    found[walk * (long)slots + slot] = (float4)(error, strength, shortest, longest);
-    unheld[walk * (long)slots + slot] = rest;
+    found[walk * (long)slots + slot] = (float4)(f.error, f.strength, f.shortest, f.longest);
+    unheld[walk * (long)slots + slot] = f.rest;
 }

@@ -15,6 +15,7 @@ from clsim.paths.view import viewed
 from clsim.render import planning
 from clsim.render.contributions import Stateless
 from clsim.render.static_pairs import find_static_pairs
+from clsim.scene_file.scene import completed_scene
 from clsim.study.content import computed
 from clsim.study.file import load_study
 from clsim.tracks.pruning import pruned
@@ -48,6 +49,7 @@ trajectory = { kind = "fixed", position = [3.0, 3.0, 1.0] }
 kind = "point"
 name = "bat"
 target_strength_db = -30.0
+fluctuation = { correlation_time = 0.05, steady = 0.3, seed = 7 }
 trajectory = { kind = "circle", center = [3.0, 2.5, 2.0], radius = 0.3, period = 0.5, duration = 0.2 }
 [paths]
 max_order = 1
@@ -62,8 +64,8 @@ format = 1
 scene = "scene.toml"
 keep = ["ground_truth"]
 [[vary]]
-field = "paths.max_order"
-values = [0]
+field = "scatterers[1].radius"
+values = [0.03, 0.06]
 """
 
 
@@ -244,7 +246,8 @@ def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> None:
     pytest.importorskip("zarr")
-    (tmp_path / "scene.toml").write_text(SCENE.replace("scattering_order = 1", "scattering_order = 0"), "utf-8")
+    text = SCENE.replace("scattering_order = 1", "scattering_order = 0").replace("max_order = 1", "max_order = 0")
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     study = load_study(tmp_path / "study.toml")
     content = computed(study, study.members[0], None, tmp_path / "member")[0]
@@ -254,6 +257,9 @@ def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> N
     assert content.scatterer_bearing.shape == truth.bearing.shape
     np.testing.assert_array_equal(content.scatterer_range, truth.range)
     assert content.scatterer_delay.attrs["units"] == "s"
+    larger = computed(study, study.members[1], None, tmp_path / "other")[0].scatterer_range.values - truth.range
+    np.testing.assert_array_equal(larger[[0, 2]], 0.0)
+    np.testing.assert_allclose(larger[1], -0.03, atol=1e-3)  # of the ball: its surface is nearer by 3 cm
 
 
 def test_a_sonar_without_its_cross_talk(file: Any, paths: PathSet, direct: PathSet) -> None:
@@ -271,8 +277,58 @@ def test_a_sonar_without_its_cross_talk(file: Any, paths: PathSet, direct: PathS
     nothing = clsim.find_paths(bare, 0, direct=False)
     assert len(nothing) == 0
     assert not np.any(clsim.render(nothing, RATE, duration=0.01).pressure)
-    with pytest.raises(clsim.InputError, match="direct: must be True or False"):
+    with pytest.raises(clsim.InputError, match="direct: must be True, False or a level below 0 dB, but is 0"):
         clsim.find_paths(file.scene, 0, direct=0)
+
+
+def test_cross_talk_by_pair(file: Any, paths: PathSet, tmp_path: Path, device: None) -> None:
+    """A baffle's 20 dB for one ear, nothing for another; by name, from Python and from files; all else stays."""
+    scene = file.scene
+    far = [clsim.Receiver(name, clsim.Trajectory.fixed((1.0, y, 1.2))) for name, y in (("left", 1.5), ("right", 2.5))]
+    wide = clsim.Scene(scene.room, scene.air, scene.sources, [*scene.receivers, *far])
+    free = clsim.find_paths(wide, 1)
+    wanted = {("sonar", "ear"): -20.0, ("sonar", "right"): False, ("sonar", "left"): True}
+    found = clsim.find_paths(wide, 1, direct=wanted)
+    assert len(found) == len(free) - 1
+    assert found.digest() != clsim.find_paths(wide, 1, direct=wanted | {("sonar", "ear"): -20.5}).digest()
+    parts = [
+        clsim.PathSet(wide, (free.families[0].part(np.flatnonzero(rows)),))
+        for rows in (free.order == 0, free.order > 0)
+    ]
+    for engine in ("opencl", "reference"):
+        direct, echoes = (clsim.render(part, RATE, duration=0.04, engine=engine).pressure for part in parts)
+        heard = clsim.render(found, RATE, duration=0.04, engine=engine).pressure
+        levels = np.array([0.1, 1.0, 0.0])[:, None]
+        assert level_db(heard - echoes - levels * direct, heard) < -110.0
+    assert clsim.direct_path(found, [0.03]).line_of_sight[0, :, 0].tolist() == [True, True, False]
+    truth = clsim.scatterer_truth(wide, [0.03])  # every scatterer, as seen from every pair
+    table = clsim.find_paths(wide, 0).table([0.03])
+    for i in np.flatnonzero(table.order):
+        here = (
+            wide.scatterers.index(next(s for s in wide.scatterers if s.name == table.name_way(i))),
+            0,
+            table.receiver[i],
+            0,
+        )
+        assert truth.delay[here] == pytest.approx(table.delay[i, 0], rel=1e-14)
+        np.testing.assert_allclose(truth.bearing[here], table.arrival[i, 0], atol=1e-12)
+    assert truth.delay.shape == (3, 1, 3, 1)
+    text = SCENE.replace("scattering_order = 1", 'direct = [{ source = "sonar", receiver = "ear", level_db = -20.0 }]')
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
+    read = clsim.load_scene(tmp_path / "scene.toml")
+    assert read.paths["direct"] == {("sonar", "ear"): -20.0}
+    (tmp_path / "again.toml").write_text(completed_scene(read, tmp_path), "utf-8")
+    assert clsim.load_scene(tmp_path / "again.toml").paths == read.paths
+    (tmp_path / "scene.toml").write_text(text.replace(", level_db = -20.0", ""), "utf-8")
+    assert clsim.load_scene(tmp_path / "scene.toml").paths["direct"] == {("sonar", "ear"): False}
+    for direct, message in (
+        ({("sonar", "nose"): False}, r"direct: must name a receiver of the scene \('ear'\), but names 'nose'"),
+        ({("bat", "ear"): False}, r"direct: must name a source of the scene \('sonar'\), but names 'bat'"),
+        ({"sonar": False}, "direct: must have pairs"), ({("sonar", "ear"): 3.0}, r"direct\[sonar, ear\]: must be True, False"),
+        (np.inf, "direct: must be True, False"), (-np.inf, "direct: must be finite"),
+    ):  # fmt: skip
+        with pytest.raises(clsim.InputError, match=message):
+            clsim.find_paths(scene, 0, direct=direct)
 
 
 def test_walls_hide_scatterers_for_as_long_as_they_are_in_the_way() -> None:
@@ -301,6 +357,8 @@ BAD = [
     (lambda t: clsim.Scatterer.sphere("a", 0.1, t, model="exact"), "model"),
     (lambda t: clsim.Scatterer.ellipsoid("a", (0.1, -0.1, 0.1), t), r"semi_axes\[1\]: must be above 0 m, but is -0.1"),
     (lambda t: clsim.Scatterer.point("a", 61.0, t), "target_strength_db: must be at most 60 dB, but is 61"),
+    (lambda t: clsim.Scatterer.capsule("a", 0.1, 0.0, t), "length: must be above 0 m, but is 0"),
+    (lambda t: clsim.Scatterer.capsule("a", -0.1, 0.1, t), "radius: must be above 0 m, but is -0.1"),
     (lambda t: clsim.Scatterer.point(" ", 0.0, t), "name: must be a text"),
     (lambda t: clsim.Scatterer.point("a", 0.0, (1, 2, 3)), "trajectory: must be a Trajectory"),
 ]
@@ -316,9 +374,13 @@ FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
 REFUSED = [
     ([clsim.Scatterer.sphere("b", 1.0, FIXED((1.5, 2.0, 1.0)))], r"scatterers\[0\].*'sonar' is in 'b' or nearer.* at 0 s"),
     ([clsim.Scatterer.ellipsoid("b", (0.5, 0.1, 0.1), LINE((3, 2.05, 1), (1.2, 2.05, 1), 0.2))], "'sonar' is in 'b'"),
+    ([clsim.Scatterer.capsule("b", 0.1, 0.5, LINE((3, 2, 1.2), (1, 2, 1.3), 0.2))], r"'sonar' is in 'b' or nearer.* at 0\.\d+ s"),
     ([clsim.Scatterer.point("b", 0.0, LINE((3, 2, 1), (7, 2, 1), 0.2))], r"scatterers\[0\].trajectory: must stay inside"),
     ([clsim.Scatterer.point("b", 0.0, LINE((1.5, 4, 1), (2.5, 4, 1), 0.01))], "must last as long as all signals"),
     ([clsim.Scatterer.point("b", 0.0, clsim.Trajectory.circle((3, 2.5, 1.5), 1.0, 0.015, 0.2))], "speed of sound"),
+    ([clsim.Scatterer.capsule("b", 0.1, 0.9, clsim.Trajectory.waypoints(
+        [0.0, 0.1, 0.102, 0.2], [(3, 2, 1.0)] * 4, [(0, 0, 0, 1), (0, 0, 0, 1), (0, 0.9, 0, 0.4358898943540674), (0, 1, 0, 0)],
+    ))], r"scatterers\[0\].trajectory: must keep the surface below .*'b' may move at .* m/s, about 0.1(0[0-2])? s"),
     ([clsim.Scatterer.point("b", 0.0, FIXED((3, 2, 1)))] * 2, r"scatterers\[1\].name: must be unique"),
     ("b", "scatterers: must be a list"), ([3], r"scatterers\[0\]: must be a Scatterer"),
 ]  # fmt: skip
@@ -362,10 +424,69 @@ def test_in_wind_there_and_back_are_not_alike(paths: PathSet) -> None:
     assert delay == pytest.approx(3.0 / 350.0 + 3.0 / 330.0, rel=2e-5)
 
 
+PEOPLE = """
+[[scatterers]]
+kind = "person"
+name = "Ada"
+height = 1.7
+trajectory = { kind = "line", start = [4.0, 2.0, 0.0], end = [3.8, 2.0, 0.0], duration = 0.2 }
+[[scatterers]]
+kind = "captured-person"
+name = "Bob"
+path = "arm.csv"
+segments = [{ start = "elbow", end = "wrist", radius = 0.04 }]
+shape = "capsule"
+translate = [1.0, 0.0, 0.0]
+[[scatterers]]
+kind = "hand"
+name = "fist"
+trajectory = { kind = "fixed", position = [2.0, 2.0, 1.5] }
+opening = [[0.0, 1.0], [0.2, 0.0]]
+"""
+
+
+def test_people_in_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They are those from Python; the completed scene is the same one from elsewhere; what is wrong has its field."""
+    rows = "\n".join(f"{t / 10},2,3,1,2.3,3,{1 + t / 30}" for t in range(4))
+    (tmp_path / "arm.csv").write_text("t,elbow x,elbow y,elbow z,wrist x,wrist y,wrist z\n" + rows, "utf-8")
+    text = SCENE.replace("[paths]", PEOPLE + "[paths]")
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
+    file = clsim.load_scene(tmp_path / "scene.toml")
+    people = [s for s in file.scene.scatterers if s.name not in ("hand", "ball", "bat")]
+    way = clsim.Trajectory.line((4.0, 2.0, 0.0), (3.8, 2.0, 0.0), 0.2)
+    arm = clsim.captured_person(
+        "Bob", tmp_path / "arm.csv", segments=[("elbow", "wrist", 0.04)], shape="capsule", translate=(1.0, 0.0, 0.0)
+    )
+    fist = clsim.hand("fist", clsim.Trajectory.fixed((2.0, 2.0, 1.5)), opening=[(0.0, 1.0), (0.2, 0.0)])
+    wanted = [*clsim.walking_person("Ada", 1.7, way), *arm, *fist]
+    assert [s.name for s in people] == [s.name for s in wanted]
+    for one, other in zip(people, wanted, strict=True):
+        np.testing.assert_array_equal(one.trajectory.position(0.13), other.trajectory.position(0.13))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "again.toml").write_text(completed_scene(file, tmp_path / "other"), "utf-8")
+    assert 'path = "../arm.csv"' in (tmp_path / "other" / "again.toml").read_text("utf-8")
+    again = clsim.load_scene(tmp_path / "other" / "again.toml")
+    assert [s.name for s in again.scene.scatterers] == [s.name for s in file.scene.scatterers]
+    for old, new, message in (
+        ("end = [3.8, 2.0, 0.0]", "end = [-99.0, 2.0, 0.0]", "scatterers[3].trajectory: must walk at 0.0901 to 2.7 m/s, but is at 515 m/s at 0 s"),
+        ('end = "wrist"', 'end = "toe"', "scatterers[4].segments[0]: must name joints of the file (elbow, wrist), but names 'toe'"),
+        ("opening = [[0.0, 1.0]", "opening = [[0.0, 2.0]", "scatterers[5].opening[0][1]: must be at most 1, but is 2"),
+        ('path = "arm.csv"', 'path = "leg.csv"', "scatterers[4].path: cannot read"),
+        ("position = [2.0, 2.0, 1.5]", "position = [1.0, 2.0, 1.05]", "'sonar' is in 'fist palm' or nearer to it at (1, 2, 1) m at 0 s"),
+    ):  # fmt: skip
+        (tmp_path / "scene.toml").write_text(text.replace(old, new), "utf-8")
+        assert main(["check", str(tmp_path / "scene.toml")]) == 2
+        assert message in capsys.readouterr().err
+
+
 def test_files_name_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for old, new, message in (
         ("radius = 0.03", "radius = -0.03", "scatterers[1].radius"), ('kind = "sphere"', 'kind = "cube"', "scatterers[1].kind"),
+        ("correlation_time = 0.05", "correlation_time = 0.0", "scatterers[2].fluctuation.correlation_time"),
         ("scattering_order = 1", "scattering_order = 4", "paths.scattering_order"),
+        ("scattering_order = 1", 'direct = [{ source = "sonar", receiver = "nose" }]', "paths.direct: must name a receiver"),
+        ("scattering_order = 1", "direct = 0", "paths.direct: must be True, False or a level below 0 dB"),
+        ("scattering_order = 1", 'direct = [{ source = "sonar" }]', "paths.direct[0].receiver: must be given"),
     ):  # fmt: skip
         (tmp_path / "scene.toml").write_text(SCENE.replace(old, new), "utf-8")
         assert main(["check", str(tmp_path / "scene.toml")]) == 2

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exhaustive import few
 
 import clsim
 from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
@@ -223,7 +224,7 @@ def test_the_slider_moves_what_is_drawn(tab: Any) -> None:
     assert picture(tab) not in (before, moved)
 
 
-@pytest.mark.parametrize("entry", ["order 2", CARPET])
+@pytest.mark.parametrize("entry", few(["order 2", CARPET]))
 def test_a_legend_entry_toggles_what_it_names(entry: str, tab: Any) -> None:
     names = tab.evaluate("clsim.state().names")
     mine = [names.index(entry)] + ([names.index(entry) + 1] if entry == CARPET else [])  # a material and its outlines
@@ -258,6 +259,7 @@ def hovered(tab: Any, point: Any) -> str:
     return " ".join(tab.locator("#drawing .hovertext text").all_text_contents())
 
 
+@pytest.mark.exhaustive
 def test_the_mouse_finds_paths_behind_walls_and_walls(tab: Any) -> None:
     near = FRAMES[0].corners[0]
     assert "robot to near, path" in hovered(tab, 0.4 * near[0] + 0.6 * near[1])
@@ -318,6 +320,7 @@ def test_the_page_is_small(page: Path) -> None:
     assert page.stat().st_size < 2.1e6
 
 
+@pytest.mark.exhaustive
 def test_play_goes_on_until_pause(tab: Any) -> None:
     play = tab.locator("#play")
     play.click()
@@ -332,6 +335,7 @@ def test_play_goes_on_until_pause(tab: Any) -> None:
     assert_drawn(tab, rests)
 
 
+@pytest.mark.exhaustive
 def test_a_scene_at_rest_has_no_slider(browser: Any, tmp_path: Path) -> None:
     path = write(tmp_path / "x.html", ends=[], times=TIMES[:1], frames=FRAMES[:1])
     still = browser.new_page(viewport={"width": 400, "height": 300})

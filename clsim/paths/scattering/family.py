@@ -31,13 +31,16 @@ class ScatteredArrivals(Arrivals):
     ----------
     second_length : ndarray (P, T)
         From the scatterer to the receiver, m.
-    strength, cosine : ndarray (P, T)
-        Of the scatterer, m and 1, see `Shape`.
+    strength, aspects : ndarray (P, T), (P, T, aspects)
+        Of the scatterer, m, see `Shape`.
+    event_time : ndarray (P, T)
+        When it was scattered, s.
     """
 
     second_length: Floats
     strength: Floats
-    cosine: Floats
+    aspects: Floats
+    event_time: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +72,9 @@ class ScatteredPaths(TwoSidedPaths):
 
     @property
     def is_complex(self) -> bool:
-        """Whether the field of any scatterer, a wall or a directivity has a phase."""
-        shapes = any(scatterer.shape.is_complex for scatterer in self.scene.scatterers)
-        return shapes or super(ScatteredPaths, self).is_complex
+        """Whether the field or the fluctuation of any scatterer, a wall or a directivity has a phase."""
+        things = any(s.shape.is_complex or s.fluctuation is not None for s in self.scene.scatterers)
+        return things or super(ScatteredPaths, self).is_complex
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -90,9 +93,9 @@ class ScatteredPaths(TwoSidedPaths):
         scatterer at emission, and of what scatters towards the receiver.
         """
         times, index = np.asarray(times, dtype=np.float64), np.arange(len(self))[rows]
-        shape = len(index), len(times)
+        shape, wide = (len(index), len(times)), {"departure": 3, "arrival": 3, "aspects": self._aspects}
         columns = {
-            f.name: np.empty((*shape, 3) if f.name in ("departure", "arrival") else shape)
+            f.name: np.empty((*shape, wide[f.name]) if f.name in wide else shape)
             for f in fields(ScatteredArrivals)
             if f.name != "means"
         }
@@ -105,6 +108,11 @@ class ScatteredPaths(TwoSidedPaths):
                 for name, column in columns.items():
                     column[mine, here] = found[name]
         return ScatteredArrivals(**columns, means=None)
+
+    @property
+    def _aspects(self) -> int:
+        """Numbers that the field of any scatterer takes, at most."""
+        return max(scatterer.shape.aspects for scatterer in self.scene.scatterers)
 
     def _arrivals(
         self, which: int, index: NDArray[np.int64], times: Floats, motion: str, amplitude: str
@@ -122,7 +130,8 @@ class ScatteredPaths(TwoSidedPaths):
             factor = ((1.0 - mach) * (1.0 - leaving)) ** -MACH_EXPONENT[amplitude]
             ratio = 1.0 / (1.0 - mach)
         departure, arrival = way.first.sound.normal(departing), -way.second.sound.normal(onwards)
-        first, second = way.first.length, way.second.length
+        first, second, late = way.first.length, way.second.length, way.second.sound.time if retarded else 0.0
+        none = np.zeros((*way.delay.shape, self._aspects - way.aspects.shape[-1]))
         if way.first.sound.carried is not None:  # as of paths by walls in wind
             first = first * np.sum(departure * departing, axis=-1)
             second = second * -np.sum(arrival * onwards, axis=-1)
@@ -131,7 +140,8 @@ class ScatteredPaths(TwoSidedPaths):
             "length": first + second, "through": way.first.sound.through + way.second.sound.through,
             "emission_time": times - way.delay if retarded else np.broadcast_to(times, way.delay.shape),
             "mach_factor": factor, "frequency_ratio": ratio, "second_length": second,
-            "strength": way.strength, "cosine": way.cosine,
+            "strength": way.strength, "aspects": np.concatenate([way.aspects, none], axis=-1),
+            "event_time": np.broadcast_to(times - late, way.delay.shape),
         }  # fmt: skip
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
@@ -145,9 +155,12 @@ class ScatteredPaths(TwoSidedPaths):
         wave = 2.0 * np.pi * at.frequencies / self.scene.air.speed_of_sound
         for which in np.unique(self.scatterer[index]):
             mine = np.flatnonzero(self.scatterer[index] == which)
-            field = self.scene.scatterers[which].shape.field(wave, here.cosine[mine])
+            scatterer = self.scene.scatterers[which]
+            field = scatterer.shape.field(wave, here.aspects[mine, :, : scatterer.shape.aspects])
             if field is not None:
                 response[mine] *= field
+            if scatterer.fluctuation is not None:
+                response[mine] *= scatterer.fluctuation.at(here.event_time[mine])[..., None]
         self.reflect(response, index, found, at)
         at.apply_directivities(response, self.ends(rows), found, times)
         return cast("Floats", response)
@@ -207,9 +220,8 @@ class ScatteredPaths(TwoSidedPaths):
         index, c = np.arange(len(self))[rows], self.scene.air.speed_of_sound
         wave, sizes = 2.0 * np.pi * at.frequencies / c, []
         for scatterer, (_, surface) in zip(self.scene.scatterers, self.fastest, strict=True):
-            field = scatterer.shape.field(wave, np.linspace(0.0, 1.0, 257))
-            most = 1.0 if field is None else np.abs(field).max(axis=0)
-            sizes.append(np.broadcast_to(scatterer.shape.strongest * most / (1.0 - surface / c) ** 2, len(wave)))
+            most = 1.0 if scatterer.fluctuation is None else scatterer.fluctuation.most
+            sizes.append(scatterer.shape.largest(wave) * most / (1.0 - surface / c) ** 2)
         bound = np.array(sizes)[self.scatterer[index]] / self.nearest[index][:, None]
         return np.asarray(bound * at.largest_reflection(self.walls[index]))
 

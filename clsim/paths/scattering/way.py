@@ -64,7 +64,7 @@ class Way:
         Mach numbers of the source towards the scatterer, and of the scatterer off it and towards the receiver.
     place : ndarray (..., 3)
         Where it was scattered, m.
-    strength, cosine : ndarray (...)
+    strength, aspects : ndarray (...), (..., aspects)
         See `Shape`.
     """
 
@@ -76,7 +76,7 @@ class Way:
     leaving: Floats
     place: Floats
     strength: Floats
-    cosine: Floats
+    aspects: Floats
 
 
 class Body:
@@ -124,9 +124,10 @@ class Body:
         return centre + offset, velocity
 
     def strength(self, shape: tuple[int, ...]) -> list[Floats]:
-        """Return strength and cosine, of a shape, of what was last seen."""
+        """Return strength and aspects, of a shape, of what was last seen."""
         assert self._ends is not None
-        return [values.reshape(shape) for values in self._shape.strength(*self._ends, self.glint)]
+        strength, aspects = self._shape.strength(*self._ends, self.glint)
+        return [strength.reshape(shape), aspects.reshape(*shape, -1)]
 
 
 def _axes(quaternions: Floats) -> Floats:

@@ -19,7 +19,7 @@ from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
 from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, mesh_shape
 from clsim.scene.room.report import describe_mesh
-from clsim.scene.room.sheets import thin_panels
+from clsim.scene.room.sheets import panels_below, thin_panels
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls
 
 if TYPE_CHECKING:
@@ -298,6 +298,21 @@ class MeshRoom:
             vertices, triangles, [materials[i] for i in origin], self.flatness, [labels[i] for i in origin],
             (*self.notes, *notes), self.scale,
         )  # fmt: skip
+
+    def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
+        """Return the panels that `with_sheets` would make sheets of.
+
+        Parameters
+        ----------
+        thinner_than : float
+            Their thickness at most, m.
+
+        Returns
+        -------
+        list of (str, float)
+            Their names and thicknesses, m.
+        """
+        return panels_below(self.vertices, self.triangles, self.labels or (), thinner_than)
 
     @property
     def extent(self) -> tuple[Floats, Floats]:

@@ -75,6 +75,11 @@ def test_every_constructor_has_its_table(way, folder):
     np.testing.assert_array_equal(read.reflection_at(f, cosine), said.reflection_at(f, cosine))
     rough = material({way: WAYS[way], "roughness": 2e-4}, folder)
     np.testing.assert_array_equal(rough.reflection_at(f, cosine), said.rough(2e-4).reflection_at(f, cosine))
+    told = {"frequencies": [30e3, 50e3], "values": [0.2, 0.4]}
+    np.testing.assert_allclose(
+        material({way: WAYS[way], "scattering": told}, folder).scattered_share(f),
+        clsim.Material.from_reflection(1.0, scattering=([30e3, 50e3], [0.2, 0.4])).scattered_share(f), rtol=1e-12,
+    )  # fmt: skip
 
 
 def test_a_complex_number_is_a_pair(folder):
@@ -94,6 +99,7 @@ def test_a_complex_number_is_a_pair(folder):
         ({"reflection": "0.9"}, r"room\.walls\.reflection: must be a number"),
         ({"reflection": 0.9, "roughness": 0.2}, r"room\.walls\.roughness: must be at most 0.1 m, but is 0.2 m"),
         ({"reflection": 0.9, "roughness": -1.0}, r"room\.walls\.roughness: must be at least 0 m"),
+        ({"reflection": 0.9, "scattering": 2.0}, r"room\.walls\.scattering: must be at most 1, but is 2"),
         ({"named": "plywod"}, r'room\.walls\.named: must be one of 31 names, .*; did you mean "plywood"'),
         ({"default": {"named": "wood"}}, r'room\.walls\.default\.named: must be one of 31 names'),
         ({"absorption": {"frequencies": [1e3], "coefficients": [1.2]}}, r"room\.walls\.absorption\.coefficients\[0\]: must be from 0 to 1"),
@@ -149,7 +155,7 @@ def test_groups_of_a_mesh_may_be_called_like_a_constructor(group, tmp_path):
 
 def test_the_schema_knows_every_way():
     properties = scene_schema()["$defs"]["MaterialModel"]["properties"]
-    assert set(properties) == {*WAYS, "roughness"}
+    assert set(properties) == {*WAYS, "roughness", "scattering"}
 
 
 def test_all_ways_pass_through_the_checks_of_a_scene_without_warnings(folder):

@@ -1,0 +1,281 @@
+"""What comes back from a rigid capsule, a cylinder with round ends: its specular point, and its field about it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.acoustics.scattering import Glint, lit_share
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+
+_STEPS = 40  # of Newton's, at most, where ends are far from where they were
+_LONGEST_STEP = 0.5  # rad
+_FAR, _FOUND = 0.1, 1e-3  # rad, as for ellipsoids
+_SMALL = 1e-300
+_FLATTEST = 1e-9  # 1/m
+_NEAR_JUNCTION = 1e-4  # slope of the way where the side ends below which the bend there is that of the place itself
+ASPECTS = 11  # numbers that a field takes
+
+
+def capsule_glint(
+    radius: float, length: float, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float
+) -> Glint:
+    """Return where a rigid capsule reflects, by geometrical optics.
+
+    Parameters
+    ----------
+    radius, length : float
+        Of the cylinder about z, m; both ends are half spheres beyond it.
+    source, receiver : ndarray (3, n)
+        Both ends in the frame of the capsule, outside of it, m.
+    near : Glint, optional
+        That of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
+    weight : float or ndarray (n,)
+        As of `ellipsoid_glint`.
+
+    Notes
+    -----
+    The capsule is all spheres about points of its axis, so that the specular point is that of the sphere by which the
+    way ``d1 + w d2`` is shortest: Newton's method over the point and the direction from it, with the point held to the
+    axis; our own derivation from Fermat's principle (M. Born and E. Wolf, Principles of Optics, 1999, section 3.3.2).
+    The way is convex in it. What finds a glint nearby is its place.
+
+    Examples
+    --------
+    >>> far = np.array([[5.0], [0.0], [0.1]])
+    >>> capsule_glint(0.04, 0.4, far, far, None, 1.0).place.round(6).ravel().tolist()
+    [0.04, 0.0, 0.1]
+    """
+    half = 0.5 * length
+    between, at, hidden = _between(radius, half, source, receiver)
+    if near is None or math.isinf(near.change):
+        place, change = _search(radius, half, (source, receiver), near, (between, at), weight)
+    else:
+        place, change = _newton(radius, half, (source, receiver), _split(half, near.place), weight, _LONGEST_STEP)
+    if hidden.any():
+        place, change = np.where(hidden, between, place), np.where(hidden, 0.0, change)
+    return Glint(place, place, hidden, float(change.max(initial=0.0)))
+
+
+def capsule_aspects(
+    radius: float, length: float, source: Floats, receiver: Floats, glint: Glint
+) -> tuple[Floats, Floats]:
+    """Return the strength (n,) that `capsule_field` is relative to, m, and what that takes (n, 11).
+
+    Parameters
+    ----------
+    radius, length, source, receiver
+        As in `capsule_glint`.
+    glint : Glint
+        Of these ends.
+
+    Notes
+    -----
+    Our own derivation, by physical optics (G. T. Ruck et al., Radar Cross Section Handbook, 1970, section 2.2.2).
+    Around the capsule the principle of stationary phase holds; along it the way is a parabola on
+    the side and a steeper one on either end, with one slope where they meet, so that the integral along a line of it
+    (Kirchhoff's) is a sum of Fresnel integrals: on the side all of it, ``1 / sqrt(h)`` with the bend h, less what is
+    missing beyond its ends, and more what the round ends add. At a distance of many lengths that is the finite
+    cylinder, near by geometrical optics ``sqrt(R1 R2) / 2``, and on the round ends those of a sphere, without a jump
+    between them. Either leg counts alike, and towards grazing incidence all goes to 0 as for ellipsoids.
+    """
+    half, ends = 0.5 * length, (source, receiver)
+    at, normal = _split(half, glint.place)
+    aside = _unit(np.stack([normal[0], normal[1], np.where(np.hypot(*normal[:2]) > 0.0, 0.0, 1.0)]))
+    around = np.stack([-aside[1], aside[0], 0.0 * at])
+    along = np.cross(normal, around, axis=0)
+    way, _, steep, bend, inward = _ways(radius, ends, glint.place, (normal, around, along))
+    side, cosine = bend, 0.5 * np.maximum(inward, 0.0)
+    aspects = np.empty((len(at), ASPECTS))
+    on_end = np.zeros(len(at), dtype=bool)
+    for i, sign in enumerate((-1.0, 1.0)):
+        place = radius * aside + np.stack([0.0 * at, 0.0 * at, np.full(len(at), sign * half)])
+        axis = np.broadcast_to(np.array([[0.0], [0.0], [sign]]), place.shape)
+        there, slope, _, flat, pressed = _ways(radius, ends, place, (aside, around, axis))
+        late, sharp = np.maximum(there - way, 0.0), np.maximum(flat + pressed / radius, _FLATTEST)
+        on_end |= slope < 0.0
+        # Where the specular point is on this round end, the parabola that is as late at the junction.
+        held = slope**2 / (slope**2 + _NEAR_JUNCTION**2)
+        other = slope**2 / np.maximum(2.0 * late, _SMALL)
+        sharp = np.where((slope < 0.0) & (late > 0.0), sharp + held * (other - sharp), sharp)
+        lit = np.sign(slope + _SMALL) * _obliquity(0.5 * pressed)
+        columns = [late]
+        for h in (sharp, np.maximum(flat, _FLATTEST)):
+            columns += [0.5 * lit / np.sqrt(h), np.abs(slope) / np.sqrt(2.0 * h)]
+        aspects[:, 1 + 5 * i : 6 + 5 * i] = np.stack(columns, axis=1)
+    bend = np.maximum(side + np.where(on_end, np.maximum(inward, 0.0) / radius, 0.0), _FLATTEST)
+    aspects[:, 0] = _obliquity(cosine) / np.sqrt(bend)
+    aspects[glint.hidden] = 0.0
+    return 1.0 / np.sqrt(steep), aspects
+
+
+def capsule_field(wave: Floats, aspects: Floats) -> Complexes:
+    """Return the field of a rigid capsule over its strength.
+
+    Parameters
+    ----------
+    wave : ndarray (F,)
+        Wave numbers, 1/m.
+    aspects : ndarray (..., 11)
+        Of `capsule_aspects`.
+
+    Returns
+    -------
+    ndarray (..., F)
+        Relative to the phase of the specular point.
+
+    Notes
+    -----
+    ``m + sum exp(-j k t) (A E(a sqrt k) - B E(b sqrt k))`` over both ends of the side, with the Fresnel integral
+    ``E(x) = exp(j x^2) erfc(exp(j pi / 4) x)`` (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions,
+    1964, eq. 7.1.3).
+    """
+    from scipy.special import wofz
+
+    turn, root = np.exp(0.75j * math.pi), np.sqrt(wave)
+    total: Complexes = np.zeros((*aspects.shape[:-1], len(wave)), dtype=np.complex128)
+    for first in (1, 6):
+        late, *rest = (aspects[..., first + i, None] for i in range(5))
+        part = rest[0] * wofz(turn * (rest[1] * root)) - rest[2] * wofz(turn * (rest[3] * root))
+        total += part * np.exp(-1j * late * wave)
+    total += aspects[..., :1]
+    return total
+
+
+def _obliquity(cosine: Floats) -> Floats:
+    """Return how much of the surface's pressure counts, by the cosine of the angle of incidence."""
+    bounded = np.maximum(cosine, 0.0)
+    return bounded * lit_share(bounded)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _unit(v: Floats) -> Floats:
+    return np.asarray(v / np.sqrt(np.maximum(_dot(v, v), _SMALL)))
+
+
+def _split(half: float, place: Floats) -> tuple[Floats, Floats]:
+    """Return where on the axis (n,) a place (3, n) belongs to, m, and in which direction (3, n) it is from there."""
+    at = np.clip(place[2], -half, half)
+    return at, _unit(np.stack([place[0], place[1], place[2] - at]))
+
+
+def _between(radius: float, half: float, source: Floats, receiver: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return points (3, n) between two that are nearest to the axis, where on it (n,), and whether they are inside."""
+    away = receiver - source
+    size = np.maximum(_dot(away, away), _SMALL)
+    straight, across = _dot(source, away), np.maximum(size - away[2] ** 2, _SMALL)
+    share = np.clip((source[2] * away[2] - straight) / across, 0.0, 1.0)
+    at = np.clip(source[2] + share * away[2], -half, half)
+    share = np.clip((at * away[2] - straight) / size, 0.0, 1.0)
+    nearest = source + share * away
+    off = np.stack([nearest[0], nearest[1], nearest[2] - at])
+    return nearest, at, _dot(off, off) < radius**2
+
+
+def _search(
+    radius: float, half: float, ends: tuple[Floats, Floats], near: Glint | None, between: tuple[Floats, Floats],
+    weight: Floats | float,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Return specular points (3, n) by steps that make ways shorter, and by how much the last one has changed them."""
+    source, receiver = ends
+    if near is None:  # the mirror point of the axis, and the bisector from there
+        off = [np.maximum(np.hypot(end[0], end[1]) - radius, 1e-3 * radius) for end in ends]
+        share = off[0] / (off[0] + off[1])
+        at = np.clip(source[2] + share * (receiver[2] - source[2]), -half, half)
+        axis = np.stack([0.0 * at, 0.0 * at, at])
+        begin = at, _unit(_unit(source - axis) + _unit(receiver - axis))
+    else:
+        begin = _split(half, near.place)
+    nearest, on = between
+    other = on, _unit(np.stack([nearest[0], nearest[1], nearest[2] - on]))
+    ways = [_way(_joined(radius, guess), ends, weight) for guess in (begin, other)]
+    at, normal = (np.where(ways[0] <= ways[1], one, two) for one, two in zip(begin, other, strict=True))
+    place, way = _joined(radius, (at, normal)), np.minimum(*ways)
+    longest = np.full(len(way), _LONGEST_STEP)
+    for step in range(_STEPS):
+        new, change = _newton(radius, half, ends, _split(half, place), weight, longest)
+        shorter = _way(new, ends, weight)
+        better = shorter <= way * (1.0 + 1e-15)
+        longest = np.where(better, np.minimum(2.0 * longest, _LONGEST_STEP), 0.25 * np.minimum(longest, change))
+        place, way = np.where(better, new, place), np.where(better, shorter, way)
+        if not np.any(change > (_FAR if step == 0 else _FOUND)):
+            break
+    return place, change
+
+
+def _joined(radius: float, of: tuple[Floats, Floats]) -> Floats:
+    """Return the place (3, n) of a point of the axis and a direction."""
+    at, normal = of
+    return np.asarray(radius * normal + np.stack([0.0 * at, 0.0 * at, at]))
+
+
+def _way(place: Floats, ends: tuple[Floats, Floats], weight: Floats | float) -> Floats:
+    """Return the lengths (n,) of the ways by places (3, n)."""
+    to, back = (place - end for end in ends)
+    return np.asarray(np.sqrt(_dot(to, to)) + weight * np.sqrt(_dot(back, back)))
+
+
+def _ways(
+    radius: float, ends: tuple[Floats, Floats], place: Floats, frame: tuple[Floats, Floats, Floats]
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return the way's length, slope along, bend around, bend along and pressure by places (3, n), each (n,).
+
+    The frame is the normal and the directions around and along. Where the way is not the shortest around, its length,
+    slope and bend along are those where it is, to the second order.
+    """
+    normal, around, along = frame
+    way, inward = np.zeros(place.shape[1]), np.zeros(place.shape[1])
+    g = [np.zeros(place.shape[1]) for _ in range(2)]
+    h = [np.zeros(place.shape[1]) for _ in range(3)]
+    for end in ends:
+        away = place - end
+        distance = np.sqrt(_dot(away, away))
+        a, b = _dot(around, away) / distance, _dot(along, away) / distance
+        way, inward = way + distance, inward - _dot(normal, away) / distance
+        g = [g[0] + a, g[1] + b]
+        h = [h[0] + (1.0 - a * a) / distance, h[1] - a * b / distance, h[2] + (1.0 - b * b) / distance]
+    steep = np.maximum(h[0] + np.maximum(inward, 0.0) / radius, _FLATTEST)
+    off = g[0] / steep
+    return way - 0.5 * g[0] * off, g[1] - h[1] * off, steep, np.maximum(h[2] - h[1] ** 2 / steep, 0.0), inward
+
+
+def _newton(
+    radius: float, half: float, ends: tuple[Floats, Floats], of: tuple[Floats, Floats], weight: Floats | float,
+    longest: Floats | float,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Return places (3, n) one step nearer to the shortest way, and by how much they have changed (n,), rad."""
+    at, u = of
+    sign = np.where(u[2] >= 0.0, 1.0, -1.0)  # two vectors across u, as for ellipsoids
+    a = -1.0 / (sign + u[2])
+    b = u[0] * u[1] * a
+    one = np.stack([1.0 + sign * u[0] * u[0] * a, sign * b, -sign * u[0]])
+    other = np.stack([b, sign + u[1] * u[1] * a, -u[1]])
+    place = _joined(radius, of)
+    gz = gp = gq = hzz = hzp = hzq = hpp = hpq = hqq = inward = np.zeros(u.shape[1])
+    for end, w in zip(ends, (1.0, weight), strict=True):
+        away = place - end
+        close = 1.0 / np.sqrt(_dot(away, away))
+        z, p, q, size = away[2] * close, _dot(one, away) * close, _dot(other, away) * close, w * close
+        gz, gp, gq, inward = gz + w * z, gp + w * p, gq + w * q, inward - w * close * _dot(u, away)
+        hzz, hzp, hzq = hzz + (1.0 - z * z) * size, hzp + (one[2] - z * p) * size, hzq + (other[2] - z * q) * size
+        hpp, hpq, hqq = hpp + (1.0 - p * p) * size, hpq - p * q * size, hqq + (1.0 - q * q) * size
+    hpp, hqq = hpp + np.abs(inward) / radius, hqq + np.abs(inward) / radius
+    size = np.maximum(hpp * hqq - hpq**2, _SMALL)
+    by_p, by_q = (hqq * hzp - hpq * hzq) / size, (hpp * hzq - hpq * hzp) / size
+    bend = np.maximum(hzz - hzp * by_p - hzq * by_q, _FLATTEST)
+    moved = np.clip(at - (gz - gp * by_p - gq * by_q) / bend, -half, half)
+    gp, gq = gp + hzp * (moved - at), gq + hzq * (moved - at)
+    first, second = (hpq * gq - hqq * gp) / size / radius, (hpq * gp - hpp * gq) / size / radius
+    turn = np.hypot(first, second)
+    held = np.minimum(1.0, longest / np.maximum(turn, _SMALL))
+    new = moved, _unit(u + held * (first * one + second * other))
+    return _joined(radius, new), turn * held + np.abs(moved - at) / radius

@@ -1,0 +1,123 @@
+"""Direct sound that is left out, or leaks past something, pair by pair: what a sonar hears of its own source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from clsim.arrays import as_number, read_only
+from clsim.errors import InputError
+from clsim.paths.specular.family import SpecularPaths
+
+if TYPE_CHECKING:
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals
+    from clsim.paths.family import PathFamily, Rows
+    from clsim.paths.response import SceneResponse
+    from clsim.scene.scene import Scene
+
+    DirectSound = bool | float | Mapping[tuple[str, str], bool | float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrossTalk(SpecularPaths):
+    """Direct paths at levels of their own.
+
+    Attributes
+    ----------
+    level : ndarray (paths,)
+        Pressure over that of the free direct sound.
+    """
+
+    level: Floats
+
+    columns: ClassVar[tuple[str, ...]] = ("image_matrix", "image_offset", "level")
+
+    @property
+    def device(self) -> str | None:
+        """None: no program knows levels, and there are few of these."""
+        return None
+
+    def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return received over emitted pressure (P, T, F): that of the free direct sound, times the level."""
+        return super(CrossTalk, self).response(rows, found, times, at) * self.level[rows][:, None, None]
+
+    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
+        """Return the levels (P, F)."""
+        return super(CrossTalk, self).gain_bound(rows, at) * self.level[rows][:, None]
+
+
+def direct_levels(scene: Scene, direct: DirectSound) -> Floats:
+    """Return the pressure of the direct sound (sources, receivers) over that in the open, as it is wanted.
+
+    Parameters
+    ----------
+    scene : Scene
+        Whose names the pairs have.
+    direct : bool, float or mapping
+        As in `find_paths`.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or a level none below 0 dB.
+    """
+    levels = np.ones((len(scene.sources), len(scene.receivers)))
+    if not isinstance(direct, Mapping):
+        levels[:] = _pressure("direct", direct)
+        return levels
+    names = [[end.name for end in ends] for ends in (scene.sources, scene.receivers)]
+    for pair, value in direct.items():
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise InputError("direct", f"must have pairs (source, receiver) of names for keys, but has {pair!r:.80}")
+        for kind, name, known in zip(("source", "receiver"), pair, names, strict=True):
+            if name not in known:
+                listed = ", ".join(map(repr, known[:8])) + (", ..." if len(known) > 8 else "")
+                raise InputError("direct", f"must name a {kind} of the scene ({listed}), but names {name!r:.80}")
+        place = names[0].index(pair[0]), names[1].index(pair[1])
+        levels[place] = _pressure(f"direct[{pair[0]}, {pair[1]}]", value)
+    return levels
+
+
+def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathFamily, ...]:
+    """Return paths with the direct ones at levels (sources, receivers): 1 leaves them as they are, 0 leaves them out.
+
+    Parameters
+    ----------
+    families : tuple of PathFamily
+        All paths.
+    levels : ndarray (sources, receivers)
+        Of `direct_levels`.
+    """
+    if np.all(levels == 1.0):
+        return families
+    each = [np.where(f.order == 0, levels[f.source, f.receiver], 1.0) for f in families]
+    free = tuple(f.part(np.flatnonzero(level == 1.0)) for f, level in zip(families, each, strict=True))
+    leaks = [
+        _leaking(f, level)
+        for f, level in zip(families, each, strict=True)
+        if isinstance(f, SpecularPaths) and np.any((level != 0.0) & (level != 1.0))
+    ]
+    return (*free, *leaks)
+
+
+def _pressure(field: str, value: Any) -> float:
+    """Return the pressure that a level, dB, stands for; True is 1 and False 0."""
+    if isinstance(value, bool | np.bool_):
+        return float(value)
+    if not isinstance(value, int | float | np.integer | np.floating) or not value < 0.0:  # neither 1 nor 0 is a level
+        raise InputError(field, f"must be True, False or a level below 0 dB, but is {value!r:.80}")
+    return float(10.0 ** (as_number(field, value) / 20.0))
+
+
+def _leaking(family: SpecularPaths, level: Floats) -> CrossTalk:
+    """Return the direct paths that leak."""
+    rows = np.flatnonzero((level != 1.0) & (level != 0.0))
+    part = family.part(rows)
+    return CrossTalk(
+        part.scene, part.source, part.receiver, part.order, part.start, part.end, part.objects, part.image_matrix,
+        part.image_offset, read_only(level[rows]),
+    )  # fmt: skip

@@ -1,0 +1,231 @@
+"""People out of motion capture: parts between joints of a file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import as_choice, as_number
+from clsim.errors import InputError
+from clsim.numerics.quaternions import rotate as turned
+from clsim.scene.motion.checks import LONGEST, as_path, as_places
+from clsim.scene.motion.curves import spline_through
+from clsim.scene.motion.joints import read_joints
+from clsim.scene.motion.orientation import as_quaternions
+from clsim.scene.posing import pose_times, quaternions_along, through_poses
+from clsim.scene.scatterer import Scatterer
+from clsim.scene.walking import PARTS, SHANK, THIGH
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike
+
+    from clsim.arrays import Floats
+    from clsim.scene.motion.joints import Joints
+    from clsim.scene.motion.trajectory import Trajectory
+
+    Segments = Sequence[tuple[str, str, float]]
+
+SHAPES, UPS = ("ellipsoid", "capsule"), ("x", "y", "z")
+_SHORTEST = 1e-3  # m, of a part
+# What joints are called in files, of one side without its name: the first that a file has is taken.
+_NAMES = {
+    "hips": ("hips", "pelvis", "root"), "neck": ("neck", "neck1", "upperneck"), "head": ("head",),
+    "shoulder": ("upperarm", "arm", "shoulder", "humerus"), "elbow": ("forearm", "elbow", "lowerarm", "radius"),
+    "wrist": ("hand", "wrist"), "hip": ("upleg", "thigh", "upperleg", "hip", "femur"),
+    "knee": ("leg", "knee", "shin", "lowerleg", "tibia"), "ankle": ("foot", "ankle"),
+    "toe": ("toebase", "toe", "toes", "footend"),
+}  # fmt: skip
+_SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
+_LIMBS = {
+    "upper arm": ("shoulder", "elbow"), "forearm": ("elbow", "wrist"), "thigh": ("hip", "knee"),
+    "shank": ("knee", "ankle"), "foot": ("ankle", "toe"),
+}  # fmt: skip
+# Between which joints, what is aside, and at which share of the way from one to the other.
+_TRUNK = (
+    ("head", ("neck", "head"), "shoulder", 1.0), ("chest", ("hips", "neck"), "shoulder", 0.62),
+    ("pelvis", ("hips", "neck"), "hip", 0.05),
+)  # fmt: skip
+_HEAD = 0.04  # of the height, from its joint to the middle of the head
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A part of a body: its name, size along x, y and z (3,) m, centre (n, 3) m, and directions of its z and y."""
+
+    name: str
+    size: Floats
+    centre: Floats
+    along: Floats
+    aside: Floats | None
+
+
+def captured_person(
+    name: str,
+    path: str | PathLike[str],
+    *,
+    segments: Segments | None = None,
+    shape: str = "ellipsoid",
+    scale: float = 1.0,
+    up: str | None = None,
+    rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    translate: ArrayLike = (0.0, 0.0, 0.0),
+    time_offset: float = 0.0,
+) -> list[Scatterer]:
+    r"""Return what a person of a motion-capture file scatters by: parts between joints, however they move.
+
+    Parameters
+    ----------
+    name : str
+        Before the names of the parts: "name head", "name left shank" and so on.
+    path : path-like
+        BVH, or a table (CSV) whose header names ``t``, s, and ``NAME x``, ``NAME y``, ``NAME z`` of every joint.
+    segments : sequence of (str, str, float), optional
+        Two joints, by their names in the file, and the radius of what is between them, m. When left out, the parts of
+        `walking_person` whose joints have usual names, such as LeftUpLeg or left knee, as thick as there.
+    shape : {"ellipsoid", "capsule"}
+        Of limbs and of segments.
+    scale : float
+        Metres in the file's unit of length: 0.01 for centimetres.
+    up : {"x", "y", "z"}, optional
+        Which of the file's axes goes up; y for BVH and z for tables when left out. The file's next axis (z after y)
+        becomes x in the room.
+    rotate, translate : array_like (4,), array_like (3,)
+        Then turned by a unit quaternion x y z w, and moved, m.
+    time_offset : float
+        Time of the file's first row, 0 or before, s.
+
+    Returns
+    -------
+    list of Scatterer
+        For the `scatterers` of a `Scene`, from the first row to the last.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or breaks a rule of its format, a joint is missing, or a value is out of bounds.
+
+    Notes
+    -----
+    Joints go on C2 splines through the rows, so that the noise of markers is heard as motion: smooth them before.
+    Parts stay as long as they are in the mean.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder) / "arm.csv"
+    ...     rows = [f"{t},1,2,1.4,1.3,2,{1.4 - t}" for t in (0.0, 0.1, 0.2, 0.3)]
+    ...     _ = file.write_text("\n".join(["t,elbow x,elbow y,elbow z,wrist x,wrist y,wrist z", *rows]))
+    ...     parts = captured_person("Ada", file, segments=[("elbow", "wrist", 0.04)])
+    >>> parts[0].name, parts[0].trajectory.position(0.2).round(3).tolist()
+    ('Ada elbow to wrist', [1.15, 2.0, 1.3])
+    """
+    joints = read_joints(as_path(path))
+    as_choice("shape", shape, SHAPES)
+    place = _placed(
+        as_number("scale", scale, at_least=1e-9, at_most=1e9),
+        joints.up if up is None else as_choice("up", up, UPS),
+        as_quaternions("rotate", rotate, (4,)),
+        as_places("translate", translate, (3,)),
+    )
+    start = as_number("time_offset", time_offset, at_least=-LONGEST, at_most=0.0, unit="s")
+    times = pose_times(0.0, float(joints.times[-1]))
+    curves = [spline_through(joints.times, place(x), "not-a-knot") for x in joints.positions]
+    known = dict(zip(joints.names, (curve.position(times) for curve in curves), strict=True))
+    parts = _usual(joints, known) if segments is None else _between(known, segments)
+    return [_scatterer(f"{name} {part.name}", part, start + times, shape) for part in parts]
+
+
+def _placed(scale: float, up: str, rotation: Floats, translation: Floats) -> Any:
+    """Return what brings points (n, 3) of a file into the room."""
+    axes = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[up]
+    return lambda points: turned(rotation, scale * points[:, axes]) + translation
+
+
+def _between(known: dict[str, Floats], segments: Any) -> list[_Part]:
+    """Return the parts between joints that are asked for."""
+    if isinstance(segments, str) or not isinstance(segments, Sequence) or not segments:
+        raise InputError("segments", f"must be a list of (joint, joint, radius), but is {segments!r:.80}")
+    parts = []
+    for i, segment in enumerate(segments):
+        if isinstance(segment, str) or not isinstance(segment, Sequence) or len(segment) != 3:
+            raise InputError(f"segments[{i}]", f"must be (joint, joint, radius), but is {segment!r:.80}")
+        for joint in segment[:2]:
+            if joint not in known:
+                listed = ", ".join(list(known)[:40])
+                raise InputError(f"segments[{i}]", f"must name joints of the file ({listed}), but names {joint!r:.80}")
+        radius = as_number(f"segments[{i}].radius", segment[2], above=0.0, unit="m")
+        part = _limb(f"{segment[0]} to {segment[1]}", known[segment[0]], known[segment[1]], radius)
+        if part is None:
+            raise InputError(
+                f"segments[{i}]", f"must have a length, but {segment[0]!r} and {segment[1]!r} are at one place"
+            )
+        parts.append(part)
+    return parts
+
+
+def _limb(name: str, begin: Floats, end: Floats, radius: float, flat: float | None = None) -> _Part | None:
+    """Return what is between two joints (n, 3); None if they are ever at one place."""
+    away = end - begin
+    if np.linalg.norm(away, axis=1).min() < _SHORTEST:
+        return None
+    half = 0.5 * float(np.linalg.norm(away, axis=1).mean())
+    return _Part(name, np.array([flat or radius, radius, half]), 0.5 * (begin + end), away, None)
+
+
+def _usual(joints: Joints, known: dict[str, Floats]) -> list[_Part]:
+    """Return the parts of a person whose joints have usual names."""
+    own = {re.sub(r"^mixamorig", "", re.sub("[^a-z0-9]", "", name.lower())): name for name in reversed(joints.names)}
+    at: dict[str, Floats] = {}
+    for joint, names in _NAMES.items():
+        for side in ("left", "right") if joint in _SIDED else ("",):
+            spelt = [w for n in names for w in ((f"{side}{n}", f"{side[0]}{n}", f"{n}{side[0]}") if side else (n,))]
+            found = next((own[word] for word in spelt if word in own), None)
+            if found is not None:
+                at[f"{side} {joint}".strip()] = known[found]
+    needed = [f"left {joint}" for joint in ("hip", "knee", "ankle", "shoulder") if f"left {joint}" not in at]
+    if needed:
+        listed = ", ".join(joints.names[:40])
+        raise InputError("path", f"must have a joint for the {needed[0]}, or segments be told; its joints are {listed}")
+    lengths = [np.linalg.norm(at["left knee"] - at[f"left {joint}"], axis=1).mean() for joint in ("hip", "ankle")]
+    tall = float(sum(lengths)) / (THIGH + SHANK)
+    parts = _trunk(at, tall)
+    for side in ("right", "left"):
+        for part, (one, other) in _LIMBS.items():
+            ends = [at.get(f"{side} {joint}") for joint in (one, other)]
+            if ends[0] is None or ends[1] is None:
+                continue
+            size = tall * np.sort(PARTS[part])
+            limb = _limb(f"{side} {part}", ends[0], ends[1], float(size[1]), float(size[0]))
+            parts += [] if limb is None else [limb]
+    return parts
+
+
+def _trunk(at: dict[str, Floats], tall: float) -> list[_Part]:
+    """Return head, chest and pelvis, as far as their joints are known, of a person so tall, m."""
+    parts = []
+    wide = {
+        joint: at[f"left {joint}"] - at[f"right {joint}"] for joint in ("shoulder", "hip") if f"right {joint}" in at
+    }
+    for part, (low, high), joint, share in _TRUNK:
+        if low in at and high in at and joint in wide:
+            along = at[high] - at[low]
+            centre = at[low] + share * along
+            if part == "head":
+                centre = centre + _HEAD * tall * along / np.linalg.norm(along, axis=1, keepdims=True)
+            parts.append(_Part(part, tall * np.array(PARTS[part]), centre, along, wide[joint]))
+    return parts
+
+
+def _scatterer(name: str, part: _Part, times: Floats, shape: str) -> Scatterer:
+    """Return a part as a scatterer."""
+    way: Trajectory = through_poses(times, part.centre, quaternions_along(part.along, part.aside))
+    if part.aside is None and shape == "capsule":
+        return Scatterer.capsule(name, float(part.size[1]), 2.0 * float(part.size[2]), way)
+    return Scatterer.ellipsoid(name, part.size, way)

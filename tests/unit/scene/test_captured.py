@@ -1,0 +1,162 @@
+"""People out of motion capture: both formats against joints made by other means, parts, and what is wrong with files."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.numerics.quaternions import rotate
+from clsim.scene.motion.joints import read_joints
+
+BVH = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 1.0 90.0 2.0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT LeftUpLeg
+  {
+    OFFSET 10.0 -5.0 0.0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    JOINT LeftLeg {
+      OFFSET 0.0 -40.0 0.0
+      CHANNELS 3 Yrotation Xrotation Zrotation
+      End Site
+      {
+        OFFSET 0.0 -42.0 0.0
+      }
+    }
+  }
+}
+MOTION
+Frames: 5
+Frame Time: 0.01
+"""
+
+
+def matrix(axis: int, degrees: float) -> np.ndarray:
+    """Return the matrix that turns about an axis, written out."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    found, (i, j) = np.eye(3), ((1, 2), (2, 0), (0, 1))[axis]
+    found[[i, i, j, j], [i, j, i, j]] = c, -s, s, c
+    return found
+
+
+def test_joints_of_bvh_are_turned_in_the_order_of_their_channels(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = rng.uniform(-80.0, 80.0, (5, 12))
+    path = tmp_path / "walk.bvh"
+    path.write_text(BVH + "\n".join(" ".join(f"{x:.9f}" for x in row) for row in rows), "utf-8")
+    found = read_joints(path)
+    assert found.names == ("Hips", "LeftUpLeg", "LeftLeg", "LeftLeg end")
+    assert found.times.tolist() == [0.0, 0.01, 0.02, 0.03, 0.04]
+    for t, row in enumerate(np.round(rows, 9)):
+        hips = matrix(2, row[3]) @ matrix(0, row[4]) @ matrix(1, row[5])
+        thigh = hips @ matrix(2, row[6]) @ matrix(0, row[7]) @ matrix(1, row[8])
+        shank = thigh @ matrix(1, row[9]) @ matrix(0, row[10]) @ matrix(2, row[11])
+        wanted = [row[:3]]
+        for turn, offset in ((hips, [10.0, -5.0, 0.0]), (thigh, [0.0, -40.0, 0.0]), (shank, [0.0, -42.0, 0.0])):
+            wanted.append(wanted[-1] + turn @ offset)
+        np.testing.assert_allclose(found.positions[:, t], wanted, atol=1e-10)
+    legs = [("Hips", "LeftUpLeg", 0.05), ("LeftLeg", "LeftLeg end", 0.03)]
+    parts = clsim.captured_person("Ada", path, segments=legs, scale=0.01, translate=(2.0, 3.0, 1.0), shape="capsule")
+    assert [part.name for part in parts] == ["Ada Hips to LeftUpLeg", "Ada LeftLeg to LeftLeg end"]
+    middle = 0.005 * (found.positions[2] + found.positions[3])[:, [2, 0, 1]] + [2.0, 3.0, 1.0]  # y goes up
+    np.testing.assert_allclose(parts[1].trajectory.position(found.times), middle, atol=1e-3)
+    assert (parts[1].shape.length, parts[1].shape.cylinder_radius) == pytest.approx((0.42, 0.03), abs=0.01)
+
+
+def ends_of(part: Any, times: np.ndarray) -> list[np.ndarray]:
+    """Return where both ends of a limb of a walking person are (n, 3), the upper one first."""
+    along = part.shape.semi_axes[2] * rotate(part.trajectory.orientation(times), np.array([0.0, 0.0, 1.0]))
+    middle = part.trajectory.position(times)
+    return [middle + along, middle - along]
+
+
+def test_a_walk_that_is_captured_is_the_walk(tmp_path: Path) -> None:
+    """Joints of `walking_person`, written at 100 Hz with usual names, give its parts back within 2 mm."""
+    way = clsim.Trajectory.line((1.0, 2.0, 0.0), (3.6, 2.5, 0.0), 2.0)
+    walk = {part.name.removeprefix("Ada "): part for part in clsim.walking_person("Ada", 1.8, way)}
+    times = np.linspace(0.0, 2.0, 201)
+    columns: dict[str, np.ndarray] = {}
+    for side in ("left", "right"):
+        for part, names in (
+            ("thigh", ("hip", "knee")),
+            ("shank", ("", "ankle")),
+            ("upper arm", ("shoulder", "elbow")),
+            ("forearm", ("", "wrist")),
+        ):
+            for joint, place in zip(names, ends_of(walk[f"{side} {part}"], times), strict=True):
+                columns |= {f"{side} {joint}": place} if joint else {}
+    columns["hips"] = 0.5 * (columns["left hip"] + columns["right hip"])
+    columns["neck"] = 0.5 * (columns["left shoulder"] + columns["right shoulder"])
+    header = ",".join(["time", *(f"{name}_{axis}" for name in columns for axis in "xyz")])
+    rows = np.column_stack([times + 5.0, *columns.values()])
+    path = tmp_path / "walk.csv"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.9f")
+    parts = {part.name.removeprefix("Ada "): part for part in clsim.captured_person("Ada", path)}
+    assert set(parts) == set(walk) - {"head", "left foot", "right foot"}
+    at = np.linspace(0.02, 1.98, 57)
+    for name, part in parts.items():
+        if name in ("chest", "pelvis"):
+            np.testing.assert_allclose(part.shape.semi_axes, walk[name].shape.semi_axes, rtol=1e-6)
+            turned = [rotate(p.trajectory.orientation(at), np.array([0.0, 1.0, 0.0])) for p in (part, walk[name])]
+            assert np.sum(turned[0] * turned[1], axis=1).min() > 0.98
+            continue
+        apart = part.trajectory.position(at) - walk[name].trajectory.position(at)
+        assert np.linalg.norm(apart, axis=1).max() < 2e-3, name
+        np.testing.assert_allclose(part.shape.semi_axes, walk[name].shape.semi_axes, rtol=1e-3)
+        along = [rotate(p.trajectory.orientation(at), np.array([0.0, 0.0, 1.0])) for p in (part, walk[name])]
+        assert np.abs(np.sum(along[0] * along[1], axis=1)).min() > 1.0 - 1e-4
+        assert part.trajectory.peak_turn < 1.05 * max(walk[name].trajectory.peak_turn, 1.0)
+
+
+def test_who_stands_starts_and_turns_is_heard(tmp_path: Path) -> None:
+    """A shank that stands, then sets off: no Doppler shift first, and that of its speed later."""
+    times = np.linspace(0.0, 1.0, 101)
+    ahead = np.where(times > 0.5, 4.0 * (times - 0.5) ** 3, 0.0)
+    knee = np.column_stack([3.0 - ahead, 2.0 + 0.0 * times, 1.0 + 0.0 * times])
+    rows = np.column_stack([times, knee, knee - [0.0, 0.0, 0.4]])
+    path = tmp_path / "start.csv"
+    np.savetxt(path, rows, delimiter=",", header="t,knee x,knee y,knee z,ankle x,ankle y,ankle z", comments="")
+    shank = clsim.captured_person("Ada", path, segments=[("knee", "ankle", 0.05)])
+    at = [clsim.Trajectory.fixed((1.0, y, 0.8)) for y in (1.9, 2.1)]
+    tone = clsim.Signal.tone(40e3, 0.9, 192e3)
+    room = clsim.Shoebox((5.0, 4.0, 3.0), clsim.Material.from_reflection(0.5))
+    ends = [clsim.Source("s", tone, at[0])], [clsim.Receiver("r", at[1])]
+    truth = clsim.scatterer_truth(clsim.Scene(room, clsim.Air(), *ends, scatterers=shank), [0.3, 0.9])
+    still, moving = truth.radial_speed.ravel()
+    assert still == pytest.approx(0.0, abs=1e-6)
+    event = 0.9 - float(truth.range.ravel()[1]) / 343.0
+    assert moving == pytest.approx(-12.0 * (event - 0.5) ** 2, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "message"),
+    [
+        (BVH.replace("Frames: 5", "Frames: 4") + "0 " * 12, {}, "a.txt, line 21: must tell of 1 frames"),
+        (BVH + "0 0 0", {}, r"a.txt, line 23: must hold 12 numbers, but is '0 0 0'"),
+        (BVH.replace("CHANNELS 3 Y", "CHANNELS 2 Y"), {}, "line 12: must be CHANNELS, their number and their names"),
+        (BVH.replace("Frame Time: 0.01", "Frame Time: 0"), {}, "must be Frames: N and Frame Time"),
+        (BVH.partition("MOTION")[0], {}, "must come after MOTION, but there is none"),
+        (BVH.replace("OFFSET 10.0 -5.0 0.0", "OFFSET 10.0"), {}, "line 8: must hold 3 numbers, but is '10.0'"),
+        ("t,a x,a y\n0,1,2\n", {}, "line 1: must name t and NAME x, NAME y, NAME z of every joint, but 'a' lacks one"),
+        ("t,a x,a y,a z\n0,1,2,3\n1,2,3,x\n", {}, "line 3: must hold 4 numbers"),
+        ("t,a x,a y,a z\n0,1,2,3\n", {}, "line 2: must be the last of 4 rows at least, not of 1"),
+        ("t,a x,a y,a z\n" + "0,1,2,3\n" * 4, {}, "column t: times: must increase strictly"),
+        ("t,a x,a y,a z\n0,1,2,3\n1,1,2,3\n2,1,2,inf\n3,1,2,3\n", {}, "frame 3: 'a' must be at a finite place"),
+        ("TABLE", {}, "must have a joint for the left hip, or segments be told; its joints are a, b"),
+        ("TABLE", {"segments": [("a", "c", 0.1)]}, r"segments\[0\]: must name joints of the file \(a, b\), but names 'c'"),
+        ("TABLE", {"segments": [("a", "b", 0.0)]}, r"segments\[0\].radius: must be above 0 m"),
+        ("TABLE", {"segments": [("a", "a", 0.1)]}, "must have a length"), ("TABLE", {"segments": []}, "segments: must be a list"),
+        ("TABLE", {"shape": "box"}, "shape: must be one of"), ("TABLE", {"up": "w"}, "up: must be one of"),
+        ("TABLE", {"time_offset": 1.0}, "time_offset: must be at most 0 s"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, text: str, given: dict[str, Any], message: str) -> None:
+    table = "t,a x,a y,a z,b x,b y,b z\n" + "\n".join(f"{t},1,2,1,1,2,1.{5 + t}" for t in range(4))
+    (tmp_path / "a.txt").write_text(table if text == "TABLE" else text, "utf-8")
+    with pytest.raises(clsim.InputError, match=message):
+        clsim.captured_person("Ada", tmp_path / "a.txt", **given)
+    with pytest.raises(clsim.InputError, match="path: cannot read"):
+        clsim.captured_person("Ada", tmp_path / "none.bvh")
