@@ -97,3 +97,13 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
 #endif
     return path_gains(&here, around, s->slots, s->slot, frame, field, gain, unheld);
 }
+
+// What no function holds of a path heard from sample `from` to `until`, at nodes up to `near` from a sample. Nodes of paths
+// over edges where these are not heard may lie beyond a boundary, and the functions are not made for such: they do not count.
+static float left_where_heard(float left_over, int sample, int near, int from, int until)
+{
+#if EDGES
+    if (from > sample - near || until < sample + near) return 0.0f;
+#endif
+    return left_over;
+}
