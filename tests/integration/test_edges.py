@@ -155,7 +155,10 @@ def test_runs_that_were_stopped_go_on(
 ) -> None:
     """Bit for bit, with the exact field at the edge; not with that of the theory, whose paths are others."""
     monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
-    text, path = scene.read_text("utf-8").replace("duration = 0.09", "duration = 0.12\nchunk = 18432"), tmp_path / "scene.toml"
+    text, path = (
+        scene.read_text("utf-8").replace("duration = 0.09", "duration = 0.12\nchunk = 18432"),
+        tmp_path / "scene.toml",
+    )
     text = text.replace("duration = 0.1 }", "duration = 0.2 }").replace("duration = 0.06,", "duration = 0.11,")
     path.write_text(text.replace("diffraction = 1", 'diffraction = 1\ndiffraction_model = "btm"'), "utf-8")
     fails = [-1]
