@@ -40,7 +40,7 @@ def main() -> None:
         for a, b in ((0.0, DOOR[0]), (DOOR[1], SIZE[1]))
     ]
     room = clsim.MeshRoom.joined([clsim.Shoebox(SIZE, plaster), *walls])
-    pulse = clsim.Signal.chirp(20e3, 45e3, 5e-3, RATE, window="tukey")
+    pulse = clsim.Signal.chirp(20e3, 45e3, 5e-3, RATE, window="hann")
     signal = clsim.Signal.pulses(pulse, period=PERIOD, count=round(duration / PERIOD) - 1)
     beacon = clsim.Source("beacon", signal, clsim.Trajectory.fixed(BEACON))
     tag = clsim.Receiver("tag", clsim.Trajectory.line(*WALK, duration=DURATION), electronics=NOISY)
@@ -58,9 +58,8 @@ def main() -> None:
         told = f"{far[good].max():.2f} m behind the edge of the shadow at most" if good.any() else "never out of sight"
         print(f"{name}: what comes first is found {told}, for {good[hidden].mean():.0%} of pulses out of sight")
         if good.any():
-            print(
-                f"  late by {late[good].min():.3f} to {late[good].max():.3f} m, within {np.abs(error - late)[good].max():.3f} m"
-            )
+            off = np.abs(error - late)[good].max()
+            print(f"  late by {late[good].min():.3f} to {late[good].max():.3f} m, the detour within {off:.3f} m")
     draw(places, far, late, scores, options.output / "behind_a_door.png")
     print(options.output / "behind_a_door.png")
 
@@ -101,7 +100,7 @@ def draw(places: np.ndarray, far: np.ndarray, late: np.ndarray, scores: dict, fi
     errors.set(
         xlabel="way into the shadow (m)",
         ylabel="error of the range (m)",
-        ylim=(-0.5, 8.0),
+        ylim=(-0.4, 5.6),
         title="first peak of a 20 to 45 kHz chirp",
     )
     errors.legend(loc="upper left", fontsize=9)

@@ -1,7 +1,8 @@
-"""A robot walks out of sight of a beacon, in an L-shaped room whose corner alone reflects: the level against the exact one.
+"""A robot walks round a corner, out of sight of a beacon: the level against the exact one.
 
-The curve is the exact field of a hard corner (Biot, Tolstoy, Medwin, Svensson), by an integral that shares nothing with
-what is rendered; the picture shows the level over the walk without edges, with them, and how far these are off.
+The room absorbs all but at the corner. The curve is the exact field of a hard one (Biot, Tolstoy, Medwin, Svensson), by
+an integral that shares nothing with what is rendered; the picture shows the level over the walk without edges, with
+them, and how far these are off.
 """
 
 import argparse
