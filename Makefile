@@ -5,36 +5,50 @@ BIN := .venv/bin
 # Tests start some hundred processes: with bytecode on disk each of them is there in half the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test drivers study-kills fuzz kills clean
+.PHONY: demo docs test test-exhaustive test-all drivers study-kills fuzz kills clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
 	@echo "The spectrogram is in out/demo/ceiling_spectrogram.png, the sound in out/demo/ceiling.wav, the path table in out/demo/paths.npz"
 
+# What runs at every change. What is long and seldom fails is in `test-exhaustive`, of which this has a few of each kind.
 test: .venv/tested
 	$(BIN)/python -m pytest
+
+test-exhaustive: .venv/tested
+	$(BIN)/python -m pytest -m exhaustive
+
+test-all: test test-exhaustive
 
 # All scenes in both layouts on Intel's CPU runtime and in Oclgrind, where they are installed: some minutes.
 drivers: .venv/tested
 	$(BIN)/python -m pip install --quiet --editable '.[drivers]'
-	CLSIM_ALL_DRIVERS=1 $(BIN)/python -m pytest tests/drivers
+	CLSIM_ALL_DRIVERS=1 $(BIN)/python -m pytest -m "" tests/drivers
 
 # Fifty workers of studies killed at random: some minutes.
 study-kills: .venv/tested
-	STUDY_KILLS=50 $(BIN)/python -m pytest -n 0 tests/integration/test_study_killed.py -k killed_at_random
+	STUDY_KILLS=50 $(BIN)/python -m pytest -m "" -n 0 tests/integration/test_study_killed.py -k killed_at_random
 
 fuzz: .venv/tested
-	CLSIM_FUZZ=20000 $(BIN)/python -m pytest -n 2 --dist load tests/integration/test_fuzz.py
+	CLSIM_FUZZ=20000 $(BIN)/python -m pytest -m "" -n 2 --dist load tests/integration/test_fuzz.py
 
-# Commands killed at 200 random moments, of which the tests have ten; a few minutes.
+# Commands killed at 200 random moments, of which the exhaustive tests have ten; a few minutes.
 kills: .venv/tested
-	CLSIM_KILLS=200 $(BIN)/python -m pytest -n 0 tests/integration/test_kills.py
+	CLSIM_KILLS=200 $(BIN)/python -m pytest -m "" -n 0 tests/integration/test_kills.py
+
+# The site is in out/site: open out/site/index.html.
+docs: .venv/documented
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --quiet docs/site out/site
+
+.venv/documented: .venv/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	@touch $@ .venv/installed
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
 .venv/installed: .venv/bin/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --editable '.[pictures]'
 	@touch $@
 
 .venv/tested: .venv/bin/python pyproject.toml

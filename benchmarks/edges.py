@@ -1,5 +1,7 @@
 """What paths over edges cost: their search in a furnished room, and rendering them against as many reflections.
 
+Both are told for each second in which a path is heard.
+
 Needs the meshes and motions of ../shared/data. Times are of the processor, not of the clock.
 """
 
@@ -35,13 +37,27 @@ def main() -> None:
     specular, edge = paths.families
     print(f"{len(scene.room.walls)} walls, {len(edges)} edges, order {options.order}, {len(scene.receivers)} receivers")
     print(f"find_paths: {without:.1f} s for {len(specular)} rows, with edges {seconds:.1f} s for {len(edge)} more")
-    count = min(len(specular), len(edge))
-    rng = np.random.default_rng(0)
-    for name, family in (("reflections", specular), ("edges", edge), ("edges", edge), ("reflections", specular)):
-        some = np.sort(rng.choice(len(family), count, replace=False))
-        alone = PathSet(scene, (family.part(some),))
-        _, seconds = measured(clsim.render, alone, 192e3, duration=options.render)
-        print(f"rendering {options.render:g} s of {count} rows of {name}: {seconds:.1f} s")
+    # As many reflections as there are paths over edges: each of them so often.
+    often = np.tile(np.arange(len(specular)), max(1, round(len(edge) / len(specular))))
+    kinds = {"reflections": specular.part(np.sort(often)), "edges": edge}
+    for family in kinds.values():  # so that kernels are built
+        rendered(family, 0.1)
+    for name in ("reflections", "edges", "edges", "reflections"):
+        heard, planning, seconds = rendered(kinds[name], options.render)
+        print(
+            f"rendering {heard:.0f} s of paths heard, {name}: {1e3 * seconds / heard:.2f} ms each; planning {planning:.1f} s"
+        )
+
+
+def rendered(family: Any, duration: float) -> tuple[float, float, float]:
+    """Return for how long paths are heard, all together, and the processor's seconds of planning and of rendering."""
+    scene = family.scene
+    paths = PathSet(scene, (family,))
+    heard = np.clip(np.minimum(family.end, duration) - np.maximum(family.start, 0.0), 0.0, None).sum()
+    plan, planning = measured(clsim.plan_render, paths, 192e3, duration=duration)
+    rendering = clsim.Rendering(plan)
+    _, seconds = measured(lambda: [None for _ in rendering.pieces()])
+    return float(heard), planning, seconds
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
 from clsim.room_measures import RoomMeasures, room_measures
 from clsim.scene.air import Air
+from clsim.scene.body import Body
 from clsim.scene.captured import captured_person
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
@@ -53,6 +54,7 @@ __all__ = [
     "AxisymmetricDirectivity",
     "Bandlimited",
     "Baseband",
+    "Body",
     "ClsimError",
     "ClsimWarning",
     "DeviceError",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.errors import InputError
+from clsim.errors import InputError, not_one_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,6 +23,7 @@ FARTHEST = 1e8  # m, of coordinates: where float64 still resolves 15 nm
 LARGEST_ROOM, SMALLEST_ROOM = 1e5, 1e-4  # m, of lengths of a room
 LOUDEST = 1e12  # Pa or V, of samples, amplitudes and what full scale means; Pa/V or V/Pa of sensitivities
 QUIETEST = 1e-15  # the same, of what must not be 0
+_FEW, _SHORT = 4, 60  # values, and letters of a part, that a repr shows
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
@@ -226,8 +228,7 @@ def as_choice(field: str, value: Any, choices: tuple[str, ...]) -> str:
         If it is not; the message lists the choices.
     """
     if value not in choices:
-        listed = ", ".join(f'"{c}"' for c in choices)
-        raise InputError(field, f"must be one of {listed}, but is {value!r:.80}")
+        raise InputError(field, not_one_of(value, choices))
     return str(value)
 
 
@@ -242,5 +243,44 @@ def as_index(field: str, value: Any, names: Sequence[str]) -> int:
     if not isinstance(value, str):
         return as_count(field, value, at_most=len(names) - 1)
     if value not in names:
-        raise InputError(field, f"must be one of {', '.join(map(repr, names)):.200}, but is {value!r:.80}")
+        raise InputError(field, not_one_of(value, names))
     return names.index(value)
+
+
+def short_repr(value: Any) -> str:
+    """Return a dataclass's fields in a line, however much they hold: the ``__repr__`` of classes that hold arrays.
+
+    Parameters
+    ----------
+    value : object
+        Of a dataclass.
+
+    Returns
+    -------
+    str
+        Arrays of more than four numbers by type and shape, several things by their number, other values by their names.
+
+    Examples
+    --------
+    >>> from dataclasses import make_dataclass
+    >>> Sound = make_dataclass("Sound", ["rate", "samples"], namespace={"__repr__": short_repr})
+    >>> Sound(48e3, np.zeros((2, 100)))
+    Sound(rate=48000.0, samples=<float64 (2, 100)>)
+    """
+    shown = [f"{field.name}={_shown(getattr(value, field.name))}" for field in fields(value) if field.name[0] != "_"]
+    return f"{type(value).__name__}({', '.join(shown)})"
+
+
+def _shown(value: Any) -> str:
+    """Return what stands for a field's value."""
+    if isinstance(value, np.ndarray):
+        return str(value.tolist()) if value.size <= _FEW else f"<{value.dtype} {value.shape}>"
+    if isinstance(value, tuple | list | dict):
+        plain = len(value) <= _FEW and not any(is_dataclass(v) or isinstance(v, np.ndarray) for v in value)
+        kind = type(next(iter(value), None)).__name__
+        return repr(value) if plain and not isinstance(value, dict) else f"<{len(value)} {kind}>"
+    if is_dataclass(value) and not isinstance(value, type):
+        name, whole = getattr(value, "name", ""), repr(value)
+        head = repr(name) if isinstance(name, str) and name else "…"
+        return whole if len(whole) <= _SHORT else f"{type(value).__name__}({head})"
+    return f"{value!r:.80}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 import traceback
 from importlib import import_module
@@ -11,17 +12,21 @@ from itertools import takewhile
 from typing import NoReturn
 
 from clsim.commands import COMMANDS
-from clsim.errors import ClsimError, InputError
+from clsim.errors import ClsimError, InputError, meant, not_one_of
+from clsim.scene_file.words import as_toml
 from clsim.version import __version__
 from clsim.workflow.console import built_programs, one_line_warnings
 
 _VERBOSE = {"-v", "--verbose"}
+_CHOICE = re.compile(r"(?:argument )?(.+?): invalid choice: '(.*)' \(choose from (.*)\)", re.DOTALL)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status: 0, 2 for an error, 130 when interrupted; 1 if members failed."""
     given = sys.argv[1:] if arguments is None else arguments
     try:
+        if not given:
+            given = ["--help"]
         options = _options(given)
         with one_line_warnings(), built_programs():
             status: int = options.execute(options)
@@ -43,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _failed(message: str, error: BaseException, status: int) -> int:
     """Print what went wrong and what is noted beside it on one line; return the exit status."""
-    print(" ".join("; ".join([message, *getattr(error, "__notes__", [])]).split()), file=sys.stderr)
+    print(as_toml(" ".join("; ".join([message, *getattr(error, "__notes__", [])]).split())), file=sys.stderr)
     return status
 
 
@@ -53,9 +58,13 @@ def _before(arguments: list[str]) -> list[str]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong as all else does."""
+    """Says what is wrong as all else does, and what was perhaps meant."""
 
     def error(self, message: str) -> NoReturn:
+        """Raise what argparse would print, so that it is told in one line as all errors are."""
+        choice = _CHOICE.fullmatch(message)
+        if choice:
+            raise InputError(choice[1], not_one_of(choice[2], re.findall(r"[\w-]+", choice[3])))
         raise InputError("", message.removeprefix("argument "))
 
 
@@ -70,13 +79,21 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("-v", "--verbose", action="store_true", help="tell where in the program an error arose, too")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     called = next((argument for argument in arguments if not argument.startswith("-")), None)
+    if called is not None and called not in COMMANDS:
+        raise InputError("COMMAND", f"{called!r:.80} is none; `clsim --help` lists them{meant(called, COMMANDS)}")
+    told = parser
     for name, text in COMMANDS.items():
         command = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
         if name == called:
             module = import_module(f"clsim.commands.{name.replace('-', '_')}")
             module.add_arguments(command)
             command.set_defaults(execute=module.execute)
-    return parser.parse_args(arguments)
+            told = command
+    options, beyond = parser.parse_known_args(arguments)
+    if beyond:
+        known = re.findall(r"--[\w-]+", told.format_help())
+        raise InputError("", f"unrecognized arguments: {' '.join(beyond)}{meant(beyond[0].partition('=')[0], known)}")
+    return options
 
 
 if __name__ == "__main__":

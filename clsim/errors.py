@@ -6,6 +6,12 @@ import sys
 import traceback
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_FEW = 8  # names that are listed though one of them is close to what was given
 
 
 class ClsimError(Exception):
@@ -34,9 +40,10 @@ class InputError(ClsimError, ValueError):
         super().__init__(field, problem)
         self.field = field
         self.problem = problem
+        self.file = ""  # whose field it is
 
     def __str__(self) -> str:
-        return f"{self.field}: {self.problem}" if self.field else self.problem
+        return ": ".join(part for part in (self.file, self.field, self.problem) if part)
 
     def within(self, parent: str) -> InputError:
         """Return the same error seen from the value that holds the field.
@@ -58,6 +65,45 @@ class InputError(ClsimError, ValueError):
         """
         joint = "" if self.field.startswith("[") or not self.field else "."
         return InputError(f"{parent}{joint}{self.field}", self.problem)
+
+
+def not_one_of(value: Any, names: Iterable[str]) -> str:
+    """Return the problem of a value that is none of some names; what is close to it is asked for.
+
+    Parameters
+    ----------
+    value : object
+        What was given.
+    names : iterable of str
+        What it could be.
+
+    Returns
+    -------
+    str
+        The rule, the value, and the name that was perhaps meant; of many names then that one alone.
+
+    Examples
+    --------
+    >>> print(not_one_of("hane", ["none", "tukey", "hann"]))
+    must be one of "none", "tukey", "hann", but is 'hane'; did you mean "hann"?
+    """
+    listed = list(names)
+    close = meant(value, listed)
+    rule = (
+        f"one of {len(listed)} names"
+        if close and len(listed) > _FEW
+        else "one of " + ", ".join(f'"{n}"' for n in listed)
+    )
+    return f"must be {rule}, but is {value!r:.80}{close}"
+
+
+def meant(value: Any, names: Iterable[str]) -> str:
+    """Return the end of a message that asks for the name nearest to what was given; empty where none is near."""
+    from difflib import get_close_matches  # late: only what goes wrong needs it
+
+    by_form = {name.casefold().replace("_", "-"): name for name in names}
+    close = get_close_matches(str(value)[:80].casefold().replace("_", "-"), by_form, n=1, cutoff=0.7)
+    return f'; did you mean "{by_form[close[0]]}"?' if close else ""
 
 
 class DeviceError(ClsimError, RuntimeError):

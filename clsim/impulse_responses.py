@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.paths.coverage import check_band_coverage
 from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
@@ -63,6 +63,8 @@ class ImpulseResponses:
     scene: Scene
     first_arrivals: Floats
     cut_db: Floats
+
+    __repr__ = short_repr
 
     @property
     def times(self) -> Floats:
@@ -234,7 +236,7 @@ def as_response_band(sampling_rate: float, band: Any) -> ResponseBand:
 def _as_instant(scene: Scene, at: Any) -> float:
     """Return a time at which all trajectories are known."""
     time = as_number("at", at, at_least=0.0, unit="s")
-    for field, end in [*scene.named_ends(), *scene.named_scatterers()]:
+    for field, end in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
         if time > end.trajectory.end:
             raise InputError(
                 "at", f"must lie within {field}.trajectory, up to {end.trajectory.end:g} s, but is {time:g} s"

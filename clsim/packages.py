@@ -36,3 +36,14 @@ def check_packages(field: str, what: str, extra: str, *packages: str) -> None:
     missing = [name for name in packages if find_spec(name) is None]
     if missing:
         raise InputError(field, f"{what} needs {' and '.join(missing)}: pip install 'clsim[{extra}]'")
+
+
+def check_pictures(field: str) -> None:
+    """See that what draws pictures is installed; `field` asks for one.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    check_packages(field, "a picture", "pictures", "matplotlib")

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_index, as_number, texts
+from clsim.arrays import as_index, as_number, short_repr, texts
 from clsim.errors import InputError
-from clsim.packages import check_packages
+from clsim.packages import check_packages, check_pictures
 from clsim.pictures.notebook import html_table, inline_sound
 from clsim.version import __version__
 
@@ -61,6 +61,8 @@ class Recording:
     units: tuple[str, ...] = ()
     clipped: tuple[int, ...] = ()
     carrier: float | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         count = len(self.receiver_names)
@@ -176,6 +178,7 @@ class Recording:
         InputError
             If there is no such receiver.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         from clsim.pictures.plots import draw_waveform
@@ -210,6 +213,7 @@ class Recording:
         InputError
             If there is no such receiver.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         from clsim.pictures.envelope_plot import draw_envelope_spectrogram

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.decay import clarity, decay_curve, definition, eyring_time, reverberation_time, sabine_time
-from clsim.arrays import Floats, as_choice, read_only, texts
+from clsim.arrays import Floats, as_choice, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.impulse_responses import ImpulseResponses
 from clsim.paths.labelled import labelled_dataset
@@ -58,6 +58,8 @@ class RoomMeasures:
     eyring: Floats
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
+
+    __repr__ = short_repr
 
     def to_xarray(self) -> Any:
         """Return it with dimensions ``source``, ``receiver`` and ``frequency``, coordinates and units.
@@ -193,8 +195,8 @@ def _diffuse(scene: Scene, frequencies: Floats) -> tuple[Floats, Floats]:
     for material in dict.fromkeys(mesh.faces.materials):
         mine = float(area[[m is material for m in mesh.faces.materials]].sum())
         at = np.clip(frequencies, *material.band)
-        factor = material.reflection_at(at, cosine[:, None] if material.depends_on_angle else 1.0, c)
-        absorbed = np.broadcast_to(1.0 - np.square(np.abs(factor)), (len(cosine), len(frequencies)))
+        returned = material.energy_at(at, cosine[:, None] if material.depends_on_angle else 1.0, c)
+        absorbed = np.broadcast_to(1.0 - returned, (len(cosine), len(frequencies)))
         total += mine * (weights @ absorbed)
     air = scene.air.absorption_at(frequencies) * (math.log(10.0) / 10.0)
     surface = float(area.sum())

@@ -25,11 +25,10 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 TERMS = 4  # past the edge above -π and below π, by the 0-face, by the n-face
-_ON_BOUNDARY = 1e-9  # radians, below which an angle to a boundary is taken as none
+ON_BOUNDARY = 1e-9  # radians, below which an angle to a boundary is taken as none
 _FAR = 8.0  # root of a phase from which on the series is taken
 _LEAST_ROOT = -1.0  # of the table of the transition function
 _CELLS = 8192
-_DECIDED = 4.0  # power of how near edges are to their transitions that decides which is nearer
 _ROOT_J = np.exp(0.25j * np.pi)
 
 
@@ -144,7 +143,7 @@ def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> t
     if lit is not None:
         side = np.where(turns == 0.0, lit, side)
     sine = np.sin(0.5 * angle)
-    near = np.abs(angle) < _ON_BOUNDARY
+    near = np.abs(angle) < ON_BOUNDARY
     cotangent = np.where(near, n, sine / np.tan(0.5 * np.where(near, 1.0, angle) / n))
     return np.asarray(-side * cotangent / n), np.asarray(side * sine)
 
@@ -214,39 +213,6 @@ def _transition(root: Floats) -> Complexes:
     found.real[far] = scale * (real + imag)
     found.imag[far] = scale * (imag - real)
     return found
-
-
-def double_breadths(
-    ways: tuple[EdgeWay, EdgeWay], near: tuple[Floats, Floats], far: tuple[Floats, Floats],
-    roots: tuple[Floats, Floats],
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Return the breadths of ways over two edges of one face, as the terms at each edge take them, (...) m.
-
-    Parameters
-    ----------
-    ways : tuple of EdgeWay
-        As each edge sees them.
-    near, far : tuple of ndarray (...)
-        Distances from each edge of its own end, and of the other end with all rolled out, m.
-    roots : tuple of ndarray (..., 4)
-        Of the terms at each edge, see `wedge_terms`.
-
-    Notes
-    -----
-    Our own derivation, of the distances of H.-S. Kim et al., "Sound diffraction by multiple wedges and thin screens",
-    Appl. Acoust. 66, 2005, for the terms of `wedge_terms`:
-    the edge that is nearer to its transition has its breadth times ``w T / ((w + s1) (w +
-    s2))``, with the parts s1, w and s2 of the whole way T. Where both are about as near, both
-    have a part of it.
-    """
-    first, last = (way.length * r / (r + other) for way, r, other in zip(ways, near, far, strict=True))
-    length = ways[0].length
-    between = np.maximum(length - first - last, 0.0)
-    share = between * length / ((between + first) * (between + last))
-    nearest = [np.min(np.abs(root), axis=-1) ** 2 * way.breadth for root, way in zip(roots, ways, strict=True)]
-    squares = [np.maximum(near, 1e-30) ** _DECIDED for near in nearest]
-    first = squares[1] / (squares[0] + squares[1])
-    return ways[0].breadth * share**first, ways[1].breadth * share ** (1.0 - first)
 
 
 def end_detour(way: EdgeWay, source: tuple[Floats, Floats], receiver: tuple[Floats, Floats], end: ArrayLike) -> Floats:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import argparse
 
     from clsim.paths.path_set import PathSet
+    from clsim.scene_file.scene import SceneFile
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,16 +29,30 @@ def execute(options: argparse.Namespace) -> int:
     for line in file.scene.describe():  # before the search, which may take long or give up
         print(line, flush=True)
     if file.paths["diffraction"]:
-        print(*file.scene.room.edges().describe(), sep="\n", flush=True)
+        print(*file.scene.room.edges().describe(), *_thin(file), sep="\n", flush=True)
     planned = plan_scene(file, progress)
-    passing = [] if file.scene.room.is_convex else [_comings_and_goings(planned.paths)]
+    passing = [] if file.scene.room.is_convex and not file.scene.bodies else [_comings_and_goings(planned.paths)]
     for line in [*passing, *planned.plan.describe()]:
         print(line)
-    for field, item in [*file.scene.named_ends(), *file.scene.named_scatterers()]:
+    scene = file.scene
+    for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
         for note in item.trajectory.notes:
             print(f"{field}.trajectory: {note}")
     print("the scene file is valid")
     return 0
+
+
+def _thin(file: SceneFile) -> list[str]:
+    """Return what is said of panels of two edges within two wavelengths, where paths turn round one edge alone."""
+    if file.paths["diffraction"] > 1:
+        return []
+    lowest = min(source.emitted.centre_frequency for source in file.scene.sources)
+    wavelengths = 2.0 * file.scene.air.speed_of_sound / lowest
+    return [
+        f"{name} of {1e3 * thickness:.3g} mm: silent behind, as its edges are two (diffraction = 2), and thinner than "
+        f"two wavelengths, {1e3 * wavelengths:.3g} mm: a sheet does as well (sheets_below = {wavelengths:.2g})"
+        for name, thickness in file.scene.room.as_mesh().thin_panels(wavelengths)
+    ]
 
 
 def _comings_and_goings(paths: PathSet) -> str:

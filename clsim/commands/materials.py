@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.commands.arguments import add_force, as_path
-from clsim.errors import InputError
+from clsim.errors import InputError, meant
 from clsim.files.ownership import NewFile
 from clsim.output.material_plot import reflection_loss, reflection_losses
+from clsim.packages import check_pictures
 from clsim.scene.material.library import LIBRARY
 from clsim.scene.material.material import MATERIAL_NAMES, Material
 
@@ -33,9 +34,12 @@ def execute(options: argparse.Namespace) -> int:
     names = list(dict.fromkeys(options.names)) or list(MATERIAL_NAMES)
     for name in names:
         if name not in LIBRARY:
-            raise InputError("NAME", f"must be a built-in material (`clsim materials` lists them), but is {name!r:.80}")
+            problem = f"must be a built-in material (`clsim materials` lists them), but is {name!r:.80}"
+            raise InputError("NAME", problem + meant(name, LIBRARY))
     if not (np.isfinite(options.frequency) and options.frequency > 0.0):
         raise InputError("--frequency", f"must be finite and above 0 Hz, but is {options.frequency:g} Hz")
+    if options.output is not None:
+        check_pictures("--output")
     materials = [Material.named(name) for name in names]
     if options.output is not None:
         target = NewFile(options.output, [], options.force)

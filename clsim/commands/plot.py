@@ -10,9 +10,10 @@ import numpy as np
 
 from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force, as_path
-from clsim.errors import InputError
+from clsim.errors import InputError, not_one_of
 from clsim.files.ownership import NewFile
 from clsim.output.directivity_plots import DirectivityDiagram, air_picture, directivity_picture
+from clsim.packages import check_pictures
 from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
@@ -54,7 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--humidity", type=float, nargs="+", default=[0.1, 0.3, 0.5, 0.7, 0.9], metavar="H", help="relative, 0 to 1"
     )
     for picture, draw in ((directivity, _draw_directivities), (air, _draw_air)):
-        picture.add_argument("-o", "--output", type=as_path, required=True, metavar="FILE", help="the picture (.png)")
+        file = Path(f"{picture.prog.split()[-1]}.png")
+        picture.add_argument("-o", "--output", type=as_path, default=file, metavar="FILE", help=f"default: {file}")
         add_force(picture)
         picture.set_defaults(draw=draw)
 
@@ -63,6 +65,7 @@ def execute(options: argparse.Namespace) -> int:
     """Draw the picture; return the exit status."""
     if options.output.suffix.lower() != ".png":
         raise InputError("--output", f"must end in .png, but is {options.output}")
+    check_pictures("--output")
     options.draw(options)
     print(options.output)
     return 0
@@ -128,8 +131,7 @@ def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> lis
     ends = [item for _, item in scene.named_ends()]
     chosen = [item for item in ends if end is None or item.name == end]
     if not chosen:
-        names = ", ".join(repr(item.name) for item in ends)
-        raise InputError("--end", f"must be one of {names:.200}, but is {end!r:.80}")
+        raise InputError("--end", not_one_of(end, [item.name for item in ends]))
     heard = wanted if wanted is not None else _heard_frequencies(scene)
     diagrams = []
     for item in chosen:

@@ -66,6 +66,8 @@ def execute(options: argparse.Namespace) -> int:
     check_store(options.store, [receiver.name for receiver in file.scene.receivers])
     outputs = RunOutputs.of(file, options.store, options.table, pictures=not options.no_plots)
     check_table(outputs.table, "--table")
+    if outputs.drawn:
+        check_packages("--no-plots", "without it, a run", "pictures", "matplotlib")
     results = ResultFolder(
         options.output, outputs.all(), input_files(options.scene, file), resume=options.resume, force=options.force
     )
@@ -73,7 +75,7 @@ def execute(options: argparse.Namespace) -> int:
     with results.held():
         made = _fill(results, outputs, file.with_render(**given), options, workers)
     if not made:
-        print(f"clsim: nothing was missing: all results in {options.output} are as they were written", file=sys.stderr)
+        print(f"clsim: already finished: all results in {options.output} are as they were written", file=sys.stderr)
     for path in made or [options.output / COMPLETED]:
         print(path)
     return 0

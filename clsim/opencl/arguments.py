@@ -46,6 +46,7 @@ IMAGES = {
     "image_offset": taken("double", "3, slots"),
     "receiver_of": taken("int", "slots"),
 }
+EDGES = {"edges": taken("edge_view", "slots")}
 TRAJECTORY = {
     "knots": taken("double", "knot_count, KNOT_COLUMNS"),
     "knot_count": INT, "first_knot": DOUBLE, "knot_rate": DOUBLE,
@@ -83,6 +84,10 @@ NODES_MADE = {
     "following": taken("int", "cells"),
     "preceding": taken("int", "cells"),
     "cells": INT,
+}  # fmt: skip
+EDGE_TABLES = {
+    "transition": taken("bins", "CELLS, 4, PARTS, BIN_VECTORS"), "faces": taken("bins", "slots, 2, PARTS, BIN_VECTORS"),
+    "waves": taken("bins", "BIN_VECTORS"), "middle": DOUBLE,
 }  # fmt: skip
 BRANCHES = {"branches": taken("float", "rows, stride"), "stride": INT, "lead": INT}
 BLOCKS = {

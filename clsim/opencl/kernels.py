@@ -17,6 +17,8 @@ from clsim.opencl.arguments import (
     CROSSINGS,
     DOUBLE,
     EDGE_INTERVALS,
+    EDGE_TABLES,
+    EDGES,
     ENVELOPE,
     FADES,
     FLOAT,
@@ -108,9 +110,10 @@ PROGRAMS = {
         frozenset({"LANES", "VECTORS", "OVERSAMPLING", "CELL"}),
     ),
     "coarse_delays": Program(
-        (*_PROPAGATION, "nodes/image.h", "nodes/coarse_delays.cl"),
+        (*_PROPAGATION, "nodes/edge_view.h", "nodes/image.h", "nodes/coarse_delays.cl"),
         {
             **IMAGES,
+            **EDGES,
             "receivers": taken("receiver_node", "receivers, ends"),
             "ends": INT,
             **TRAJECTORY,
@@ -119,16 +122,18 @@ PROGRAMS = {
             **MEDIUM,
             "delays": made("double", "ends, 2, slots"),
         },
-        frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL"}),
+        frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL", "EDGES"}),
     ),
     "tracks": Program(
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
-            "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/septic.h", "nodes/block.h",
-            "nodes/write_delay.h", "nodes/smooth.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
+            "nodes/edge_view.h", "nodes/edge_field.h", "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS,
+            "nodes/septic.h", "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h", *_MASK, "nodes/activity.h",
+            "nodes/tracks.cl",
         ),
         {
             **IMAGES,
+            **EDGES,
             **PATHS_HEARD,
             "receivers": taken("receiver_node", "receivers, nodes"),
             "nodes": INT,
@@ -150,8 +155,9 @@ PROGRAMS = {
             "origin": DOUBLE,
             "max_rate": DOUBLE,
             "activity": made("int", "blocks, slots"),
+            **EDGE_TABLES,
         },
-        frozenset(_DELAY_CONSTANTS | _NODE_CONSTANTS | {"SMOOTH_ERROR"}),
+        frozenset(_DELAY_CONSTANTS | _NODE_CONSTANTS | {"SMOOTH_ERROR", "EDGES", "HALF_TURN", "ON_BOUNDARY"}),
     ),
     "pair_tracks": Program(
         (

@@ -175,6 +175,7 @@ class _RowStore(SoundStore):
         """Return file and byte at which each receiver's samples begin."""
 
     def open(self) -> None:
+        """Open the files of all rows, which are there."""
         self._rows = RawRows(self.places(), self._sound.sample_type)
 
     def reserve(self) -> None:
@@ -188,12 +189,15 @@ class _RowStore(SoundStore):
         to_disk(self.paths[0].parent)
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write samples `(receivers, n)` from sample `start` on, those of receiver `first` and the ones behind it."""
         self._rows.write(start, samples, first)
 
     def to_disk(self) -> None:
+        """Return when all that was written is on the disk."""
         self._rows.to_disk()
 
     def close(self) -> None:
+        """Close the files; what was written stays."""
         self._rows.close()
 
 
@@ -209,17 +213,21 @@ class _WavStore(_RowStore):
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
+        """Return a file per receiver."""
         return [f"{name}.wav" for name in receivers]
 
     def create(self) -> None:
+        """Write the headers and take the room of all samples, which are zeros."""
         for path in self.paths:
             path.write_bytes(self._header)
         self.reserve()
 
     def places(self) -> list[tuple[Path, int]]:
+        """Return the file of each receiver and the byte at which its samples begin."""
         return [(path, len(self._header)) for path in self.paths]
 
     def row(self, folder: Path, receiver: int) -> Readable:
+        """Return the samples of one receiver, read as asked for; with a carrier, complex ones of I and Q."""
         path = folder / self.paths[receiver].name
         return SoundFile(path) if self._sound.carrier is None else EnvelopeFile(path)
 
@@ -247,14 +255,17 @@ class _Hdf5Store(_RowStore):
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
+        """Return the one file of all receivers."""
         del receivers  # one file holds all of them
         return ["recording.h5"]
 
     @staticmethod
     def problem_of(receiver: str) -> str:
+        """Return why a receiver's name cannot be written: texts of HDF5 end at a NUL."""
         return f"must have no NUL in its name for --store hdf5, but is {receiver!r:.80}" if "\0" in receiver else ""
 
     def create(self) -> None:
+        """Write all but the samples, whose room, of zeros, is one block of the file."""
         import h5netcdf
         import h5py
         from xarray.backends import H5NetCDFStore
@@ -273,6 +284,7 @@ class _Hdf5Store(_RowStore):
         self.reserve()
 
     def places(self) -> list[tuple[Path, int]]:
+        """Return the file and the byte at which the samples of each receiver begin in its block."""
         path, count = self.paths[0], len(self._sound.receiver_names)
         begin = _place_in(path)
         return [(path, begin + self._row_bytes * r) for r in range(count)]
@@ -282,6 +294,7 @@ class _Hdf5Store(_RowStore):
         return np.dtype(self._sound.sample_type).itemsize * self._sound.samples
 
     def row(self, folder: Path, receiver: int) -> Readable:
+        """Return the samples of one receiver, a part of the file as an array."""
         path, samples = folder / self.paths[0].name, self._sound.samples
         begin = _place_in(path) + self._row_bytes * receiver
         return np.memmap(path, dtype=self._sound.sample_type, mode="r", offset=begin, shape=(samples,))
@@ -308,10 +321,12 @@ class _ZarrStore(SoundStore):
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
+        """Return the one folder of all receivers."""
         del receivers  # one folder holds all of them
         return ["recording.zarr"]
 
     def create(self) -> None:
+        """Write coordinates, and an array of zeros in chunks of one receiver and one chunk of the run."""
         import zarr
 
         path, sound = self.paths[0], self._sound
@@ -326,15 +341,18 @@ class _ZarrStore(SoundStore):
         tree_to_disk(path)
 
     def recover(self) -> None:
+        """Delete chunks that a process left half written."""
         for half in self.paths[0].rglob("*.partial"):  # chunks
             half.unlink()
 
     def open(self) -> None:
+        """Open the array, which is there."""
         import zarr
 
         self._array = zarr.open_group(self.paths[0], mode="r+")["sound"]
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write whole chunks `(receivers, n)` from sample `start` on, of receiver `first` and those behind it."""
         last = first + len(samples)
         self._array[first:last, start : start + samples.shape[1]] = samples
         for r in range(first, last):
@@ -342,6 +360,7 @@ class _ZarrStore(SoundStore):
             self._written.append(self.paths[0] / "sound" / key)
 
     def to_disk(self) -> None:
+        """Return when all chunks that were written, and their folders, are on the disk."""
         for path in self._written:
             if path.exists():  # silence has no file
                 to_disk(path)
@@ -350,9 +369,11 @@ class _ZarrStore(SoundStore):
         self._written = []
 
     def close(self) -> None:
+        """Let go of the array, whose chunks are written."""
         self._array = None
 
     def row(self, folder: Path, receiver: int) -> Readable:
+        """Return the samples of one receiver, read as they are asked for."""
         import zarr
 
         return _ZarrRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], receiver)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, texts
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.numerics.band_kernels import BandKernels
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
@@ -66,6 +66,8 @@ class ChannelPaths:
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
 
+    __repr__ = short_repr
+
     def to_xarray(self) -> Any:
         """Return it with dimensions ``path`` and ``times``, coordinates and units.
 
@@ -118,6 +120,8 @@ class ChannelTaps:
     sampling_rate: float
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
+
+    __repr__ = short_repr
 
     def to_xarray(self) -> Any:
         """Return it with dimensions ``source``, ``receiver``, ``tap`` and ``times``, coordinates and units.
@@ -177,6 +181,8 @@ class DelayDoppler:
     delay_change: Floats
     doppler_change: Floats
     carrier: float
+
+    __repr__ = short_repr
 
 
 def channel_paths(

@@ -40,7 +40,7 @@ def check_band_coverage(scene: Scene, sources: Iterable[int], low: float, high: 
                 f"must cover {what}, {low:.0f} to {high:.0f} Hz, but covers "
                 f'{directivity.band[0]:.6g} to {directivity.band[1]:.6g} Hz; give more of it, or say outside="hold"',
             )
-    for material in dict.fromkeys(scene.room.faces.materials):
+    for material in dict.fromkeys(scene.materials):
         try:
             material.check_coverage([low, high])
         except InputError as error:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 Rows = slice | NDArray[np.int64]  # of a kind of paths
-NONE, SPECULAR, DIFFRACTION, SCATTERING = -1, 0, 1, 2  # kinds of interaction
+NONE, SPECULAR, DIFFRACTION, SCATTERING, BODY = -1, 0, 1, 2, 3  # kinds of interaction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,8 @@ class PathFamily(ABC):
     start, end : ndarray (paths,)
         Interval of reception in which each is heard, s.
     interactions : ndarray (paths, N) int
-        What happens on the way from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`; filled up with `NONE`.
+        What happens on the way from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`; filled up
+        with `NONE`.
     objects : ndarray (paths, N) int
         To which wall that happens (specular) or to which of `object_names`; filled up with -1.
     columns : tuple of str
@@ -147,7 +148,7 @@ class PathFamily(ABC):
 
     @property
     def device(self) -> str | None:
-        """Program that knows this kind's columns (see ``render/opencl/device_nodes.py``), or None.
+        """Program that knows this kind's columns (see ``render/opencl/node_programs.py``), or None.
 
         Without one the host makes the nodes of the same sum.
         """

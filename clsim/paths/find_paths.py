@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
-from clsim.paths.diffraction.search import double_edge_paths, edge_paths
+from clsim.paths.diffraction.search import DIFFRACTION_MODELS, double_edge_paths, edge_paths
+from clsim.paths.moving.hidden import behind_bodies
+from clsim.paths.moving.search import BodySearch
 from clsim.paths.path_set import PathSet
 from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
@@ -34,7 +36,10 @@ def find_paths(
     max_order: int,
     *,
     diffraction: int = 0,
+    diffraction_model: str = "utd",
     scattering_order: int = 0,
+    body_order: int | None = None,
+    body_step: float = 0.01,
     direct: DirectSound = True,
     path_limit: int = DEFAULT_PATH_LIMIT,
     finder: str = "auto",
@@ -54,8 +59,17 @@ def find_paths(
     diffraction : int
         Largest number of edges that a path turns round: 0, 1 for paths with one edge and up to `max_order` reflections
         before and after it, or 2 for those over two edges of one face as well.
+    diffraction_model : {"utd", "btm"}
+        Of the field at an edge: the uniform theory of diffraction, for some 5 kHz and more, or the exact field of a
+        wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two edges are those of
+        "utd".
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3.
+    body_order : int, optional
+        Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
+    body_step : float
+        How far bodies, source and receiver together go from one look at which paths by and behind bodies are there to
+        the next, 10 um to 1 m; what comes and goes between two looks is missed.
     direct : bool, float or mapping
         Whether paths by nothing are among them; without them a sonar hears no cross-talk of its own source, and with
         `max_order` 0 nothing but echoes of scatterers. A number is their level relative to the free direct sound, dB,
@@ -104,15 +118,23 @@ def find_paths(
     if resolution is not None:
         resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
     limit, levels = as_count("path_limit", path_limit, at_least=1), direct_levels(scene, direct)
+    as_choice("diffraction_model", diffraction_model, tuple(DIFFRACTION_MODELS))
     edges = as_count("diffraction", diffraction, at_most=LARGEST_DIFFRACTION)
     report = progress or (lambda share: None)
     legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
-    search = PathSearch(max_order, edges, legs, limit, finder, resolution, engine, device, report)
+    by_bodies = None if body_order is None else as_count("body_order", body_order)
+    step = as_number("body_step", body_step, at_least=1e-5, at_most=1.0, unit="m")
+    search = PathSearch(
+        max_order, edges, diffraction_model, legs, by_bodies, step, limit, finder, resolution, engine, device, report
+    )
     found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
         found = (*found, kind(scene, search, found))
     if scene.scatterers:
         found = (*found, scattered_paths(scene, search, _specular_paths))
+    if scene.bodies:
+        bodies = BodySearch(scene, search)
+        found = (*(behind_bodies(bodies, family) for family in found), bodies.paths())
     return PathSet(scene, with_direct(found, levels))
 
 

@@ -245,6 +245,7 @@ def frozen_response(
     found = pair.arrivals(now, "quasi-static")
 
     def responses(frequencies: Floats, rows: NDArray[np.int64]) -> Floats | Complexes:
+        """Return the responses `(paths, frequencies)` of paths: at the centre, if there is one, for all."""
         at = SceneResponse(pair.family.scene, pair.source, frequencies if centre is None else np.array([centre]))
         along: Any = pair.part(rows).response(found.part(rows), now, at)[:, 0]
         return np.asarray(np.broadcast_to(along, (len(rows), len(frequencies))))

@@ -40,6 +40,7 @@ def labelled_dataset(variables: dict[str, Any], coordinates: dict[str, Any]) -> 
     import xarray
 
     def told(what: dict[str, Any]) -> dict[str, Any]:
+        """Return variables, each with the attributes of its name."""
         return {name: (*value, _ATTRIBUTES.get(name, {})) for name, value in what.items()}
 
     return xarray.Dataset(told(variables), told(coordinates))

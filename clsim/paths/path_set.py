@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
 from clsim.paths.channel import (
@@ -56,7 +56,8 @@ class PathSet:
     start, end : ndarray (paths,)
         Interval of reception in which the path is heard, s.
     interactions : ndarray (paths, N) int
-        What happens on the way from the source: 0 specular reflection, 1 diffraction, 2 scattering; filled up with -1.
+        What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
+        reflection by a body; filled up with -1.
     objects : ndarray (paths, N) int
         Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
     walls : ndarray (paths, N) int
@@ -72,6 +73,8 @@ class PathSet:
 
     scene: Scene
     families: tuple[PathFamily, ...]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not self.families or not all(isinstance(family, PathFamily) for family in self.families):

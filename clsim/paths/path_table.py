@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import texts
+from clsim.arrays import short_repr, texts
 from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
 from clsim.paths.labelled import labelled_dataset, labelled_frame
@@ -34,7 +34,8 @@ class PathTable:
     source, receiver, order : ndarray (P,) int
         Indices in the scene, and number of interactions.
     interactions : ndarray (P, N) int
-        What happens on the way from the source: 0 specular reflection, 1 diffraction, 2 scattering; filled up with -1.
+        What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
+        reflection by a body; filled up with -1.
     objects : ndarray (P, N) int
         Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
     direct : ndarray (P,) bool
@@ -71,6 +72,8 @@ class PathTable:
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
     object_names: tuple[str, ...]
+
+    __repr__ = short_repr
 
     @property
     def walls(self) -> NDArray[np.signedinteger[Any]]:
@@ -110,6 +113,7 @@ class PathTable:
         import pandas
 
         def words(values: Sequence[str], which: Any) -> Any:
+            """Return a categorical column of the texts of `values` in the rows `which`."""
             kinds, code = np.unique(texts(values), return_inverse=True)
             return pandas.Categorical.from_codes(code[which], kinds)
 
@@ -167,6 +171,7 @@ def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], 
     kinds = [_listed(row) for row in table.interactions[part].tolist()]
 
     def per_path(values: Any) -> Any:
+        """Return a column of one value per path, repeated at the instants at which it is heard."""
         return np.repeat(np.asarray(values), count)[heard]
 
     columns = {

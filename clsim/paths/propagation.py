@@ -329,11 +329,13 @@ def arrivals_by(
     ways, whole = ways_to(heard_at), (slice(None), slice(None))
 
     def passage(p: Any, t: Any, start: Floats) -> tuple[Floats, Passage, Floats | None]:
+        """Return how sound leaves `start` (m): direction, what the medium does on the way, its means along it."""
         length, direction = ways.leave(p, t, start)
         means = medium.means(ways, p, t, start)
         return direction, medium.passage(length, heard_at[t] - start, means), means
 
     def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
+        """Return the time that sound takes which was emitted at a time (s), and how fast that time grows with it."""
         direction, sound, _ = passage(p, t, source.position(emission_time))
         time = sound.time if noise is None else sound.time + noise[0][p, t]
         return time, sound.growth(direction, source.velocity(emission_time))

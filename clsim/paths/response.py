@@ -66,7 +66,7 @@ class SceneResponse:
     def __init__(self, scene: Scene, source: int, frequencies: Floats) -> None:
         self._scene, self.frequencies, self.disperses = scene, frequencies, scene.air.dispersion
         self._centre, self._layers = scene.sources[source].emitted.centre_frequency, scene.air.layers
-        materials = scene.room.faces.materials
+        materials = self._materials = scene.materials
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
         layers = [layer.absorption_at(frequencies) * NEPERS for layer in scene.air.layers]
         self.least_nepers, self.most_nepers = self.nepers, self.nepers
@@ -125,7 +125,7 @@ class SceneResponse:
 
     def reflection_at(self, wall: int, cosine: Floats) -> Floats | Complexes:
         """Return the factor (..., F) of a wall at cosines (...) of the angle of incidence."""
-        material = self._scene.room.faces.materials[wall]
+        material = self._materials[wall]
         angle = np.maximum(cosine, _GRAZING)[..., None]
         return material.reflection_at(covered(self.frequencies, material), angle, self._scene.air.speed_of_sound)
 
@@ -171,7 +171,7 @@ def is_complex(scene: Scene) -> bool:
         *(source.directivity for source in scene.sources),
         *(receiver.directivity for receiver in scene.receivers),
     ]
-    return any(m.is_complex for m in scene.room.faces.materials) or any(d.is_complex for d in directivities)
+    return any(m.is_complex for m in scene.materials) or any(d.is_complex for d in directivities)
 
 
 def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]]) -> Floats:

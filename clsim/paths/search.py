@@ -21,8 +21,14 @@ class PathSearch:
         Largest number of reflections; at least 0, and how many there may be is the finder's to say.
     diffraction : int
         Largest number of edges that a path turns round, 0 to 2.
+    diffraction_model : str
+        Of the field at an edge.
     scattering_order : int
         Largest number of reflections before a scatterer, and of those after it.
+    body_order : int or None
+        Largest number of reflections of paths by bodies; `max_order` when None.
+    body_step : float
+        How far all that moves goes from one look at paths by and behind bodies to the next, m.
     path_limit : int
         Number of paths of a kind above which the search is refused or given up.
     finder : str
@@ -37,7 +43,10 @@ class PathSearch:
 
     max_order: int
     diffraction: int
+    diffraction_model: str
     scattering_order: int
+    body_order: int | None
+    body_step: float
     path_limit: int
     finder: str
     resolution: float | None

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
 
+_ROUNDING = 1e-9  # of shares of a path
+
 
 def path_vertices(
     planes: tuple[Floats, Floats], walls: NDArray[np.signedinteger[Any]], source: Floats, receiver: Floats
@@ -24,7 +26,8 @@ def path_vertices(
     planes : tuple of ndarray (W, 3), (W,)
         Unit normals and offsets of all walls, m.
     walls : ndarray (P, N) int
-        Walls of each path from the source's side, filled up with -1.
+        Walls of each path from the source's side, filled up with -1; those at right angles to each other, as in a
+        shoebox, may stand in another order than they are met in.
     source, receiver : ndarray (P, 3)
         Where each path was emitted, and is received, m.
 
@@ -34,6 +37,7 @@ def path_vertices(
         Source, points of reflection, receiver, and NaN where a path has fewer walls.
     """
     normal, offset = planes
+    walls = _in_order(planes, walls, source, receiver)
     count, most = walls.shape
     image = np.empty((count, most + 1, 3))
     image[:, 0] = source
@@ -56,3 +60,29 @@ def path_vertices(
         at[rows] += share[:, None] * (image[rows, k] - at[rows])
         vertices[rows, k] = at[rows]
     return vertices
+
+
+def _in_order(
+    planes: tuple[Floats, Floats], walls: NDArray[np.signedinteger[Any]], source: Floats, receiver: Floats
+) -> NDArray[np.signedinteger[Any]]:
+    """Return the walls (P, N) of each path in the order in which the unfolded path meets them."""
+    count, most = walls.shape
+    if most < 2:
+        return walls
+    normal, offset = (np.concatenate([x, np.zeros_like(x[:1])]) for x in planes)
+    image, share = np.array(np.broadcast_to(receiver, (count, 3))), np.full(walls.shape, np.inf)
+    for k in range(most - 1, -1, -1):  # the receiver as the source sees it by the walls from here on
+        met = walls[:, k]
+        image = image - 2.0 * (np.sum(image * normal[met], axis=1) - offset[met])[:, None] * normal[met]
+    at, seen = np.array(np.broadcast_to(source, (count, 3))), image
+    for k in range(most):  # both as they are seen behind the walls up to here
+        met = walls[:, k]
+        near, far = (np.sum(x * normal[met], axis=1) - offset[met] for x in (at, seen))
+        apart = near - far
+        share[:, k] = np.where(met >= 0, near / np.where(apart == 0.0, 1.0, apart), np.inf)
+        at, seen = (x - 2.0 * h[:, None] * normal[met] for x, h in ((at, near), (seen, far)))
+    late = np.any(share[:, 1:] < share[:, :-1] - _ROUNDING, axis=1)
+    if not late.any():
+        return walls
+    order = np.where(late[:, None], np.argsort(share, axis=1, kind="stable"), np.arange(most))
+    return np.take_along_axis(walls, order, axis=1)

@@ -9,9 +9,9 @@ import numpy as np
 
 from clsim.files.atomic import atomic_path
 from clsim.paths.family import DIFFRACTION
-from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
+from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedPaths, ViewedWall, page_text
 from clsim.scene.room.edges import Edges
-from clsim.scene.view import frame_times, viewed_ends, viewed_walls
+from clsim.scene.view import frame_times, viewed_bodies, viewed_ends, viewed_walls
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,7 @@ _SEEN = 1e-4  # m, to which the page rounds
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What a page shows: walls, ends, and the paths at F times, s; see `view_page`. Notes tell what it leaves out.
+    """What a page shows: walls, ends, bodies, and the paths at F times, s; see `view_page`. Notes tell what is not.
 
     Edges (E, 2, 3) m are those that diffract, where paths over edges were looked for.
     """
@@ -39,6 +39,7 @@ class View:
     frames: tuple[ViewedPaths, ...]
     notes: tuple[str, ...]
     edges: Floats
+    bodies: tuple[ViewedBody, ...]
 
 
 class Viewable(Protocol):
@@ -87,7 +88,7 @@ def paths_page(paths: Viewable, *, title: str, **options: Any) -> str:
     view = viewed(paths, **options)
     return page_text(
         title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes,
-        edges=view.edges,
+        edges=view.edges, bodies=view.bodies,
     )  # fmt: skip
 
 
@@ -122,13 +123,14 @@ def viewed(
     """
     scene = paths.scene
     things = [*scene.named_ends(), *scene.named_scatterers()]
-    times = frame_times(things, duration, frames)
-    ends = viewed_ends(things, times)
+    times = frame_times([*things, *scene.named_bodies()], duration, frames)
+    ends, bodies = viewed_ends(things, times), viewed_bodies(scene.named_bodies(), times)
     shown: list[ViewedPaths] = []
     kept: list[int] = []
     for i, time in enumerate(times):
         now = _paths_at(paths, float(time), limit, motion, amplitude)
         rests = bool(kept) and all(_alike(end.positions[i], end.positions[kept[-1]]) for end in ends)
+        rests = rests and all(_alike(body.corners(i), body.corners(kept[-1])) for body in bodies)
         if not (rests and _same(now, shown[-1])):
             shown.append(now)
             kept.append(i)
@@ -145,6 +147,7 @@ def viewed(
         tuple(shown),
         notes,
         np.stack([edges.start, edges.stop], axis=1),
+        tuple(replace(body, places=body.places[kept], axes=body.axes[kept]) for body in bodies),
     )
 
 
@@ -174,4 +177,6 @@ def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: 
         for p, decibels in zip(heard, level, strict=True)
     ]
     order = table.order[heard]
-    return ViewedPaths(tuple(c[: n + 2] for c, n in zip(corners, order, strict=True)), order, tuple(names))
+    pairs = tuple((table.source_names[table.source[p]], table.receiver_names[table.receiver[p]]) for p in heard)
+    drawn = tuple(c[: n + 2] for c, n in zip(corners, order, strict=True))
+    return ViewedPaths(drawn, order, tuple(names), pairs, level)

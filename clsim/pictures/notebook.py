@@ -17,6 +17,7 @@ def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]
     """Return a table as HTML, with a title above it and lines below."""
 
     def row(cells: Sequence[object], kind: str) -> str:
+        """Return a row of a table, of cells of a kind (``th`` or ``td``)."""
         return "<tr>" + "".join(f"<{kind}>{html.escape(str(cell))}</{kind}>" for cell in cells) + "</tr>"
 
     body = row(head, "th") + "".join(row(cells, "td") for cells in rows)

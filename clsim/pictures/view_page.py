@@ -6,6 +6,7 @@ import html
 import json
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,10 @@ _MATERIALS = (
     "#882255", "#6b4c1e",
 )  # fmt: skip
 _ORDERS = ("#c1272d", "#3b0f70", "#2c728e", "#21a685", "#8bc34a", "#c0b000", "#e69f00", "#999999")
+_BODIES = ("#5d4037", "#7b1fa2", "#00695c", "#283593")
+_HERE = Path(__file__).parent
 _EDGES = "#b8860b"
+_AIM = 0.06  # length of a drawn aim, of the room's
 _SOURCE, _RECEIVER = "#c1272d", "#111111"
 
 
@@ -45,22 +49,48 @@ class ViewedWall:
 class ViewedEnd:
     """A source or receiver: name, kind, positions (F, 3) at the frames and its whole way (M, 3), m.
 
-    A position that is not known is NaN: nothing is drawn there.
+    A position that is not known is NaN: nothing is drawn there. `aims` (F, 3) are unit vectors of what it is aimed at.
     """
 
     name: str
     kind: str
     positions: Floats
     trail: Floats
+    aims: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewedBody:
+    """A body: name, corners (V, 3) in its own coordinates, m, triangles (T, 3); origin (F, 3), m, and axes (F, 3, 3).
+
+    Row i of the axes is where the body's own axis i points in a frame.
+    """
+
+    name: str
+    vertices: Floats
+    triangles: NDArray[np.int64]
+    places: Floats
+    axes: Floats
+
+    def corners(self, frame: int) -> Floats:
+        """Return where its corners (V, 3) are in a frame, m."""
+        return np.asarray(self.places[frame] + self.vertices @ self.axes[frame])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewedPaths:
-    """The paths of a frame: corners (order + 2, 3) of each, m, orders (P,) and labels."""
+    """The paths of a frame: corners (order + 2, 3), m, orders (P,), labels, between whom, and levels (P,), dB."""
 
     corners: tuple[Floats, ...]
     order: NDArray[np.int32]
     labels: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    levels: Floats
+
+    @classmethod
+    def none(cls) -> ViewedPaths:
+        """Return a frame without paths."""
+        return cls((), np.zeros(0, dtype=np.int32), (), (), np.zeros(0))
 
 
 def write_page(path: str | os.PathLike[str], **what: Any) -> None:
@@ -92,6 +122,7 @@ def page_text(
     frames: Sequence[ViewedPaths],
     notes: Sequence[str] = (),
     edges: Floats | None = None,
+    bodies: Sequence[ViewedBody] = (),
 ) -> str:
     """Return the text of one HTML page that holds everything, the drawing library included.
 
@@ -109,6 +140,8 @@ def page_text(
         Lines below the title.
     edges : ndarray (E, 2, 3), optional
         Ends of the edges at which sound is diffracted, m.
+    bodies : sequence of ViewedBody
+        What moves as a whole.
 
     Raises
     ------
@@ -118,17 +151,15 @@ def page_text(
     _check_times(times, ends, frames)
     for i, frame in enumerate(frames):
         _check_paths(f"frames[{i}]", frame)
-    from plotly.offline import get_plotlyjs
-
-    text = json.dumps(_document(walls, ends, times, frames, edges), separators=(",", ":"), allow_nan=False)
+    text = json.dumps(_document(walls, ends, times, frames, edges, bodies), separators=(",", ":"), allow_nan=False)
     parts = {
         "title": html.escape(title),
         "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
         "data": text.replace("<", "\\u003c"),
-        "plotly": get_plotlyjs(),
+        "plotly": (_HERE / "plotly" / "plotly-gl3d.min.js").read_text("utf-8"),
     }
     # In one go: what is put in is not searched again, whatever the names in it are.
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _PAGE)
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], (_HERE / "view_page.html").read_text("utf-8"))
 
 
 def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[ViewedPaths]) -> None:
@@ -150,7 +181,8 @@ def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[View
 
 
 def _check_paths(field: str, paths: ViewedPaths) -> None:
-    for name, count in (("order", len(paths.order)), ("labels", len(paths.labels))):
+    for name in ("order", "labels", "pairs", "levels"):
+        count = len(getattr(paths, name))
         if count != len(paths.corners):
             raise InputError(f"{field}.{name}", f"must be one per path, {len(paths.corners)}, but there are {count}")
     for p, (corners, order) in enumerate(zip(paths.corners, paths.order, strict=True)):
@@ -170,16 +202,24 @@ def _document(
     times: Floats,
     frames: Sequence[ViewedPaths],
     edges: Floats | None,
+    bodies: Sequence[ViewedBody],
 ) -> dict[str, Any]:
     """Return all that the page draws: traces that stay, those that change, and per frame what goes into them."""
     last = max(int(np.max(f.order, initial=0)) for f in frames)
+    pairs = [pair for frame in frames for pair in frame.pairs]
+    sources, receivers = (list(dict.fromkeys(names)) for names in zip(*pairs, strict=True)) if pairs else ([], [])
+    reach = _AIM * max((float(np.max(np.ptp(wall.triangles, axis=(0, 1)))) for wall in walls), default=1.0)
     return {
         "times": [float(f"{t:.9g}") for t in times],
         "fixed": [*_wall_traces(walls), *_edge_traces(edges), *_trail_traces(ends)],
+        "bodies": [_body(body, _BODIES[i % len(_BODIES)]) for i, body in enumerate(bodies)],
         "marks": _mark_trace(ends),
         "places": [[_rounded(end.positions[i]) for end in ends] for i in range(len(times))],
+        "aims": [_aim_lines(ends, i, reach) for i in range(len(times))],
         "orders": [_order_trace(n) for n in range(last + 1)],
-        "frames": [_frame(f, last) for f in frames],
+        "sources": sources,
+        "receivers": receivers,
+        "frames": [_frame(f, last, sources, receivers) for f in frames],
     }
 
 
@@ -238,6 +278,19 @@ def _lines(points: Floats, *, color: str, width: float, name: str) -> dict[str, 
     }  # fmt: skip
 
 
+def _body(body: ViewedBody, color: str) -> dict[str, Any]:
+    """Return the trace of a body without its places, its corners, and its poses: origin and axes in a row."""
+    i, j, k = (column.tolist() for column in body.triangles.T)
+    name = _plain(body.name)
+    trace = {
+        "type": "mesh3d", "x": [], "y": [], "z": [], "name": name, "showlegend": True, "color": color, "i": i, "j": j,
+        "k": k, "opacity": 0.45, "flatshading": True, "hovertemplate": "%{fullData.name}<extra></extra>",
+    }  # fmt: skip
+    poses = np.concatenate([body.places, body.axes.reshape(-1, 9)], axis=1)
+    corners = [_rounded(corner) for corner in body.vertices]
+    return {"trace": trace, "corners": corners, "poses": [np.round(pose, 6).tolist() for pose in poses]}
+
+
 def _trail_traces(ends: Sequence[ViewedEnd]) -> list[dict[str, Any]]:
     colors = {"source": _SOURCE}
     return [
@@ -262,6 +315,12 @@ def _mark_trace(ends: Sequence[ViewedEnd]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _aim_lines(ends: Sequence[ViewedEnd], frame: int, reach: float) -> list[Any]:
+    """Return the ends of the lines, `reach` m long, that show what is aimed where: three coordinates each."""
+    aimed = [(end.positions[frame], end.aims[frame]) for end in ends if end.aims is not None]
+    return [[_rounded(at), _rounded(at + reach * aim)] for at, aim in aimed]
+
+
 def _order_trace(order: int) -> dict[str, Any]:
     """Return the trace of all paths of an order, without their points."""
     return {
@@ -272,132 +331,19 @@ def _order_trace(order: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _frame(paths: ViewedPaths, last: int) -> list[dict[str, Any]]:
-    """Return for each order the labels of its paths and all their corners in a row: x, y, z, x, ..., whole mm."""
+def _frame(paths: ViewedPaths, last: int, sources: list[str], receivers: list[str]) -> list[dict[str, Any]]:
+    """Return for each order what is told of its paths, and all their corners in a row: x, y, z, x, ..., whole mm."""
     order = np.asarray(paths.order)
     orders = []
     for n in range(last + 1):
         rows = np.flatnonzero(order == n)
         points = np.concatenate([paths.corners[p] for p in rows]) if len(rows) else np.empty((0, 3))
         millimetres = np.round(points * 1e3).astype(np.int64).ravel().tolist()
-        orders.append({"mm": millimetres, "labels": [_plain(paths.labels[p]) for p in rows]})
+        part = {
+            "mm": millimetres, "labels": [_plain(paths.labels[p]) for p in rows],
+            "source": [sources.index(paths.pairs[p][0]) for p in rows],
+            "receiver": [receivers.index(paths.pairs[p][1]) for p in rows],
+            "level": np.round(paths.levels[rows], 1).tolist(),
+        }  # fmt: skip
+        orders.append(part)
     return orders
-
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{{title}}</title>
-<style>
-html, body { margin: 0; height: 100%; font: 15px system-ui, sans-serif; color: #222; }
-body { display: flex; flex-direction: column; }
-header {
-  padding: 8px 14px; display: flex; flex-wrap: wrap; gap: 4px 14px; align-items: center; border-bottom: 1px solid #ddd;
-}
-h1 { font-size: 17px; margin: 0; }
-#time { flex: 1; min-width: 120px; }
-#caption { min-width: 16em; font-variant-numeric: tabular-nums; }
-#drawing { flex: 1; min-height: 0; }
-button { font: inherit; padding: 2px 0; width: 4.5em; }
-#notes { flex-basis: 100%; color: #555; }
-#notes:empty { display: none; }
-#notes p { margin: 2px 0; }
-</style></head><body>
-<header><h1>{{title}}</h1><button id="play">play</button>
-<input id="time" type="range" min="0" step="1" value="0" aria-label="time"><span id="caption"></span>
-<div id="notes">{{notes}}</div></header>
-<div id="drawing"></div>
-<script>{{plotly}}</script>
-<script id="data" type="application/json">{{data}}</script>
-<script>
-"use strict";
-const data = JSON.parse(document.getElementById("data").textContent);
-const scene = document.getElementById("drawing"), slider = document.getElementById("time");
-const play = document.getElementById("play"), caption = document.getElementById("caption");
-const marks = data.fixed.length, firstOrder = marks + 1;
-let shown = -1, wanted = -1, busy = null, playing = false, turn = 0;
-
-function lines(order, part) {  // points of all paths of an order, a gap behind each
-  const out = {x: [], y: [], z: [], text: []};
-  let at = 0;
-  for (const label of part.labels) {
-    for (let i = 0; i < order + 2; i++, at += 3) {
-      out.x.push(part.mm[at] / 1000); out.y.push(part.mm[at + 1] / 1000); out.z.push(part.mm[at + 2] / 1000);
-      out.text.push(label);
-    }
-    out.x.push(null); out.y.push(null); out.z.push(null); out.text.push("");
-  }
-  return out;
-}
-
-function draw(index) {
-  shown = index;
-  const places = data.places[index], frame = data.frames[index].map((part, order) => lines(order, part));
-  const update = {
-    x: [places.map(p => p[0]), ...frame.map(l => l.x)], y: [places.map(p => p[1]), ...frame.map(l => l.y)],
-    z: [places.map(p => p[2]), ...frame.map(l => l.z)], text: [data.marks.text, ...frame.map(l => l.text)],
-  };
-  const count = data.frames[index].reduce((sum, part) => sum + part.labels.length, 0);
-  caption.textContent = `t = ${data.times[index].toFixed(3)} s: ${count} path${count === 1 ? "" : "s"} heard`;
-  slider.value = index;
-  return Plotly.restyle(scene, update, update.x.map((_, i) => marks + i));
-}
-
-function show(index) {  // a slow machine skips frames rather than lag behind the slider
-  wanted = index;
-  busy ??= (async () => { while (shown !== wanted) await draw(wanted); })().finally(() => { busy = null; });
-  return busy;
-}
-
-async function run(mine) {
-  while (playing && mine === turn) {
-    const started = performance.now();
-    await show((shown + 1) % data.times.length);
-    await new Promise(done => setTimeout(done, Math.max(20, 120 - (performance.now() - started))));
-  }
-}
-
-function pathsFirst() {  // the mouse finds what lies behind a wall: when it picks, all else is nearer than any wall
-  const sub = scene._fullLayout?.scene?._scene, gl = sub?.glplot?.gl;
-  if (!gl) return;
-  const walls = new Set(Object.values(sub.traces).map(trace => trace.mesh));
-  for (const object of sub.glplot.objects) {
-    if (!object.drawPick || Object.hasOwn(object, "drawPick")) continue;
-    const drawPick = object.drawPick, [near, far] = walls.has(object) ? [0.5, 1] : [0, 0.5];
-    object.drawPick = function (camera) { gl.depthRange(near, far); drawPick.call(this, camera); gl.depthRange(0, 1); };
-  }
-}
-
-function plain(text) { return text.replace(/&lt;/g, "<").replace(/&gt;/g, ">").replace(/&amp;/g, "&"); }
-
-function state() {  // what is drawn now, read back from the drawing
-  const drawn = scene.data, paths = drawn.slice(firstOrder);
-  return {
-    index: shown, text: caption.textContent, names: drawn.map(t => plain(t.name)),
-    paths: paths.map(t => t.x.filter(v => v === null).length), visible: drawn.map(t => t.visible !== "legendonly"),
-    places: drawn[marks].x.map((x, i) => [x, drawn[marks].y[i], drawn[marks].z[i]]),
-  };
-}
-
-slider.max = data.times.length - 1;
-if (data.times.length === 1) { slider.hidden = play.hidden = true; }
-slider.addEventListener("input", () => show(Number(slider.value)));
-play.addEventListener("click", () => {
-  playing = !playing;
-  play.textContent = playing ? "pause" : "play";
-  if (playing) run(++turn);
-});
-const axis = title => ({title: {text: title}, showbackground: false, gridcolor: "#e5e5e5", zeroline: false});
-const layout = {
-  margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "kept",
-  legend: {x: 0.01, y: 0.99, tracegroupgap: 0, bgcolor: "rgba(255,255,255,0.8)"},
-  scene: {
-    aspectmode: "data", xaxis: axis("x (m)"), yaxis: axis("y (m)"), zaxis: axis("z (m)"),
-    camera: {eye: {x: -1.2, y: -1.75, z: 1.3}},
-  },
-};
-window.clsim = {
-  times: data.times, show, state,
-  ready: Plotly.newPlot(scene, [...data.fixed, data.marks, ...data.orders], layout, {displaylogo: false})
-    .then(() => { pathsFirst(); scene.on("plotly_afterplot", pathsFirst); return show(0); }),
-};
-</script></body></html>
-"""

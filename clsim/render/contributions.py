@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 State = dict[str, "NDArray[Any]"]
@@ -48,6 +50,18 @@ class Adding(Protocol):
         """Take note that for now nothing will be asked for from sample `last` on: it need not be prepared."""
         ...
 
+    def shared(self, first: int, last: int) -> list[str]:
+        """Return names of what samples `first` to `last` and others are made of alike: many processes make it once."""
+        ...
+
+    def made(self, name: str) -> NDArray[Any]:
+        """Return what is shared by a name, of any shape; the same whoever makes it, and when."""
+        ...
+
+    def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
+        """Take note that `find` returns what is shared by a name, so that it need not be made."""
+        ...
+
     def state(self) -> State:
         """Return all that it remembers of the pieces so far and needs to go on bit for bit."""
         ...
@@ -61,8 +75,23 @@ class Adding(Protocol):
         ...
 
 
-class Stateless:
-    """What most contributions have in common: a piece does not depend on those before."""
+class Unshared:
+    """What most contributions have in common: no piece is made of what others are made of."""
+
+    def shared(self, first: int, last: int) -> list[str]:
+        """Return no names."""
+        return []
+
+    def made(self, name: str) -> NDArray[Any]:
+        """Make nothing: there are no names."""
+        raise KeyError(name)
+
+    def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
+        """Look nothing up."""
+
+
+class Stateless(Unshared):
+    """What most of them have in common, too: a piece does not depend on those before."""
 
     def until(self, last: int) -> None:
         """Prepare nothing anyway."""

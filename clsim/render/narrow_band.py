@@ -114,7 +114,10 @@ class Split:
         whole, left = signal.read(offset, after * window), np.zeros(end - begin)
         single = whole.astype(np.float32)  # rounds at -140 dB
         places, passed = filtered(lambda a, b: single[a - offset : b - offset], self._band_pass(signal), begin, end)
-        left[places] = whole[begin - offset :][places] - passed[0]
+        if len(places) == len(left):
+            left = whole[begin - offset : end - offset] - passed[0]
+        else:
+            left[places] = whole[begin - offset :][places] - passed[0]
         level = np.sqrt(np.mean(whole.reshape(after - before, window) ** 2, axis=1))
         around = np.max([level[:-2], level[1:-1], level[2:]], axis=0)
         of_cell = around[np.arange(begin, end, CELL) // window - before - 1]

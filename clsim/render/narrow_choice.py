@@ -195,8 +195,10 @@ def _obstacle(
     ends = [("the source", scene.sources[index].trajectory)]
     ends += [(f"receiver {i}", scene.receivers[i].trajectory) for i in receivers]
     ends += [(f"scatterer {i}", scatterer.trajectory) for i, scatterer in enumerate(scene.scatterers)]
+    ends += [(f"body {i}", body.trajectory) for i, body in enumerate(scene.bodies)]
     for what, trajectory in ends:
-        if len(trajectory.breaks):
+        turning = trajectory.turning if what.startswith("body") else None
+        if len(trajectory.breaks) or (turning is not None and len(turning.breaks)):
             return f"the velocity of {what} jumps"
     # Passing an end at a distance d with a speed v spreads a tone by its Doppler shift D and beyond, at an offset f, by
     # exp(-2 pi sqrt(f^2 - D^2) d / v): the phase k sqrt(d^2 + v^2 t^2) has branch points at +-j d / v.

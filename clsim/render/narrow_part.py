@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.path_sum import PathSum
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes
@@ -92,6 +95,25 @@ class _Adding(Stateless):
             for part in self._parts:
                 part.add(pressure, start)
 
+    def shared(self, first: int, last: int) -> list[str]:
+        """Return names of the chunks of envelopes that samples `first` to `last` are made of: part and number."""
+        return [f"{i}.{k}" for i, part in enumerate(self._parts) for k in part.chunks(first, last)]
+
+    def made(self, name: str) -> NDArray[Any]:
+        """Return a chunk of envelopes by its name, (receivers, n) complex."""
+        part, chunk = map(int, name.split("."))
+        with threadpool_limits(1, "blas"):
+            return self._parts[part].rendered(chunk, alone=True)
+
+    def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
+        """Have chunks of envelopes come from `find`, by their names."""
+
+        def found(part: int, chunk: int) -> NDArray[Any]:
+            return find(f"{part}.{chunk}")
+
+        for i, part in enumerate(self._parts):
+            part.found = partial(found, i)
+
     def warn(self) -> None:
         """Warn of what the engines could not hold as well as asked."""
         for part in self._parts:
@@ -99,19 +121,25 @@ class _Adding(Stateless):
 
 
 class _Upsampled:
-    """Envelopes of one narrow part, chunk by chunk of their own, and the sound that is made of them."""
+    """Envelopes of one narrow part, chunk by chunk of their own, and the sound that is made of them.
+
+    Attributes
+    ----------
+    found : callable
+        Returns a chunk of envelopes by its number.
+    """
 
     def __init__(self, part: NarrowPart) -> None:
+        self.found: Callable[[int], Complexes] = self.rendered
         self._plan, self._upsampler = part.plan, part.upsampler
         self._engine: BasebandEngine | None = None
         self._chunks: dict[int, Complexes] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add the sound from sample `start` on to the pressure (receivers, n), Pa."""
-        every, reach = self._upsampler.every, self._upsampler.reach
-        stop = start + pressure.shape[1]
-        first, last = start // every, -(-stop // every)
-        envelopes = self._envelopes(first + 1 - reach, last + reach)
+        every, stop = self._upsampler.every, start + pressure.shape[1]
+        first = start // every
+        envelopes = self._envelopes(*self._span(start, stop))
         for row, envelope in zip(pressure, envelopes, strict=True):
             if np.any(envelope):
                 row += self._upsampler(envelope, first)[start - first * every : stop - first * every]
@@ -121,20 +149,38 @@ class _Upsampled:
         if self._engine is not None:
             self._engine.warn()
 
+    def chunks(self, start: int, stop: int) -> range:
+        """Return the chunks of envelopes that samples `start` to `stop` of the sound are made of."""
+        return self._chunks_of(*self._span(start, stop))
+
+    def _span(self, start: int, stop: int) -> tuple[int, int]:
+        """Return between which samples the envelopes are looked at for those of the sound."""
+        every, reach = self._upsampler.every, self._upsampler.reach
+        return start // every + 1 - reach, -(-stop // every) + reach
+
+    def _chunks_of(self, first: int, last: int) -> range:
+        size = self._plan.chunk
+        return range((first + _AHEAD) // size, (last - 1 + _AHEAD) // size + 1)
+
     def _envelopes(self, first: int, last: int) -> Complexes:
         """Return samples `first` to `last` of the envelopes, (receivers, n)."""
-        size = self._plan.chunk
-        wanted = range((first + _AHEAD) // size, (last - 1 + _AHEAD) // size + 1)
-        self._chunks = {k: self._chunks[k] if k in self._chunks else self._rendered(k) for k in wanted}
-        begin = wanted[0] * size - _AHEAD
+        wanted = self._chunks_of(first, last)
+        self._chunks = {k: self._chunks[k] if k in self._chunks else self.found(k) for k in wanted}
+        begin = wanted[0] * self._plan.chunk - _AHEAD
         return np.concatenate([self._chunks[k] for k in wanted], axis=1)[:, first - begin : last - begin]
 
-    def _rendered(self, chunk: int) -> Complexes:
-        """Return a chunk of envelopes; whichever asks for it, from whatever beginning, it is the same."""
+    def rendered(self, chunk: int, *, alone: bool = False) -> Complexes:
+        """Return a chunk of envelopes; whichever asks for it, from whatever beginning, it is the same.
+
+        Nothing is prepared for the next one if it is wanted alone.
+        """
         if self._engine is None:
             self._engine = BasebandEngine(self._plan)
         start = chunk * self._plan.chunk - _AHEAD
-        return self._engine.render(start, min(start + self._plan.chunk, self._plan.samples))
+        stop = min(start + self._plan.chunk, self._plan.samples)
+        if alone:
+            self._engine.until(stop)
+        return self._engine.render(start, stop)
 
 
 def samples_needed(samples: int, upsampler: Upsampler) -> int:

@@ -187,7 +187,10 @@ def keywords_of(
     """
 
     def decorated(function: Callable[[PathSet, RenderOptions], T]) -> OfPaths[P, T]:
+        """Return a function of paths and options as one of paths and keywords."""
+
         def call(paths: PathSet, *args: P.args, **kwargs: P.kwargs) -> T:
+            """Check the paths and the names of keywords, and call with the options that they make."""
             if not isinstance(paths, PathSet):
                 raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
             try:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import short_repr
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import SMALL_SUBBLOCK
 
@@ -80,6 +81,8 @@ class Plan:
     not_narrow: tuple[str, ...]
     builders: InitVar[Sequence[Callable[[Plan], Contribution | None]]]
     contributions: tuple[Contribution, ...] = field(init=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self, builders: Sequence[Callable[[Plan], Contribution | None]]) -> None:
         made = tuple(made for build in builders if (made := build(self)) is not None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from clsim.opencl.device import find_device
 from clsim.render.receiver_chain import ReceiverChain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -51,6 +52,24 @@ class PressureSum:
         """Take note that for now no chunk from sample `last` on will be asked for."""
         for adding in self._adding:
             adding.until(last)
+
+    def shared(self, first: int, last: int) -> list[str]:
+        """Return names of what samples `first` to `last` and others are made of alike."""
+        return [f"{i}.{name}" for i, adding in enumerate(self._adding) for name in adding.shared(first, last)]
+
+    def made(self, name: str) -> NDArray[Any]:
+        """Return what is shared by a name, of any shape."""
+        number, _, rest = name.partition(".")
+        return self._adding[int(number)].made(rest)
+
+    def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
+        """Have what is shared come from `find`, by names, instead of making it."""
+
+        def found(number: int, name: str) -> NDArray[Any]:
+            return find(f"{number}.{name}")
+
+        for i, adding in enumerate(self._adding):
+            adding.look_up(partial(found, i))
 
     def state(self) -> State:
         """Return all that is remembered of the chunks so far; nothing where each is for itself."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, as_number
+from clsim.arrays import Floats, as_floats, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
 from clsim.scene.directivity.directivity import Directivity
@@ -45,6 +45,9 @@ class Source:
     flush : bool or array_like (3,)
         Whether it sits in a wall: True on the side of the room, or a direction off the wall to the side that it is on,
         as a mesh that is open needs it.
+    mounted_on : str, optional
+        Name of the body of the scene that carries it: trajectory and aim are then told in the body's own coordinates.
+        The ends of a `Scene` have trajectories in the room, and nothing here.
 
     Attributes
     ----------
@@ -65,7 +68,10 @@ class Source:
     start: float = 0.0
     transducer: Transducer | None = None
     flush: Any = False
+    mounted_on: str | None = None
     emitted: Signal = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_end(self))
@@ -120,6 +126,8 @@ class Receiver:
         Noise, filters, amplifier, converter and clock.
     flush : bool or array_like (3,)
         Whether it sits in a wall; as of a `Source`.
+    mounted_on : str, optional
+        Name of the body that carries it; as of a `Source`.
 
     Raises
     ------
@@ -134,6 +142,9 @@ class Receiver:
     transducer: Transducer | None = None
     electronics: Electronics | None = None
     flush: Any = False
+    mounted_on: str | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "aim", _checked_end(self))
@@ -200,6 +211,8 @@ def _checked_end(item: End) -> Floats | None:
         raise InputError("directivity", f"must be a Directivity, but is {item.directivity!r:.80}")
     if item.transducer is not None and not isinstance(item.transducer, Transducer):
         raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")
+    if item.mounted_on is not None and (not isinstance(item.mounted_on, str) or item.flush is not False):
+        raise InputError("mounted_on", f"must name a body, and flush be left out, but is {item.mounted_on!r:.80}")
     if item.trajectory.start > 0.0:
         raise InputError("trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s")
     if item.aim is None:

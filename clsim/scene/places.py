@@ -37,6 +37,7 @@ def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount |
     """
 
     def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+        """Return the instants at which the room refuses a place, and which spans may hold one."""
         after = np.minimum(last + 1, instants.count - 1)  # the way to the next instant belongs to each
         free = room.clearance(motion.position(instants.times(middle)), mount)
         speed = motion.speed_over(instants.times(first), instants.times(after))
@@ -73,6 +74,7 @@ def first_approach(
     half = 0.5 * instants.step
 
     def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+        """Return the instants at which the other end is too near, and which spans may hold one."""
         speed, times = motion.speed_over(instants.times(first), instants.times(last)), instants.times(middle)
         at, velocity = motion.position(times)[:, None], motion.velocity(times)
         if isinstance(others, Motion):

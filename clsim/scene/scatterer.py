@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_glint
 from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength, sphere_field, sphere_strength
-from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only
+from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.target_fluctuation import TargetFluctuation
@@ -238,6 +238,8 @@ class Scatterer:
     trajectory: Trajectory
     fluctuation: TargetFluctuation | None = None
     flush: ClassVar[bool] = False  # it sits in no wall
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():

@@ -5,18 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from clsim.arrays import FARTHEST, as_count, as_number
+from clsim.arrays import FARTHEST, as_count, as_number, short_repr
 from clsim.errors import InputError
 from clsim.pictures.notebook import html_table, inline_page
 from clsim.scene.air import Air
+from clsim.scene.body import Body, as_bodies, with_carriers
+from clsim.scene.body_checks import check_bodies
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.placement import check_distances, check_motions, check_scatterers, check_sides, first_place
 from clsim.scene.plausibility import warn_of_units
 from clsim.scene.room.protocol import Room, checked_room
 from clsim.scene.scatterer import Scatterer, as_scatterers
 from clsim.scene.view import scene_page
+
+if TYPE_CHECKING:
+    from clsim.scene.material.material import Material
 
 _MOST_LISTED = 64  # sources and receivers in a table
 _NEAREST = 1e-6  # m, least bound of the distance between ends
@@ -38,13 +43,15 @@ class Scene:
         Distance below which a source may not come to a receiver, and neither to a scatterer, m.
     scatterers : sequence of Scatterer
         What scatters and moves, with unique names.
+    bodies : sequence of Body
+        What moves, reflects and hides what is behind it, with unique names.
 
     Raises
     ------
     InputError
         If the room lacks what a `Room` has, a name is used twice, or a trajectory leaves the room, comes too close to
-        another one or reaches the speed of sound, or an end is outside a watertight mesh that others are in; the
-        message gives time and place.
+        another one or reaches the speed of sound, a body goes through a wall, or an end is outside a watertight mesh
+        that others are in; the message gives time and place.
 
     Warns
     -----
@@ -58,10 +65,14 @@ class Scene:
     receivers: Sequence[Receiver]
     min_distance: float = 0.01
     scatterers: Sequence[Scatterer] = ()
+    bodies: Sequence[Body] = ()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sources", _checked_list("sources", self.sources, Source))
-        object.__setattr__(self, "receivers", _checked_list("receivers", self.receivers, Receiver))
+        object.__setattr__(self, "bodies", as_bodies(self.bodies))
+        for name, kind in (("sources", Source), ("receivers", Receiver)):
+            object.__setattr__(self, name, with_carriers(_checked_list(name, getattr(self, name), kind), self.bodies))
         distance = as_number("min_distance", self.min_distance, at_least=_NEAREST, at_most=FARTHEST, unit="m")
         object.__setattr__(self, "min_distance", distance)
         checked_room(self.room)
@@ -83,6 +94,7 @@ class Scene:
                     f"but ends at {source.trajectory.end:g} s",
                 )
         check_scatterers(self.named_scatterers(), ends, distance, self.air.slowest)
+        check_bodies(self.room, self.named_bodies(), ends, self.air.slowest)
         _check_bands(self)
 
     def named_ends(self) -> list[tuple[str, End]]:
@@ -107,6 +119,21 @@ class Scene:
         """
         return [(f"scatterers[{i}]", s) for i, s in enumerate(self.scatterers)]
 
+    def named_bodies(self) -> list[tuple[str, Body]]:
+        """Return every body with the name of its field, e.g. ``"bodies[0]"``.
+
+        Returns
+        -------
+        list of (str, Body)
+            In their order.
+        """
+        return [(f"bodies[{i}]", body) for i, body in enumerate(self.bodies)]
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """Materials of the walls of the room, and then of the faces of bodies."""
+        return (*self.room.faces.materials, *(m for body in self.bodies for m in body.mesh.faces.materials))
+
     def show(self, frames: int = 120, height: int = 600) -> Any:
         """Return the viewer page of the room and of what moves in it, for a notebook.
 
@@ -130,7 +157,9 @@ class Scene:
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         height = as_count("height", height, at_least=100, at_most=10_000)
         return inline_page(
-            "show", scene_page(self.room, [*self.named_ends(), *self.named_scatterers()], frames, "scene"), height
+            "show",
+            scene_page(self.room, [*self.named_ends(), *self.named_scatterers()], self.named_bodies(), frames, "scene"),
+            height,
         )
 
     def _repr_html_(self) -> str:
@@ -143,7 +172,7 @@ class Scene:
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return what room and air are like, a line each, and of ends in a closed room which are inside at 0 s.
+        """Return what room, air and bodies are like, a line each, and of ends in a closed room which are inside at 0 s.
 
         Returns
         -------
@@ -153,7 +182,8 @@ class Scene:
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
         air = [_travelling(self.air, source) for source in self.sources] if self.air.dispersion else []
         of_sides = [_side(self.room, field_name, item) for field_name, item in sides]
-        return [*self.room.describe(), *self.air.describe()[1:], *air, *of_sides]
+        bodies = [line for _, body in self.named_bodies() for line in body.describe()]
+        return [*self.room.describe(), *self.air.describe()[1:], *air, *of_sides, *bodies]
 
 
 def _travelling(air: Air, source: Source) -> str:

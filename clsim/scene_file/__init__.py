@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clsim.errors import InputError
+from clsim.scene_file.words import of_file
+
 if TYPE_CHECKING:
     import os
 
@@ -65,4 +68,8 @@ def load_scene(path: str | os.PathLike[str]) -> SceneFile:
     from clsim.scene_file.scene import build_scene  # late: pydantic takes longer to import than all else
 
     path = Path(path)
-    return build_scene(read_toml(path), path.parent)
+    content = read_toml(path)
+    try:
+        return build_scene(content, path.parent)
+    except InputError as error:
+        raise of_file(error, str(path)) from error

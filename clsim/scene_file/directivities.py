@@ -30,6 +30,7 @@ class _FirstOrder(Model):
     weight: float = 0.5
 
     def build(self, base: Path) -> Directivity:
+        """Return the directivity of first order."""
         return FirstOrder(self.weight)
 
 
@@ -38,6 +39,7 @@ class _Piston(Model):
     radius: float
 
     def build(self, base: Path) -> Directivity:
+        """Return the piston's directivity."""
         return Piston(self.radius)
 
 
@@ -47,6 +49,7 @@ class _Named(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Directivity:
+        """Return the directivity that a file has by this name."""
         return Directivity.named(self.name, self.outside)
 
 

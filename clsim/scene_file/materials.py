@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,6 +11,7 @@ from pydantic import Field
 
 from clsim.errors import InputError
 from clsim.scene.material.material import Material
+from clsim.scene.material.scattering import as_scattering
 from clsim.scene_file.model import Model, within
 
 # How many there are is checked in our own words; editors read it here.
@@ -22,6 +24,7 @@ class _Absorption(Model):
     coefficients: list[float]
 
     def build(self, base: Path) -> Material:
+        """Return the material of these absorption coefficients."""
         return Material.from_absorption(**self.arguments())
 
 
@@ -31,6 +34,7 @@ class _Table(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Material:
+        """Return the material of this table of complex factors."""
         return Material.from_table(**self.arguments() | {"factors": _numbers("factors", self.factors)})
 
 
@@ -40,6 +44,7 @@ class _Impedance(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Material:
+        """Return the material of this impedance."""
         return Material.from_impedance(**self.arguments() | {"impedances": _numbers("impedances", self.impedances)})
 
 
@@ -55,6 +60,7 @@ class _ImpulseResponse(_Echo):
     sampling_rate: float
 
     def build(self, base: Path) -> Material:
+        """Return the material with this impulse response."""
         return Material.from_impulse_response(**self.arguments())
 
 
@@ -64,6 +70,7 @@ class _ImpulseResponseFile(_Echo):
     scale: float = 1.0
 
     def build(self, base: Path) -> Material:
+        """Return the material whose impulse response a file holds."""
         return Material.from_wav(**self.arguments() | {"path": base / self.path})
 
 
@@ -73,6 +80,7 @@ class _Solid(Model):
     boundary_layer: bool = True
 
     def build(self, base: Path) -> Material:
+        """Return the material of a half-space of this solid."""
         return Material.from_solid(**self.arguments())
 
 
@@ -82,11 +90,17 @@ class _Porous(Model):
     outside: Literal["extend"] | None = None
 
     def build(self, base: Path) -> Material:
+        """Return the material of this porous layer before a rigid wall."""
         return Material.from_porous(**self.arguments())
 
 
+class _Scattering(Model):
+    frequencies: list[float]
+    values: list[float]
+
+
 class MaterialModel(Model):
-    """One of the ways to say what a wall is made of, and how rough it is (m)."""
+    """One of the ways to say what a wall is made of, how rough it is (m), and what it scatters."""
 
     reflection: Complex | None = None
     named: str | None = None
@@ -98,14 +112,19 @@ class MaterialModel(Model):
     solid: _Solid | None = None
     porous: _Porous | None = None
     roughness: float = 0.0
+    scattering: float | _Scattering | None = None
 
     def build(self, base: Path) -> Material:
         """Return the material; paths are relative to `base`."""
-        ways = [name for name in type(self).model_fields if name != "roughness"]
+        ways = [name for name in type(self).model_fields if name not in ("roughness", "scattering")]
         given = [name for name in ways if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError("", f"must have one of {', '.join(ways)}, but has {' and '.join(given) or 'none of them'}")
         material = self._built(given[0], base)
+        if self.scattering is not None:
+            told = self.scattering
+            coefficients = told if isinstance(told, float) else (told.frequencies, told.values)
+            material = replace(material, scattering=as_scattering(coefficients))
         try:
             return material.rough(self.roughness) if self.roughness else material
         except InputError as error:

@@ -22,6 +22,7 @@ class _Tone(Model):
     fade: float = 0.0
 
     def build(self, base: Path) -> Signal:
+        """Return the tone."""
         return Signal.tone(**self.arguments())
 
 
@@ -36,6 +37,7 @@ class _Chirp(Model):
     amplitude: float = 1.0
 
     def build(self, base: Path) -> Signal:
+        """Return the chirp."""
         return Signal.chirp(**self.arguments())
 
 
@@ -48,6 +50,7 @@ class _Noise(Model):
     rms: float = 1.0
 
     def build(self, base: Path) -> Signal:
+        """Return the noise, the same for the same seed."""
         return Signal.noise(**self.arguments())
 
 
@@ -64,6 +67,7 @@ class _Sequence(Model):
     amplitude: float = 1.0
 
     def build(self, base: Path) -> Signal:
+        """Return the carrier that a sequence of chips keys."""
         arguments = self.arguments()
         return Signal.sequence(kind=arguments.pop("sequence"), **arguments)
 
@@ -75,6 +79,7 @@ class _Wav(Model):
     scale: float = 1.0
 
     def build(self, base: Path) -> Signal:
+        """Return the signal of a file."""
         return Signal.from_wav(base / self.path, channel=self.channel, scale=self.scale)
 
 
@@ -88,6 +93,7 @@ class _Pulses(Model):
     count: int
 
     def build(self, base: Path) -> Signal:
+        """Return the pulses."""
         return Signal.pulses(within("pulse", lambda: self.pulse.build(base)), self.period, self.count)
 
 
@@ -97,6 +103,7 @@ class _Fixed(Model):
     orientation: Quaternion | None = None
 
     def build(self, base: Path) -> Trajectory:
+        """Return a trajectory that stays where it is."""
         return Trajectory.fixed(self.position, orientation=self.orientation)
 
 
@@ -107,6 +114,7 @@ class _Line(Model):
     duration: float
 
     def build(self, base: Path) -> Trajectory:
+        """Return the straight way."""
         return Trajectory.line(self.start, self.end, self.duration)
 
 
@@ -120,7 +128,20 @@ class _Circle(Model):
     phase: float = 0.0
 
     def build(self, base: Path) -> Trajectory:
+        """Return the circle."""
         return Trajectory.circle(**self.arguments())
+
+
+class _Swing(Model):
+    kind: Literal["swing"]
+    axis_point: Vector
+    axis: Vector
+    angles: list[float]
+    times: list[float]
+    origin: Vector | None = None
+
+    def build(self, base: Path) -> Trajectory:
+        return Trajectory.swing(**self.arguments())
 
 
 class _Waypoints(Model):
@@ -131,6 +152,7 @@ class _Waypoints(Model):
     smooth: bool = True
 
     def build(self, base: Path) -> Trajectory:
+        """Return the way through the points."""
         return Trajectory.waypoints(**self.arguments())
 
 
@@ -149,9 +171,10 @@ class _File(Model):
     max_gap: float | None = None
 
     def build(self, base: Path) -> Trajectory:
+        """Return the trajectory that a file holds."""
         arguments = self.arguments()
         return Trajectory.from_file(base / arguments.pop("path"), **arguments)
 
 
 SignalModel = Annotated[_Tone | _Chirp | _Noise | _Sequence | _Wav | _Pulses, Field(discriminator="kind")]
-TrajectoryModel = Annotated[_Fixed | _Line | _Circle | _Waypoints | _File, Field(discriminator="kind")]
+TrajectoryModel = Annotated[_Fixed | _Line | _Circle | _Swing | _Waypoints | _File, Field(discriminator="kind")]

@@ -15,6 +15,7 @@ from clsim.scene_file.model import Model, within
 
 class _Part(Model):
     def build(self) -> Any:
+        """Return the value of an option that the table stands for."""
         raise NotImplementedError
 
 
@@ -23,6 +24,7 @@ class _Lagrange(_Part):
     order: int = 12
 
     def build(self) -> Interpolator:
+        """Return the Lagrange interpolator."""
         return Lagrange(self.order)
 
 
@@ -32,6 +34,7 @@ class _TruncatedLagrange(_Part):
     length: int
 
     def build(self) -> Interpolator:
+        """Return the truncated Lagrange interpolator."""
         return TruncatedLagrange(self.order, self.length)
 
 
@@ -40,6 +43,7 @@ class _Bandlimited(_Part):
     error_db: float = -90.0
 
     def build(self) -> Interpolator:
+        """Return the band-limited interpolator."""
         return Bandlimited(self.error_db)
 
 
@@ -49,6 +53,7 @@ class _Baseband(_Part):
     sampling_rate: float | None = None
 
     def build(self) -> Baseband:
+        """Return carrier and bandwidth, Hz."""
         return Baseband(self.carrier, self.bandwidth, self.sampling_rate)
 
 

@@ -6,22 +6,23 @@ import os
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationError
 
-from clsim.arrays import Floats
-from clsim.errors import InputError
+from clsim.arrays import Floats, short_repr
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
 from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Scene
+from clsim.scene_file.bodies import BodyModel
 from clsim.scene_file.directivities import DirectivityModel, OmniModel
+from clsim.scene_file.explain import explain
 from clsim.scene_file.model import Model, Pair, Vector, within
-from clsim.scene_file.motion_and_signals import PulseModel, SignalModel, TrajectoryModel
-from clsim.scene_file.render_options import InterpolatorModel, RenderModel
+from clsim.scene_file.motion_and_signals import SignalModel, TrajectoryModel
+from clsim.scene_file.render_options import RenderModel
 from clsim.scene_file.rooms import RoomModel
 from clsim.scene_file.scatterers import ScattererModel
 from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
@@ -48,6 +49,7 @@ class _Air(Model):
     fluctuation: _Fluctuation | None = None
 
     def build(self) -> Air:
+        """Return the air."""
         arguments, noise = self.arguments(), self.fluctuation
         if noise is not None:
             arguments["fluctuation"] = within("fluctuation", lambda: Fluctuation(**noise.arguments()))
@@ -60,6 +62,7 @@ class _Common(Model):
     aim: Vector | None = None
     transducer: TransducerModel | None = None
     flush: bool | Vector = False
+    mounted_on: str | None = None
 
     def parts(self, base: Path) -> dict[str, Any]:
         """Return the arguments that sources, receivers and arrays of them share."""
@@ -69,6 +72,7 @@ class _Common(Model):
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
             "flush": self.flush,
+            "mounted_on": self.mounted_on,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),
         }
 
@@ -85,6 +89,7 @@ class _Receiver(_End):
     electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> list[Receiver]:
+        """Return the receiver, in a list as arrays of receivers are."""
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
         return [Receiver(**self.parts(base), electronics=electronics)]
@@ -97,6 +102,7 @@ class _Grid(Model):
     z: float | list[float]
 
     def build(self, base: Path) -> Floats:
+        """Return the positions of the grid, `(n, 3)` m."""
         return grid_positions(self.x, self.y, self.z)
 
 
@@ -105,6 +111,7 @@ class _PositionsFile(Model):
     path: str
 
     def build(self, base: Path) -> Floats:
+        """Return the positions that a file holds, `(n, 3)` m."""
         return positions_from_file(base / self.path)
 
 
@@ -113,6 +120,7 @@ class _ReceiverArray(_Common):
     electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> list[Receiver]:
+        """Return the receivers of the array, named by their numbers."""
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
         positions = within("positions", lambda: self.positions.build(base))
@@ -128,6 +136,7 @@ class _Source(_End):
     start: float = 0.0
 
     def build(self, base: Path) -> Source:
+        """Return the source."""
         signal = within("signal", lambda: self.signal.build(base))
         return Source(**self.parts(base), signal=signal, start=self.start)
 
@@ -141,7 +150,10 @@ class _Direct(Model):
 class _Paths(Model):
     max_order: int
     diffraction: int = 0
+    diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
+    body_order: int | None = None  # max_order where left out
+    body_step: float | None = None  # 0.01 m where left out
     direct: bool | float | list[_Direct] | None = None  # true where left out
     finder: Literal["auto", "beam-tree", "shooting"] = "auto"
     resolution: float | None = None
@@ -152,7 +164,8 @@ class _Paths(Model):
         given = {
             name: value
             for name, value in super().arguments().items()
-            if name not in ("scattering_order", "direct") or value is not None
+            if name not in ("diffraction_model", "scattering_order", "body_order", "body_step", "direct")
+            or value is not None
         }
         if isinstance(self.direct, list):
             levels = [False if pair.level_db is None else pair.level_db for pair in self.direct]
@@ -175,6 +188,7 @@ class SceneModel(Model):
         ]
     ]
     scatterers: list[ScattererModel] | None = None
+    bodies: list[BodyModel] | None = None
     paths: _Paths
     render: RenderModel
 
@@ -203,6 +217,8 @@ class SceneFile:
     model: SceneModel
     base: Path
 
+    __repr__ = short_repr
+
     def with_render(self, **changes: Any) -> SceneFile:
         """Return the file with other values of its ``[render]``."""
         render = self.model.render.model_copy(update=changes)
@@ -228,15 +244,16 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     try:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
-        raise explain(error, content) from error
+        raise explain(error, content, SceneModel) from error
     sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
     entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
     receivers = [receiver for entry in entries for receiver in entry]
     things = [within(f"scatterers[{i}]", partial(t.build, base)) for i, t in enumerate(model.scatterers or [])]
     scatterers = [scatterer for thing in things for scatterer in thing]
+    bodies = [within(f"bodies[{i}]", partial(body.build, base)) for i, body in enumerate(model.bodies or [])]
     room = within("room", lambda: model.room.build(base))
     air = within("air", model.air.build)
-    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers)
+    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers, bodies)
     arguments = within("render", model.render.build)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)
@@ -281,57 +298,3 @@ def _paths_within(content: Any) -> list[tuple[dict[str, Any], str]]:
 def scene_schema() -> dict[str, Any]:
     """Return the JSON schema of scene files, for editors."""
     return SceneModel.model_json_schema()
-
-
-def explain(error: ValidationError, content: Any) -> InputError:
-    """Return one of pydantic's complaints in our words, with the field's path."""
-    # A misspelt key comes before what is then missing; of a number or a list of numbers, what is wrong within the list.
-    complaints = error.errors(include_url=False)
-    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
-    field = _field_of(first, content)
-    for complaint in complaints:
-        inner = _field_of(complaint, content)
-        if inner.startswith(f"{field}["):
-            first, field = complaint, inner
-    kind, context = first["type"], first.get("ctx", {})
-    if kind == "missing":
-        return InputError(field, "must be given, but is missing")
-    if kind == "extra_forbidden":
-        return InputError(field, "is no known key")
-    if kind == "union_tag_not_found":
-        return InputError(f"{field}.kind", f"must be one of {_choices(field)}, but is missing")
-    if kind == "union_tag_invalid":
-        return InputError(f"{field}.kind", f"must be one of {context['expected_tags']}, but is {context['tag']!r:.80}")
-    message = first["msg"].replace("Input should be ", "must be ")
-    return InputError(field, f"{message}, but is {first['input']!r:.80}")
-
-
-def _field_of(complaint: Any, content: Any) -> str:
-    """Return the path of the field that pydantic complains of."""
-    field, at, steps = "", content, complaint["loc"]
-    for i, step in enumerate(steps):
-        known = isinstance(at, dict | list) and (step in at if isinstance(at, dict) else isinstance(step, int))
-        if isinstance(step, str) and not known and i < len(steps) - 1:
-            continue  # the name of a union's member, which no file holds
-        if isinstance(step, str) and not known and complaint["type"] not in ("missing", "extra_forbidden"):
-            continue
-        word = step or '""'  # an empty key is one, too
-        field += f"[{step}]" if isinstance(step, int) else f".{word}" if field else str(word)
-        at = at[step] if known else None
-    return field
-
-
-def _choices(field: str) -> str:
-    """Return the kinds that a field can be of."""
-    unions: dict[str, Any] = {
-        "trajectory": TrajectoryModel,
-        "signal": SignalModel,
-        "directivity": DirectivityModel,
-        "pulse": PulseModel,
-        "transducer": TransducerModel,
-        "room": RoomModel,
-        "scatterers": ScattererModel,
-    }
-    union = unions.get(field.rpartition(".")[2].partition("[")[0], InterpolatorModel)
-    members = get_args(get_args(union)[0])
-    return ", ".join(repr(get_args(member.model_fields["kind"].annotation)[0]) for member in members)

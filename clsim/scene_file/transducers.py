@@ -19,6 +19,7 @@ class _NamedTransducer(Model):
     name: str
 
     def build(self, base: Path) -> Transducer:
+        """Return the built-in transducer of this name."""
         return Transducer.named(self.name)
 
 
@@ -29,6 +30,7 @@ class _Resonance(Model):
     sensitivity: float
 
     def build(self, base: Path) -> Transducer:
+        """Return the transducer with this resonance."""
         return Transducer.resonance(**self.arguments())
 
 
@@ -40,6 +42,7 @@ class _ResponseTable(Model):
     outside: Literal["zero", "hold"] | None = None
 
     def build(self, base: Path) -> Transducer:
+        """Return the transducer with this table of a response."""
         values: Any = np.array(self.magnitudes)
         if self.phases is not None:
             if len(self.phases) != len(values):
@@ -57,6 +60,7 @@ class _ImpulseResponse(Model):
     sampling_rate: float
 
     def build(self, base: Path) -> Transducer:
+        """Return the transducer with this impulse response."""
         return Transducer.from_impulse_response(self.samples, self.sampling_rate)
 
 
@@ -67,6 +71,7 @@ class _ImpulseResponseFile(Model):
     scale: float = 1.0
 
     def build(self, base: Path) -> Transducer:
+        """Return the transducer whose impulse response a file holds."""
         return Transducer.from_wav(base / self.path, channel=self.channel, scale=self.scale)
 
 

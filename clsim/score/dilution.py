@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only
-from clsim.packages import check_packages
+from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr
+from clsim.packages import check_packages, check_pictures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +41,8 @@ class GdopMap:
     z: float
     anchors: Floats
 
+    __repr__ = short_repr
+
     def to_dataframe(self) -> Any:
         """Return a row for each place as a pandas DataFrame.
 
@@ -68,6 +70,7 @@ class GdopMap:
         matplotlib.axes.Axes
             Of a new figure of pyplot.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         figure, axes = pyplot.subplots(figsize=(6.4, 4.8), layout="constrained")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.arrays import short_repr
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,6 +47,8 @@ class MatchedFilter:
     energy: float
     centre: float
     bandwidth: float
+
+    __repr__ = short_repr
 
     @classmethod
     def of(cls, pulse: Signal, sampling_rate: float) -> MatchedFilter:

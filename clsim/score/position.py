@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, read_only, texts
+from clsim.arrays import Floats, as_choice, as_number, read_only, short_repr, texts
 from clsim.errors import InputError
-from clsim.packages import check_packages
+from clsim.packages import check_packages, check_pictures
 from clsim.pictures.notebook import html_table
 from clsim.score.dilution import FLATTEST, METHODS, gdop
 from clsim.score.ranging import RangingScore
@@ -50,6 +50,8 @@ class PositionScore:
     exact: Floats
     anchors: Floats
     gdop: Floats
+
+    __repr__ = short_repr
 
     @property
     def error(self) -> Floats:
@@ -129,6 +131,7 @@ class PositionScore:
         list of matplotlib.axes.Axes
             Two, of a new figure of pyplot.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         figure, (plan, spread) = pyplot.subplots(1, 2, figsize=(11.0, 4.6), layout="constrained")

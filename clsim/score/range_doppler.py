@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_only
+from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_only, short_repr
 from clsim.errors import InputError
-from clsim.packages import check_packages
+from clsim.packages import check_packages, check_pictures
 from clsim.score.emissions import heard_scene, source_index
 from clsim.score.matched_filter import MatchedFilter
 from clsim.score.ranging import emissions_of, outputs_of, span_of
@@ -41,6 +41,8 @@ class RangeDopplerMap:
     amplitude: Complexes
     ranges: Floats
     speeds: Floats
+
+    __repr__ = short_repr
 
     def to_xarray(self) -> Any:
         """Return it with named dimensions ``speed`` and ``range``.
@@ -91,6 +93,7 @@ class RangeDopplerMap:
         matplotlib.axes.Axes
             Of a new figure of pyplot.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         figure, axes = pyplot.subplots(figsize=(9.0, 5.0), layout="constrained")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, read_only, texts
+from clsim.arrays import Floats, as_choice, as_number, read_only, short_repr, texts
 from clsim.errors import InputError
-from clsim.packages import check_packages
+from clsim.packages import check_packages, check_pictures
 from clsim.pictures.notebook import html_table
 from clsim.score.emissions import direct_delays, heard_scene, source_index
 from clsim.score.matched_filter import MatchedFilter, envelope_peak, phase_peak
@@ -67,6 +67,8 @@ class RangingScore:
     receiver_names: tuple[str, ...]
     scene: Scene
     outlier: float
+
+    __repr__ = short_repr
 
     @property
     def error(self) -> Floats:
@@ -155,6 +157,7 @@ class RangingScore:
         list of matplotlib.axes.Axes
             Two, of a new figure of pyplot.
         """
+        check_pictures("plot")
         from matplotlib import pyplot
 
         figure, (over_time, spread) = pyplot.subplots(1, 2, figsize=(11.0, 4.3), layout="constrained")

@@ -16,8 +16,9 @@ from pydantic import Field, ValidationError
 from clsim.arrays import as_count, as_number
 from clsim.errors import InputError
 from clsim.files.input_files import read_toml
+from clsim.scene_file.explain import UNKNOWN, explain
 from clsim.scene_file.model import Model
-from clsim.scene_file.scene import build_scene, explain, referenced_files
+from clsim.scene_file.scene import build_scene, referenced_files
 from clsim.study.fields import parsed, replaced
 
 if TYPE_CHECKING:
@@ -138,9 +139,9 @@ class Study:
         try:
             return referenced_files(build_scene(self.content_of(member), self.base))
         except InputError as error:
-            unknown = [f for f in member.changes if error.problem == "is no known key" and _reaches(f, error.field)]
+            unknown = [f for f in member.changes if error.problem.startswith(UNKNOWN) and _reaches(f, error.field)]
             if unknown:
-                raise InputError("vary", f"must name fields of the scene, but {error.field} is no known key") from error
+                raise InputError("vary", f"must name fields of the scene, but {error.field} {error.problem}") from error
             values = ", ".join(f"{f} = {json.dumps(v, default=str):.40}" for f, v in member.changes.items())
             raise InputError(f"member {member.number} ({values:.200})", str(error)) from error
 
@@ -171,7 +172,7 @@ def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Stud
     try:
         model = _StudyModel.model_validate(content)
     except ValidationError as error:
-        raise explain(error, content) from error
+        raise explain(error, content, _StudyModel) from error
     as_count("seed", model.seed, at_least=0)
     if model.draws is not None:
         as_count("draws", model.draws, at_least=1)

@@ -198,6 +198,7 @@ class _Rows:
 
     @property
     def parts(self) -> int:
+        """Return 2 if responses are complex, else 1."""
         return 1 + int(np.iscomplexobj(self.sample.responses))
 
 
@@ -235,6 +236,7 @@ class _Functions:
 
     @property
     def parts(self) -> int:
+        """Return 2 if functions are complex, else 1."""
         return 1 + int(np.iscomplexobj(self.shapes))
 
     def gains(self, rows: Floats | Complexes) -> Floats:

@@ -101,7 +101,8 @@ class Sample:
 
     def by_frame(self, values: Floats | Complexes) -> Floats:
         """Return the sums of the squares of values (n, m) over each frame's rows."""
-        return np.asarray(np.add.reduceat(values.real**2 + values.imag**2, self.first, axis=0))
+        squares = values.real**2 + values.imag**2 if np.iscomplexobj(values) else values**2
+        return np.asarray(np.add.reduceat(squares, self.first, axis=0))
 
     @cached_property
     def heard(self) -> Floats:

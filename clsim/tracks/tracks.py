@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS
 from clsim.paths.family import PeakSpeeds
@@ -268,6 +268,8 @@ class SceneTracks(Tracks):
     source_count: int
     receiver_names: tuple[str, ...]
 
+    __repr__ = short_repr
+
     @property
     def of_scene(self) -> SceneTracks:
         """These tracks."""
@@ -349,9 +351,11 @@ class SceneTracks(Tracks):
                 yield batch, low - most[r], high - least[r]
 
     def last_time(self) -> float:
-        """Return the end of the first trajectory of a moving receiver or scatterer, or infinity."""
-        scattered = min((s.trajectory.end for s in self.scene.scatterers), default=np.inf)
-        return float(min(_clock_time(r, np.array([min(r.trajectory.end, scattered)]))[0] for r in self.scene.receivers))
+        """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity."""
+        scene = self.scene
+        motions = [*(thing.trajectory for thing in scene.scatterers), *(body.trajectory for body in scene.bodies)]
+        known = min((motion.end for motion in motions), default=np.inf)
+        return float(min(_clock_time(r, np.array([min(r.trajectory.end, known)]))[0] for r in self.scene.receivers))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -365,6 +369,8 @@ class SampledTracks(Tracks):
     largest_rate: float
     end: float
     transition: float
+
+    __repr__ = short_repr
 
     def evaluate(
         self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import sys
 import time
 import warnings
@@ -10,6 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimWarning
+from clsim.scene_file.words import as_toml
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
     Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
 
+_PREFIXES = ("", "k", "M", "G", "T")
 _PATIENCE = 2.0  # s after which progress is shown
 _MOMENT = 0.3  # s of building after which it is told: programs that were built before take less
 
@@ -39,11 +42,12 @@ def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
     shown = False
 
     def advance(amount: float) -> None:
+        """Move the bar on, and show it once the work has taken a while."""
         nonlocal shown
         bar.advance(task, amount)
         spent = time.monotonic() - begun
         done = bar.tasks[0].completed
-        bar.update(task, rate=f"{done / max(spent, 1e-3) / 1e9:.2f}e9 path-samples/s" if total > 1e6 else "")
+        bar.update(task, rate=f"{in_prefixes(done / max(spent, 1e-3))}path-samples/s" if total > 1e6 else "")
         if spent > _PATIENCE and not shown:
             bar.start()
             shown = True
@@ -53,6 +57,12 @@ def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
     finally:
         if shown:
             bar.stop()
+
+
+def in_prefixes(value: float) -> str:
+    """Return a positive number in three digits with the prefix of its unit: 2.35e7 is ``23.5 M``."""
+    power = min(max(int(math.log10(max(value, 1.0)) // 3), 0), len(_PREFIXES) - 1)
+    return f"{value / 1000.0**power:.3g} {_PREFIXES[power]}"
 
 
 @contextmanager
@@ -105,7 +115,8 @@ def one_line_warnings() -> Iterator[None]:
     seen: set[str] = set()
 
     def show(message: Any, *_: Any, **__: Any) -> None:
-        text = " ".join(str(message).split())
+        """Print a warning as one line, each text once."""
+        text = as_toml(" ".join(str(message).split()))
         if text not in seen:
             seen.add(text)
             print(f"clsim: warning: {text}", file=sys.stderr)

@@ -136,6 +136,7 @@ class _TimedMaker:
         self.prepare = maker.prepare
 
     def nodes(self, *arguments: Any) -> DeviceNodes:
+        """Make nodes, and add the time that it takes, s, to the engine's."""
         self._engine.finish()
         begun = time.perf_counter()
         made: DeviceNodes = self._maker.nodes(*arguments)

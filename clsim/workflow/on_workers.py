@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import closing
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from clsim.cluster.dispatch import Dispatch
@@ -111,7 +112,8 @@ class Pieces:
     """All pieces of a run, which of them can be done, and what is whole.
 
     Pieces are numbered stretch by stretch: pressure first, then each block of receivers in which something rings on.
-    A chain is a block's pieces, or those of pressure where a contribution remembers something.
+    Behind all of these stands what several stretches are made of alike. A chain is a block's pieces, or those of
+    pressure where a contribution remembers something.
 
     Parameters
     ----------
@@ -137,20 +139,40 @@ class Pieces:
         self._rendered: set[int] = set()  # stretches whose pressure is there
         self._next = [0] * (1 + len(self._later))  # stretch before which all are there, of pressure and each block
         self._states: list[dict[int, State]] = [{0: state} for _ in self._next]
-        self._is_chain = bool(PressureSum(plan).state())
+        pressure = PressureSum(plan)
+        self._is_chain = bool(pressure.state())
+        self._parts = [set(pressure.shared(*stretch)) for stretch in pairwise(self._edges)]  # that are still wanted
+        self._users: dict[str, list[int]] = {}  # stretches, by what they are made of
+        for stretch, names in enumerate(self._parts):
+            for name in sorted(names):
+                self._users.setdefault(name, []).append(stretch)
+        self._shared = list(self._users)
 
     @property
     def count(self) -> int:
         """Number of pieces."""
+        return self._behind + len(self._shared)
+
+    @property
+    def _behind(self) -> int:
+        """Number of the first piece that is shared."""
         return (len(self._edges) - 1) * len(self._next)
 
     def todo(self) -> list[int]:
         """Return the pieces that can be done at once."""
-        every = range(0, self.count, len(self._next))
-        return list(every[:1] if self._is_chain else every)
+        stretches = filter(self._can_be_summed, range(len(self._parts)))
+        return [*(len(self._next) * stretch for stretch in stretches), *range(self._behind, self.count)]
+
+    def _can_be_summed(self, stretch: int) -> bool:
+        """Return whether all is there that a stretch's pressure is made of."""
+        return not self._parts[stretch] and (not self._is_chain or stretch == self._next[0])
 
     def piece(self, number: int) -> Piece:
         """Return a piece."""
+        if number >= self._behind:
+            name = self._shared[number - self._behind]
+            users = self._users[name]
+            return Piece(self._edges[users[0]], self._edges[users[-1] + 1], None, name)
         stretch, chain = divmod(number, len(self._next))
         first, last = self._edges[stretch : stretch + 2]
         return Piece(first, last, self._later[chain - 1] if chain else None)
@@ -158,7 +180,7 @@ class Pieces:
     def rendered(self, number: int) -> int:
         """Return how many samples of pressure a piece adds."""
         piece = self.piece(number)
-        return 0 if piece.receivers is not None else piece.last - piece.first
+        return piece.last - piece.first if piece.receivers is None and piece.shared is None else 0
 
     def check(self) -> Call:
         """Return a call of `check_worker`."""
@@ -166,6 +188,8 @@ class Pieces:
 
     def call(self, number: int) -> Call:
         """Return a call of `do_piece` with what is remembered before it."""
+        if number >= self._behind:
+            return do_piece, (self.file, self.piece(number), {})
         stretch, chain = divmod(number, len(self._next))
         state = self._states[chain][stretch] if chain or self._is_chain else {}
         mine = [f"receivers.{i}." for i in self._later[chain - 1]] if chain else ["contribution"]
@@ -187,11 +211,14 @@ class Pieces:
         return idle, ()
 
     def settle(self, number: int, state: State) -> list[int]:
-        """Take a piece as done; return those that can be done now."""
+        """Take a piece as done; return those that can be done now, what comes first last."""
+        if number >= self._behind:
+            return self._found(self._shared[number - self._behind])
         stretch, chain = divmod(number, len(self._next))
         ready = []
         if chain == 0:
             self._rendered.add(stretch)
+            self._forget(stretch)
             while self._next[0] in self._rendered:
                 self._next[0] += 1
             ready = [number + k for k in range(1, len(self._next)) if self._next[k] == stretch]
@@ -203,9 +230,24 @@ class Pieces:
             self._next[chain] += 1
         following = number + len(self._next)
         self._states[chain][stretch + 1] = state
-        if stretch + 2 < len(self._edges) and (self._is_chain if chain == 0 else stretch + 1 in self._rendered):
+        if stretch + 2 < len(self._edges) and (
+            (self._is_chain and self._can_be_summed(stretch + 1)) if chain == 0 else stretch + 1 in self._rendered
+        ):
             ready.append(following)
         return ready
+
+    def _found(self, name: str) -> list[int]:
+        """Take what is shared by a name as made; return the pieces that it was all that was missing for."""
+        for stretch in self._users[name]:
+            self._parts[stretch].discard(name)
+        ready = filter(self._can_be_summed, self._users[name])
+        return [len(self._next) * stretch for stretch in ready][::-1]
+
+    def _forget(self, stretch: int) -> None:
+        """Delete what was shared by stretches that are all there."""
+        for name, users in self._users.items():
+            if stretch in users and self._rendered.issuperset(users):
+                self.file.shared(name).unlink(missing_ok=True)
 
     def whole(self) -> tuple[int, State]:
         """Return how many samples are there without a gap, and what is remembered behind them."""

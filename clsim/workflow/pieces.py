@@ -1,10 +1,11 @@
 """Pieces of a run, as a worker does them: pressure for a stretch of time, or what some receivers make of it.
 
 All workers have one plan, from one file: nothing is planned twice, and nothing can be planned otherwise. Pressure is
-cut along time, at chunks: it does not depend on what was before. What rings on in receivers' ends does, so for each
-block of receivers there is a chain of pieces, each of which is handed what the one before remembered; pressure waits
-for it in files. Pressure is not cut along receivers: the lengths of blocks are chosen for a batch of receivers at once,
-so another batch would change it.
+cut along time, at chunks: it does not depend on what was before. What several stretches of time are made of alike, such
+as a chunk of envelopes, is a piece of its own: it waits in a file until all of them are there. What rings on in
+receivers' ends depends on what was before, so for each block of receivers there is a chain of pieces, each of which is
+handed what the one before remembered; pressure waits for it in files. Pressure is not cut along receivers: the lengths
+of blocks are chosen for a batch of receivers at once, so another batch would change it.
 """
 
 from __future__ import annotations
@@ -74,11 +75,14 @@ class Piece:
         Samples, the last one not among them.
     receivers : range or None
         Whose ends are to take the pressure; None for the pressure itself.
+    shared : str or None
+        Name of what they and others are made of alike, which is all that is to be made; None for all else.
     """
 
     first: int
     last: int
     receivers: range | None = None
+    shared: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,6 +160,11 @@ class PlanFile:
         """Return the file in which a block's pressure, for the chunk from `start` on, waits for its receivers."""
         path = Path(self.path)
         return path.with_name(f"{path.stem}.{start}-{block.start}.npy")
+
+    def shared(self, name: str) -> Path:
+        """Return the file in which what several pieces are made of waits for them, by its name."""
+        path = Path(self.path)
+        return path.with_name(f"{path.stem}.shared-{name}.npy")
 
     def remove(self) -> None:
         """Delete it and all that stands beside it; a worker that is still at this run writes nothing any more."""
@@ -255,6 +264,9 @@ class _Site:
 
     def do(self, piece: Piece, state: State) -> State:
         """Do a piece; return what the next one is to remember."""
+        if piece.shared is not None:
+            self._make(piece.shared)
+            return {}
         store = self.handed.store
         store.open()
         try:
@@ -266,13 +278,12 @@ class _Site:
 
     def _sum(self, piece: Piece, state: State) -> State:
         """Render pressure; write what is sound by that, and leave the rest to the receivers' pieces."""
-        if self._pressure is None:
-            self._pressure = PressureSum(self._plan)
+        whole = self._whole()
         if state:
-            self._pressure.restore(state)
-        self._pressure.until(piece.last)
+            whole.restore(state)
+        whole.until(piece.last)
         for start in self._chunks(piece):
-            pressure = self._pressure(start)
+            pressure = whole(start)
             for block in self.handed.blocks:
                 here = pressure[block.start : block.stop]
                 if block in self._later:
@@ -280,8 +291,22 @@ class _Site:
                         np.save(path, here)
                 else:
                     self._write(start, ReceiverChain(self._plan, block)(start, here), block)
-        self._pressure.warn()
-        return self._pressure.state()
+        whole.warn()
+        return whole.state()
+
+    def _make(self, name: str) -> None:
+        """Make what several pieces are made of."""
+        made = self._whole().made(name)
+        self._check_on()
+        with atomic_path(self._file.shared(name)) as path:
+            np.save(path, made)
+
+    def _whole(self) -> PressureSum:
+        """Return the sum of all contributions, which look up what others made."""
+        if self._pressure is None:
+            self._pressure = PressureSum(self._plan)
+            self._pressure.look_up(lambda name: np.load(self._file.shared(name), allow_pickle=False))
+        return self._pressure
 
     def _taken(self, piece: Piece, state: State) -> State:
         """Have receivers take pressure that others rendered."""

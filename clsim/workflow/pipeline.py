@@ -190,6 +190,7 @@ def shares(advance: Callable[[float], None]) -> Callable[[float], None]:
     done = 0.0
 
     def report(share: float) -> None:
+        """Tell the caller's bar how much has been done since the last call, of a share of all."""
         nonlocal done
         advance(share - done)
         done = share

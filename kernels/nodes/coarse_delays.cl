@@ -2,7 +2,7 @@
 // Work-item: dimension 0 counts slots (paths), dimension 1 NODES_AT_ONCE ends of walks, the first one walk before the run.
 
 __kernel void coarse_delays(__global const double* image_matrix, __global const double* image_offset,  // as in tracks.cl
-                            __global const int* receiver_of,
+                            __global const int* receiver_of, __global const edge_view* edges,
                             __global const receiver_node* receivers,  // [receivers][ends, 1 if STATIC_RECEIVERS]
                             int ends,                                 // a multiple of NODES_AT_ONCE
                             __global const double* knots, int knot_count, double first_knot, double knot_rate, double start,
@@ -13,12 +13,13 @@ __kernel void coarse_delays(__global const double* image_matrix, __global const 
     const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const receivers_in_image receiver =
         receivers_at(&path, image_matrix, slots, slot, image_offset_of(image_offset, slots, slot),
+                     edges + slot,
                      receivers + (STATIC_RECEIVERS ? receiver_of[slot] : receiver_of[slot] * (long)ends + end));
     const double at[4] = {end - 1, end, end + 1, end + 2};
     const reals walk = SIDE_BY_SIDE(at, );
     arrivals a;
     a.delay = 0.0;
-    solve_delay(&path, &receiver.ear, start + walk * walk_time + receiver.clock_error, CONVERGED, &a);
+    SOLVE_DELAY(&path, edges + slot, &receiver.ear, start + walk * walk_time + receiver.clock_error, CONVERGED, &a);
     const reals late = a.delay - receiver.clock_error, rate = a.rate * receiver.clock_rate - (receiver.clock_rate - 1.0);
     for (int i = 0; i < NODES_AT_ONCE; i++) {
         delays[2 * (end + i) * (long)slots + slot] = OF_NODE(late, i);

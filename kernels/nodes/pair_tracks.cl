@@ -110,7 +110,7 @@ __kernel void pair_tracks(__global const float2* image_matrix,  // [9][slots]
             w.rate[3] = a.rate + (a.rate - 1.0f) * receiver.clock_drift;
             const float length = a.delay.x * speed_of_sound;
             const arrival here = {length, length, a.mach_factor, a.departure, a.departure, a.knot, a.u};
-            w.strength[3] = path_gains(&here, &around, slots, slot, receiver.frame, w.gain[3], &left_over);
+            w.strength[3] = path_gains(&here, &around, slots, slot, receiver.frame, 0, w.gain[3], &left_over);
         }
         solved = block + 3;
         terms_between(&w, powers);

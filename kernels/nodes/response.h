@@ -10,7 +10,7 @@ typedef struct {
     __global const gains* sizes;         // [GAIN_VECTORS], most that each adds to a path
     __global const bins* reflection;     // [slots][PARTS][BIN_VECTORS], of walls that are the same at every angle
     __global const bins* walls;          // those that are not: [materials][CELLS][4][PARTS][BIN_VECTORS]
-    __global const int* wall_of;         // [angular][slots], -1 for none
+    __global const int* wall_of;         // [angular][slots], -1 for none; -2 less it for walls that are met from the receiver's side
     __global const float* normal;        // [angular][3][slots], unfolded
     __global const bins* source_directivity;    // AXIAL: [CELLS][4][PARTS][BIN_VECTORS]; SPHERICAL: [6][SIDE][SIDE][PARTS][BIN_VECTORS]
     __global const bins* receiver_directivity;  // likewise
@@ -52,9 +52,10 @@ static void project(const response* r, __global const gains* projection, gains* 
     }
 }
 
-// Returns the response's mean square over the nodes; `unheld` is that of what the functions do not hold of it.
-static float path_gains(const arrival* a, const surroundings* s, int slots, int slot, const triple* receiver_frame, gains* gain,
-                        float* unheld)
+// Returns the response's mean square over the nodes; `unheld` is that of what the functions do not hold of it. What the
+// path is besides, over free air of its length, is `field`, where that is not 0.
+static float path_gains(const arrival* a, const surroundings* s, int slots, int slot, const triple* receiver_frame,
+                        const response* field, gains* gain, float* unheld)
 {
     float common = 1.0f / a->length;
 #if MACH_EXPONENT >= 1
@@ -77,11 +78,12 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
 #endif
     }
     for (int i = 0; i < s->angular; i++) {
-        const int wall = s->wall_of[i * (long)slots + slot];
-        if (wall < 0) break;
+        int wall = s->wall_of[i * (long)slots + slot];
+        if (wall == -1) break;
+        const triple along = wall < 0 ? a->arrival : a->departure;
+        wall = wall < 0 ? -2 - wall : wall;
         __global const float* n = s->normal + 3 * i * (long)slots + slot;
-        const float cosine = n[0] * (float)a->departure.x + n[slots] * (float)a->departure.y +
-                             n[2 * (long)slots] * (float)a->departure.z;
+        const float cosine = n[0] * (float)along.x + n[slots] * (float)along.y + n[2 * (long)slots] * (float)along.z;
         // Over the root of the cosine: hard walls change within 0.1 degree of grazing.
         apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
     }
@@ -99,6 +101,7 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
     apply_sphere(s->receiver_directivity, -(float)inner(receiver_frame[0], a->arrival),
                  -(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r);
 #endif
+    if (field) multiply(&r, field);
     project(&r, s->projection, gain);
     // What is heard, and what of it the functions do not hold.
     bins heard[PARTS * BIN_VECTORS], rest[PARTS * BIN_VECTORS], whole = 0.0f, left = 0.0f;

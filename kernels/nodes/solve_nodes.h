@@ -11,11 +11,13 @@ typedef struct {
     __global const double* image_matrix;
     triple offset;
     int slots, slot;
+    __global const edge_view* edge;      // that the path turns round
     __global const receiver_node* rows;  // of the walk's first node on
     double start, block_time;            // time of the walk's first block, s
     double block_share;                  // two blocks over the walk
     const double* predicted;             // delays over the walk, a septic on [-1, 1]
     int ready;                           // the group that is solved
+    edge_tables tables;                  // of paths over edges
     receivers_in_image receiver[STATIC_RECEIVERS ? 1 : AT_ONCE];
     arrivals node[AT_ONCE];
 } path_nodes;
@@ -29,7 +31,7 @@ static void solve_group(path_nodes* s, int group)
         receivers_in_image* receiver = s->receiver + (STATIC_RECEIVERS ? 0 : part);
         const int first = group * GROUP + part * NODES_AT_ONCE;
 #if !STATIC_RECEIVERS
-        *receiver = receivers_at(s->path, s->image_matrix, s->slots, s->slot, s->offset, s->rows + first);
+        *receiver = receivers_at(s->path, s->image_matrix, s->slots, s->slot, s->offset, s->edge, s->rows + first);
 #endif
         const double at[4] = {first - 1, first, first + 1, first + 2};
         const reals block = SIDE_BY_SIDE(at, ), u = block * s->block_share - 1.0;
@@ -37,7 +39,7 @@ static void solve_group(path_nodes* s, int group)
 #pragma unroll
         for (int k = 6; k >= 0; k--) expected = expected * u + s->predicted[k];
         s->node[part].delay = expected + receiver->clock_error;
-        solve_delay(s->path, &receiver->ear, s->start + block * s->block_time + receiver->clock_error, CONVERGED,
+        SOLVE_DELAY(s->path, s->edge, &receiver->ear, s->start + block * s->block_time + receiver->clock_error, CONVERGED,
                     s->node + part);
     }
 }
@@ -68,6 +70,18 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     const arrivals* a = s->node + PART(i);
     const int beside = BESIDE_IT(i);
     const double through = OF_NODE(a->delay, beside) * speed_of_sound;
+#if EDGES
+    __global const edge_view* edge = s->edge;
+    const triple from = place_by_edge(edge->source_turn, edge->source_shift, cubic(a->knot[beside], OF_NODE(a->u, beside)));
+    const triple to = triple_of(&s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].ear.position, beside);
+    const double place = edge->end_side ? edge->end : (from.z * off_edge(to) + to.z * off_edge(from)) / (off_edge(from) + off_edge(to));
+    response field[1];
+    const double length = edge_field(around, &s->tables, edge, s->slot, from, to, OF_NODE(a->mach_factor, beside), field);
+    const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, beside),
+                          into_room(edge->source_turn, towards_edge(from, place)),
+                          times(-1.0, into_room(edge->receiver_turn, towards_edge(to, place))), a->knot[beside], OF_NODE(a->u, beside)};
+#else
+    const response* field = 0;
     const triple departure = triple_of(&a->departure, beside);
 #if WIND
     const arrival here = {(float)through, (float)OF_NODE(a->length, beside), OF_NODE(a->mach_factor, beside), departure,
@@ -76,9 +90,10 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     const arrival here = {(float)through, (float)through, OF_NODE(a->mach_factor, beside), departure, departure,
                           a->knot[beside], OF_NODE(a->u, beside)};
 #endif
+#endif
     triple frame[3];
 #if RECEIVER_DIRECTIVITY != OMNI
     for (int k = 0; k < 3; k++) frame[k] = triple_of(s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].frame + k, beside);
 #endif
-    return path_gains(&here, around, s->slots, s->slot, frame, gain, unheld);
+    return path_gains(&here, around, s->slots, s->slot, frame, field, gain, unheld);
 }

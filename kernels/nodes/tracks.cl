@@ -3,14 +3,10 @@
 // depends on which others are solved: where signals pause (SPARSE), blocks in which nothing sounds are left out.
 // Node n is one block before the start of block n; the slope of a block's gain needs the node before and after its own.
 
-#if SPARSE
-static double later(double a, double b) { return a > b ? a : b; }
-static double sooner(double a, double b) { return a < b ? a : b; }
-#endif
-
 __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
                      __global const int* receiver_of,      // [slots]
+                     __global const edge_view* edges,      // [slots], of EDGES
                      __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
@@ -43,7 +39,9 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global float* unheld,               // [walks][slots]: mean square of what no function holds
                      __global const int* following, __global const int* preceding, int cells, double origin,  // in activity.h
                      double max_rate,                      // bound of how fast a delay changes
-                     __global int* activity)               // [blocks][slots]: subblocks in which it sounds, see activity.h
+                     __global int* activity,               // [blocks][slots]: subblocks in which it sounds, see activity.h
+                     __global const bins* transition, __global const bins* faces, __global const bins* waves, double middle)
+                                                           // these in edge_field.h
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
     const int first = walk * walk_blocks, apart = BESIDE;
@@ -68,10 +66,11 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
 #if SPARSE
     const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
 #endif
-    path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, rows + (STATIC_RECEIVERS ? 0 : first),
-                                start + first * block_time, block_time, 2.0 / walk_blocks, predicted, -1};
+    path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, edges + slot, rows + (STATIC_RECEIVERS ? 0 : first),
+                                start + first * block_time, block_time, 2.0 / walk_blocks, predicted, -1,
+                                {transition, faces, waves, middle}};
 #if STATIC_RECEIVERS
-    nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, rows);
+    nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, edges + slot, rows);
 #endif
 #if DELAY_TERMS == 4
     smooth_gains slow;
@@ -143,7 +142,10 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
         strength = w.strength[3] > strength ? w.strength[3] : strength;
-        rest = left_over > rest ? left_over : rest;
+        // Of paths over edges, nodes where one is not heard may lie beyond a boundary: the functions are not made for these.
+        const int of_use = EDGES ? from <= (block - GROUP) * block_samples && until >= (block + GROUP) * block_samples : 1;
+        const float left_here = of_use ? left_over : 0.0f;
+        rest = left_here > rest ? left_here : rest;
         const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
             const float squared = delay_error_squared(&w, angular_frequency, block_time, subblock_share) +

@@ -8,15 +8,21 @@ import pytest
 from driver_scenes import SCENES
 from drivers import EVERYTHING, FEW_ON_GPUS, POCL, render
 
+ALL = [f"{name}.cpu" for name in SCENES] + [f"{name}.gpu" for name in (SCENES if EVERYTHING else FEW_ON_GPUS)]
+
 
 @pytest.fixture(scope="session")
-def by_pocl(once: Callable[[str, Callable[[], Any]], Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of all scenes as PoCL renders them, in both layouts, once in a run of the tests."""
+def by_pocl(
+    once: Callable[[str, Callable[[], Any]], Any], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., Path]:
+    """Return what gives the folder of scenes as PoCL renders them, each scene and layout once in a run of the tests."""
 
-    def make() -> str:
-        folder = tmp_path_factory.mktemp("pocl")
-        on_gpus = SCENES if EVERYTHING else FEW_ON_GPUS
-        render(POCL, folder, *(f"{name}.cpu" for name in SCENES), *(f"{name}.gpu" for name in on_gpus))
-        return str(folder)
+    def folder(*names: str) -> Path:
+        def make() -> str:
+            made = tmp_path_factory.mktemp("pocl")
+            render(POCL, made, *names)
+            return str(made)
 
-    return Path(once("scenes of drivers by PoCL", make))
+        return Path(once(f"scenes of drivers by PoCL: {names}", make))
+
+    return lambda *names: folder(*(names or ALL))

@@ -139,6 +139,16 @@ def mesh(device: str) -> Plan:
 
 
 @scene
+def bend(device: str) -> Plan:
+    """Nodes of paths over edges, and over ends of them, in air that rests."""
+    corners = [(0.08, 0.02, 0.0), (0.08, 0.06, 0.0), (0.08, 0.06, 0.1)]
+    screen = clsim.MeshRoom(corners, [(0, 1, 2)], REAL[0])
+    way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.08, 0.05), 0.04), LINE((0.10, 0.08, 0.05), (0.10, 0.09, 0.05), 0.04)
+    of = clsim.Scene(screen, clsim.Air(), [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
+    return plan(clsim.find_paths(of, 0, diffraction=1, resolution=1e-4), device, responses="centre")
+
+
+@scene
 def crowd(device: str) -> Plan:
     """More walls than are looked up by NumPy: a floor, and tiles over and under it."""
     corners, faces = [(-0.1, -0.1, 0.0), (0.3, -0.1, 0.0), (0.3, 0.3, 0.0), (-0.1, 0.3, 0.0)], [(0, 1, 2), (0, 2, 3)]

@@ -3,11 +3,13 @@
 Three of its reports are false, each shown here by a kernel of its own; `driver_scenes.py` does without their causes.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from driver_scenes import SCENES
 from drivers import EVERYTHING, FEW_ON_GPUS, OCLGRIND, PARITY_DB, apart_db, launched, render, run
+from exhaustive import exhaustive, few
 
 from clsim.opencl.kernels import PROGRAMS
 
@@ -20,13 +22,19 @@ OPTIONS = {
     "RETARDED": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}, "MACH_EXPONENT": {"0", "1", "2"}, "DELAY_TERMS": {"4", "8"},
     "SOURCE_DIRECTIVITY": {"0", "1", "2"}, "RECEIVER_DIRECTIVITY": {"0", "1", "2"}, "NODES_AT_ONCE": {"1", "4"},
     "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "ORDER": {"0", "1"},
-    "FREQUENCIES": {"1", "8"}, "ROWS": {"0", "4"}, "WORKERS": {"1", "32"},
+    "EDGES": {"0", "1"}, "FREQUENCIES": {"1", "8"}, "ROWS": {"0", "4"}, "WORKERS": {"1", "32"},
 }  # fmt: skip
 # Those of programs that share files with others, in which the same options have run.
 OPTIONS_OF = {
-    "tracks": {"WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "SPARSE": {"0", "1"}, "NODES_AT_ONCE": {"1", "4"}},
+    "tracks": {
+        "WIND": {"0", "1"},
+        "AIR_TERMS": {"0", "2"},
+        "SPARSE": {"0", "1"},
+        "NODES_AT_ONCE": {"1", "4"},
+        "EDGES": {"0", "1"},
+    },
     "pair_tracks": {"AIR_TERMS": {"0", "2"}, "SPARSE": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}},
-    "coarse_delays": {"WIND": {"0", "1"}, "NODES_AT_ONCE": {"1", "4"}},
+    "coarse_delays": {"WIND": {"0", "1"}, "NODES_AT_ONCE": {"1", "4"}, "EDGES": {"0", "1"}},
     "intervals": {"WIND": {"0", "1"}, "ORDER": {"0", "1"}},
     "edge_intervals": {"WIND": {"1"}, "ORDER": {"0", "1"}},  # without wind it computes less
 }
@@ -34,21 +42,30 @@ OPTIONS_OF = {
 NUMBERS = {
     "AXIAL", "BATCH", "CELL", "CELLS", "CERTAIN", "CONTRACTED", "CONTRACTIONS", "CUBIC_COLUMNS", "DEPTH", "EVER",
     "FACE_CELLS", "FUNCTIONS", "GAIN_ERROR", "GRAZE_TIME", "HALF_TURN", "INNER", "KNOT_COLUMNS",
-    "LEAST_SHARE", "MOST", "OMNI", "PARALLEL", "RECEIVER_PERTURBATION", "SIDE", "SMOOTH_ERROR",
+    "LEAST_SHARE", "MOST", "OMNI", "ON_BOUNDARY", "PARALLEL", "RECEIVER_PERTURBATION", "SIDE", "SMOOTH_ERROR",
     "SOURCE_PERTURBATION", "SPHERICAL", "SUBBLOCK", "SUBBLOCKS", "TILE", "TOUCHING", "VECTORS",
 }  # fmt: skip
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [BY_CPU, BY_GPU], ids=["layout for CPUs", "layout for GPUs"])
-def test_not_one_report(names: list[str], tmp_path: Path, by_pocl: Path) -> None:
-    simulated = tmp_path / "oclgrind"
+@pytest.mark.parametrize("names", [exhaustive(BY_CPU), exhaustive(BY_GPU)], ids=["layout for CPUs", "layout for GPUs"])
+def test_not_one_report(names: list[str], tmp_path: Path, by_pocl: Callable[..., Path]) -> None:
+    check(names, tmp_path, by_pocl())
+
+
+def test_not_one_report_of_one_scene(tmp_path: Path, by_pocl: Callable[..., Path]) -> None:
+    check(["plain.cpu"], tmp_path, by_pocl("plain.cpu"))
+
+
+def check(names: list[str], folder: Path, by_pocl: Path) -> None:
+    simulated = folder / "oclgrind"
     assert render(OCLGRIND, simulated, *names) == ""
     assert {name: db for name in names if (db := apart_db(simulated, by_pocl, name)) > PARITY_DB} == {}
 
 
-def test_scenes_run_every_kernel_with_every_option(by_pocl: Path) -> None:
-    ran = launched(by_pocl, *BY_CPU, *BY_GPU)
+@pytest.mark.exhaustive
+def test_scenes_run_every_kernel_with_every_option(by_pocl: Callable[..., Path]) -> None:
+    ran = launched(by_pocl(), *BY_CPU, *BY_GPU)
     assert {program for program, _ in ran} == set(PROGRAMS)
     assert unseen(ran, OPTIONS) == {}
     for program, options in OPTIONS_OF.items():
@@ -75,7 +92,7 @@ MUTANTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", MUTANTS)
+@pytest.mark.parametrize("name", few(MUTANTS))
 def test_mutants_are_reported(name: str, tmp_path: Path) -> None:
     scene, mutant, reported = MUTANTS[name]
     assert reported in render(OCLGRIND, tmp_path, scene, mutant=mutant)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from exhaustive import few
 from killing import Killer
 
 import clsim
@@ -84,7 +85,7 @@ def test_stores_hold_the_same_envelopes(scene: Path, tmp_path: Path) -> None:
     assert truth["delay"].shape[:2] == (1, 2)
 
 
-@pytest.mark.parametrize("kind", ["wav", "zarr"])
+@pytest.mark.parametrize("kind", few(["wav", "zarr"]))
 def test_a_killed_run_is_gone_on_with(kind: str, tmp_path: Path, killer: Killer) -> None:
     if kind != "wav":
         pytest.importorskip("zarr")
@@ -129,6 +130,7 @@ values = [1e3, 2e3, 1.0]
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_study_judges_envelopes(scene: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     xarray = pytest.importorskip("xarray")

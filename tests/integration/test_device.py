@@ -54,6 +54,7 @@ def test_build_failure_names_device_and_file(device: None, monkeypatch: pytest.M
         render(convolve_static=False)
 
 
+@pytest.mark.exhaustive
 def test_poisoned_cache_is_built_around(device: None, tmp_path: Path) -> None:
     """A process that dies while building can leave broken entries in the caches of PyOpenCL and of PoCL."""
     environment = os.environ | {

@@ -67,6 +67,23 @@ def test_check_and_paths_name_edges(scene: Path, capsys: pytest.CaptureFixture[s
     assert "edge wall" in capsys.readouterr().out
 
 
+def test_check_names_thin_panels(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of two layers, where paths go over one edge: nothing is heard behind, unless they are sheets or go over two."""
+    panel = """
+[[room.obstacles]]
+kind = "plan"
+outline = [[2, 3], [3, 3], [3, 3.004], [2, 3.004]]
+height = 1.0
+materials = { default = { reflection = 0.8 } }
+"""
+    path, text = tmp_path / "scene.toml", scene.read_text("utf-8").replace("[air]", panel + "[air]")
+    note = "of 4 mm: silent behind, as its edges are two (diffraction = 2), and thinner than two wavelengths, 17.2 mm"
+    for edges, noted in ((1, True), (2, False)):
+        path.write_text(text.replace("diffraction = 1", f"diffraction = {edges}"), "utf-8")
+        assert main(["check", str(path)]) == 0
+        assert (note in capsys.readouterr().out) == noted
+
+
 def test_the_page_draws_edges(paths: PathSet) -> None:
     view = viewed(paths, duration=0.09, frames=2)
     assert view.edges.shape == (1, 2, 3)

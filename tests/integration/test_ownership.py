@@ -1,79 +1,14 @@
-"""Nothing that others made is written over or removed, and no input ever; results that are missing are made again."""
+"""Nothing that others made is written over or removed, and no input ever."""
 
-import json
 import os
-import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import soundfile
+from made_results import WAV, everything, run, wav_input, write_scene
 
 from clsim.cli import main
-from clsim.files.atomic import remove_leftovers, temporary_path
-from clsim.files.names import file_names
-from clsim.output.record import fingerprint
-
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = %s
-trajectory = { kind = "line", start = [1, 1, 1], end = [1.05, 1, 1], duration = 0.05 }
-[[receivers]]
-name = "left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "%s"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 0
-[render]
-sampling_rate = 16e3
-interpolator = { kind = "lagrange", order = 4 }
-engine = "reference"
-"""
-TONE = '{ kind = "tone", frequency = 2e3, duration = 0.02, sampling_rate = 16e3, fade = 0.005 }'
-WAV = '{ kind = "wav", path = "%s" }'
-
-
-def write_scene(path: Path, signal: str = TONE, name: str = "right") -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(SCENE % (signal, name), "utf-8")
-    return path
-
-
-def run(scene: Path, out: Path, *more: str) -> int:
-    return main(["run", str(scene), "-o", str(out), "--no-plots", *more])
-
-
-def everything(folder: Path) -> dict[str, object]:
-    """Return all that is under a folder, links as links."""
-    return {
-        str(p.relative_to(folder)): p.readlink() if p.is_symlink() else p.read_bytes() if p.is_file() else None
-        for p in folder.rglob("*")
-    }
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a scene, and `out` with its results."""
-    folder = tmp_path_factory.mktemp("finished")
-    assert run(write_scene(folder / "s.toml"), folder / "out") == 0
-    return folder
-
-
-@pytest.fixture
-def done(finished: Path, tmp_path: Path) -> Path:
-    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
-    return tmp_path
 
 
 def put(name: str) -> Callable[[Path], None]:
@@ -144,12 +79,6 @@ def test_what_others_made_stays(name: str, tmp_path: Path, capsys, monkeypatch) 
     assert err.startswith("clsim: error: --output: must ")
     assert err.count("\n") == 1
     assert everything(tmp_path) == before
-
-
-def wav_input(folder: Path, name: str) -> Path:
-    (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    soundfile.write(folder / name, np.hanning(320) * np.sin(np.arange(320)), 16_000, subtype="FLOAT")
-    return write_scene(folder / "s.toml", WAV % name)
 
 
 def run_over_sound(folder: Path) -> list[str]:
@@ -297,22 +226,6 @@ def test_what_comes_into_the_way_while_rendering_stays(tmp_path: Path, capsys, m
     assert soundfile.info(out / "right.wav").frames > 300
 
 
-def test_results_that_come_while_waiting_for_the_lock_are_seen(done: Path, tmp_path: Path, capsys, monkeypatch) -> None:
-    """A run that looked at an empty folder and then got the lock of one that had finished."""
-    from clsim.workflow import result_folder
-
-    first, out, locked = tmp_path / "out", tmp_path / "late", result_folder.locked
-
-    def late(path: Path, field: str):
-        shutil.copytree(first, out, dirs_exist_ok=True)
-        return locked(path, field)
-
-    monkeypatch.setattr(result_folder, "locked", late)
-    assert run(done / "s.toml", out) == 2
-    assert "must hold no results yet" in capsys.readouterr().err
-    assert everything(out) == everything(first)
-
-
 def test_the_lock_comes_before_the_search(tmp_path: Path, capsys, monkeypatch) -> None:
     pytest.importorskip("fcntl")
     from clsim.commands import run as command
@@ -336,207 +249,3 @@ def test_a_search_that_fails_leaves_no_folder(tmp_path: Path, monkeypatch) -> No
     scene.write_text(scene.read_text().replace("max_order = 0", "max_order = 0\npath_limit = 1"))
     assert run(scene, tmp_path / "new" / "out") == 2
     assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
-
-
-def test_force_puts_results_in_the_place_of_ours_and_of_no_others(done: Path, capsys) -> None:
-    """What clsim wrote goes, what was changed since is kept beside, what others put there stays."""
-    out = done / "out"
-    (out / "notes.txt").write_text("mine")
-    (out / "right.wav").write_text("mine")
-    (out / "left.wav").write_text("mine")
-    write_scene(done / "s.toml", name="other")
-    assert run(done / "s.toml", out, "--force") == 0
-    assert capsys.readouterr().err.count("was changed since it was written") == 1
-    names = {"clsim.json", "left.wav", "other.wav", "paths.npz", "ground_truth.npz", "scene.completed.toml"}
-    assert {p.name for p in out.iterdir()} == names | {"notes.txt", "right.wav", "left.wav.changed"}
-    assert {(out / name).read_text() for name in ("notes.txt", "right.wav", "left.wav.changed")} == {"mine"}
-    assert set(json.loads((out / "clsim.json").read_text())["files"]) == names - {"clsim.json"}
-
-
-def test_resume_makes_what_is_missing_and_nothing_else(done: Path, finished: Path, capsys) -> None:
-    out = done / "out"
-    (out / "paths.npz").unlink()
-    sound = (out / "left.wav").stat().st_mtime_ns
-    assert run(done / "s.toml", out, "--resume") == 0
-    assert capsys.readouterr().out == f"{out / 'paths.npz'}\n"
-    assert everything(out) == everything(finished / "out")
-    assert (out / "left.wav").stat().st_mtime_ns == sound
-    (out / "right.wav").unlink()
-    assert run(done / "s.toml", out, "--resume") == 0
-    assert everything(out) == everything(finished / "out")
-    capsys.readouterr()
-    assert run(done / "s.toml", out, "--resume") == 0
-    assert "nothing was missing" in capsys.readouterr().err
-
-
-def test_resume_makes_cut_and_changed_results_again_and_keeps_them_beside(done: Path, finished: Path, capsys) -> None:
-    out = done / "out"
-    os.truncate(out / "left.wav", 100)
-    (out / "ground_truth.npz").write_text("mine")
-    assert run(done / "s.toml", out, "--resume") == 0
-    assert capsys.readouterr().err.count("kept as") == 2
-    assert (out / "left.wav.changed").stat().st_size == 100
-    assert (out / "ground_truth.npz.changed").read_text() == "mine"
-    for name in ("left.wav", "ground_truth.npz"):
-        assert (out / name).read_bytes() == (finished / "out" / name).read_bytes()
-
-
-def test_resume_makes_tables_and_pictures_that_are_asked_for_now(done: Path, capsys) -> None:
-    pytest.importorskip("pyarrow")
-    out = done / "out"
-    assert main(["run", str(done / "s.toml"), "-o", str(out), "--resume", "--table", "parquet"]) == 0
-    made = {Path(line).name for line in capsys.readouterr().out.split()}
-    pictures = {f"{name}_{kind}.png" for name in ("left", "right") for kind in ("spectrogram", "echogram")}
-    assert made == {"paths.parquet", *pictures}
-    assert (out / "paths.npz").exists()
-
-
-@pytest.mark.parametrize(
-    ("change", "more", "message"),
-    [
-        (lambda d: None, ["--store", "hdf5"], "options.store was 'wav' and is 'hdf5'"),
-        (lambda d: None, ["--table-rate", "10"], "options.table_rate was 100.0 and is 10.0"),
-        (lambda d: soundfile.write(d / "in.wav", np.hanning(320) ** 2, 16_000, "FLOAT"), [], "contents.in.wav was"),
-        (lambda d: (d / "out" / "clsim.json").write_text("{}"), [], "clsim.json cannot be read"),
-        (lambda d: (d / "out" / "clsim.json").write_text("[" * 5000), [], "clsim.json cannot be read"),
-    ],
-)
-def test_resume_of_finished_results_refuses_other_ones(change, more, message: str, tmp_path: Path, capsys) -> None:
-    if "--store" in more:
-        pytest.importorskip("h5netcdf")
-    scene, out = wav_input(tmp_path, "in.wav"), tmp_path / "out"
-    assert run(scene, out) == 0
-    change(tmp_path)
-    before = everything(tmp_path)
-    assert run(scene, out, "--resume", *more) == 2
-    assert message in capsys.readouterr().err
-    assert everything(tmp_path) == before
-
-
-@pytest.mark.parametrize("names", [["../../thesis.txt"], ["/etc/hostname"], [".."], [""], ["a/b"], [3]])
-def test_a_record_names_nothing_elsewhere(names: list, done: Path, capsys) -> None:
-    record = done / "out" / "clsim.json"
-    content = json.loads(record.read_text())
-    content["replaced"] = [[name, [4, "0"]] for name in names]
-    record.write_text(json.dumps(content))
-    assert run(done / "s.toml", done / "out", "--force") == 2
-    assert "clsim.json cannot be read" in capsys.readouterr().err
-
-
-def test_pictures_and_tables_that_fail_cost_no_sound(tmp_path: Path, capsys, monkeypatch) -> None:
-    scene, out = write_scene(tmp_path / "s.toml"), tmp_path / "out"
-
-    def broken(*_: object, **__: object) -> None:
-        raise ValueError("no font")
-
-    monkeypatch.setattr("clsim.workflow.pictures.spectrogram_picture", broken)
-    monkeypatch.setattr("clsim.workflow.pictures.echogram_picture", broken)
-    monkeypatch.setattr("clsim.commands.run.write_table", broken)
-    with pytest.raises(ValueError, match="no font"):
-        main(["run", str(scene), "-o", str(out)])
-    assert soundfile.info(out / "left.wav").frames > 300
-    monkeypatch.undo()
-    monkeypatch.setattr("clsim.workflow.pictures.spectrogram_picture", broken)
-    monkeypatch.setattr("clsim.workflow.pictures.echogram_picture", broken)
-    assert main(["run", str(scene), "-o", str(out), "--resume"]) == 0
-    err = capsys.readouterr().err
-    assert "left_spectrogram.png could not be drawn: no font" in err
-    assert not list(out.glob("*.png"))
-    assert not (out / ".partial").exists()
-
-
-@pytest.mark.parametrize("name", ["$\\\\frac$", "x" * 240, "CON/" + "é" * 200])
-def test_odd_names_are_written_and_drawn(name: str, tmp_path: Path, capsys) -> None:
-    scene, out = write_scene(tmp_path / "s.toml", name=name), tmp_path / "out"
-    assert main(["run", str(scene), "-o", str(out)]) == 0
-    assert "could not" not in capsys.readouterr().err.replace("Glyph", "")
-    assert len(list(out.glob("*.png"))) == 4
-
-
-def test_nul_in_names_is_refused_where_hdf5_cannot_hold_it(tmp_path: Path, capsys) -> None:
-    pytest.importorskip("h5netcdf")
-    scene = write_scene(tmp_path / "s.toml", name="a\\u0000b")
-    assert run(scene, tmp_path / "out", "--store", "hdf5") == 2
-    assert "receivers[1]: must have no NUL" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_file_names_fit_and_differ() -> None:
-    names = file_names(("a" * 300, "a" * 301, "A" * 300, "b", "B", "b-2", "b"))
-    assert len({name.lower() for name in names}) == 7
-    assert max(map(len, names)) < 210
-    assert len(set(file_names(("x",) * 20_000))) == 20_000  # at once, not after minutes
-
-
-def test_leftovers_of_dead_processes_are_removed(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    alive = temporary_path(tmp_path / "x.npz")
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "getpid", lambda: dead.pid)
-        left = temporary_path(tmp_path / "x.npz")
-    foreign = tmp_path / ".clsim-notes.partial.npz"
-    elsewhere = tmp_path / f".clsim-00000000-{dead.pid}-00000000.partial.npz"
-    for path in (alive, left, foreign, elsewhere):
-        path.touch()
-    assert main(["plot", "air", "-o", "air.png"]) == 0
-    assert not left.exists()
-    assert alive.exists()
-    assert foreign.exists()
-    assert elsewhere.exists()  # of another machine that has the same disk
-    remove_leftovers(tmp_path)
-
-
-def test_fingerprints_tell_files_folders_and_links(tmp_path: Path) -> None:
-    folder = tmp_path / "a"
-    (folder / "b").mkdir(parents=True)
-    (folder / "b" / "c").write_text("1")
-    before = fingerprint(folder)
-    assert before is not None
-    assert before[0] == 1
-    (folder / "b" / "d").touch()
-    assert fingerprint(folder) != before
-    (folder / "b" / "d").unlink()
-    assert fingerprint(folder) == before
-    (folder / "b" / "d").symlink_to("c")
-    assert fingerprint(folder) is None
-    assert fingerprint(tmp_path / "none") is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["run", "s.toml", "-o", ""], "-o/--output: must name a file or a folder, but is empty"),
-        (["paths", "s.toml", "-o", ""], "-o/--output: must name a file or a folder, but is empty"),
-        (["view", "s.toml", "--frames", "1e9"], "--frames: must be 1 to 10000, but is 1000000000"),
-        (["view", "s.toml", "--frames", "0"], "--frames: must be 1 to 10000, but is 0"),
-        (["view", "s.toml", "--frames", "1e999"], "--frames: must be a whole number, but is '1e999'"),
-        (["view", "s.toml", "--limit", "1e300"], "--limit: must be 1 to 100000, but is 1"),
-        (["view", "s.toml", "--limit", "2.5"], "--limit: must be a whole number, but is '2.5'"),
-        (["paths", "s.toml", "--limit", "-5"], "--limit: must be at least 0, but is -5"),
-        (["paths", "s.toml", "-o", "p.csv"], "--output: must end in .npz or .parquet, but is 'p.csv'"),
-        (["run", "s.toml"], "the following arguments are required: -o/--output"),
-        (["run", "s.toml", "-o", "s.toml"], "must be a folder or lie in one, but "),
-        (["rir", "s.toml", "-o", "s.toml/x"], "must be a folder or lie in one, but "),
-    ],
-)
-def test_wrong_arguments_are_told_in_a_line(arguments: list[str], message: str, tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_scene(tmp_path / "s.toml")
-    assert main(arguments) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("clsim: error: ")
-    assert message in err
-    assert err.count("\n") == 1
-    assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
-
-
-def test_scene_files_may_begin_with_a_byte_order_mark(tmp_path: Path, capsys) -> None:
-    scene = write_scene(tmp_path / "s.toml")
-    scene.write_bytes(b"\xef\xbb\xbf" + scene.read_bytes())
-    assert main(["check", str(scene)]) == 0
-    scene.write_text('"" = 1\n' + (SCENE % (TONE, "right")), "utf-8")
-    capsys.readouterr()
-    assert main(["check", str(scene)]) == 2
-    assert capsys.readouterr().err == 'clsim: error: "": is no known key\n'

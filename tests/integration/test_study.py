@@ -25,23 +25,7 @@ def folder(tmp_path: Path, device) -> Path:
     return write_scene(tmp_path)
 
 
-@pytest.mark.slow
-def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
-    arguments = write(folder, [0, 2], [1.0, 1.125])
-    assert main([*arguments, "--workers", "2"]) == 1
-    printed = capsys.readouterr()
-    assert "2 of 4 members finished" in printed.out
-    assert "member 1 failed: ValueError: not this one (judge.py, line 16)" in printed.err
-    rows = index(folder)
-    assert [rows[n]["status"] for n in range(4)] == ["finished", "failed", "finished", "failed"]
-    assert rows[2]["parameters"] == {"order": 2, "length": 1.0}
-    with xarray.open_zarr(folder / "out" / "study.zarr" / "summary") as summary:
-        assert summary.order.values.tolist() == [0, 0, 2, 2]
-        assert summary.status.values.tolist() == ["finished", "failed", "finished", "failed"]
-        assert summary.paths_found.values[[0, 2]].tolist() == [2, 50]
-        assert np.isnan(summary.rms.values[1]).all()
-        loudness = summary.rms.sel(receiver="left").values
-    # What the store holds is what the scene gives.
+def assert_member_is_what_the_scene_gives(folder: Path, loudness: float) -> None:
     scene = clsim.scene_file.load_scene(folder / "scene.toml")
     paths = clsim.find_paths(scene.scene, max_order=2)
     wanted = clsim.render(paths, 192e3)
@@ -50,7 +34,7 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
         np.testing.assert_allclose(
             member.sound.values, wanted.pressure, rtol=0, atol=1e-6 * np.abs(wanted.pressure).max()
         )
-        assert loudness[2] == pytest.approx(np.sqrt(np.mean(wanted.pressure[0].astype(float) ** 2)), rel=1e-5)
+        assert loudness == pytest.approx(np.sqrt(np.mean(wanted.pressure[0].astype(float) ** 2)), rel=1e-5)
         table, truth = paths.table(member.times.values), clsim.direct_path(paths, member.times.values)
         for name in ("delay", "doppler_factor", "line_of_sight", "radial_speed", "times"):
             np.testing.assert_array_equal(member[name].values, getattr(truth, name))
@@ -59,7 +43,10 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
         np.testing.assert_array_equal(member.delay.values[0], table.delay[table.direct])
         np.testing.assert_array_equal(member.doppler_factor.values[0], table.doppler_factor[table.direct])
         assert json.loads(member.attrs["parameters"]) == {"order": 2, "length": 1.0}
-    # Again: refused; resumed: nothing is run; retried: only what failed.
+
+
+def assert_only_what_is_asked_for_runs_again(folder: Path, arguments: list[str], capsys) -> None:
+    """Again: refused; resumed: nothing is run; retried: only what failed."""
     before = runs(folder)
     assert main(arguments) == 2
     assert "must hold no study yet" in capsys.readouterr().err
@@ -80,6 +67,26 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
     (folder / "out" / "index.jsonl").write_text('{"member": 1, "status": "fai', "utf-8")
     assert main([*arguments, "--resume", "--workers", "1"]) == 1
     assert {member: len(p) for member, p in runs(folder).items()} == counts | {(0, 1.125): 3, (2, 1.125): 3}
+
+
+@pytest.mark.slow
+def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
+    arguments = write(folder, [0, 2], [1.0, 1.125])
+    assert main([*arguments, "--workers", "2"]) == 1
+    printed = capsys.readouterr()
+    assert "2 of 4 members finished" in printed.out
+    assert "member 1 failed: ValueError: not this one (judge.py, line 16)" in printed.err
+    rows = index(folder)
+    assert [rows[n]["status"] for n in range(4)] == ["finished", "failed", "finished", "failed"]
+    assert rows[2]["parameters"] == {"order": 2, "length": 1.0}
+    with xarray.open_zarr(folder / "out" / "study.zarr" / "summary") as summary:
+        assert summary.order.values.tolist() == [0, 0, 2, 2]
+        assert summary.status.values.tolist() == ["finished", "failed", "finished", "failed"]
+        assert summary.paths_found.values[[0, 2]].tolist() == [2, 50]
+        assert np.isnan(summary.rms.values[1]).all()
+        loudness = summary.rms.sel(receiver="left").values
+    assert_member_is_what_the_scene_gives(folder, loudness[2])
+    assert_only_what_is_asked_for_runs_again(folder, arguments, capsys)
 
 
 @pytest.mark.parametrize(

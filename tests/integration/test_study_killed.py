@@ -69,6 +69,7 @@ def kill_at_random(study: subprocess.Popen, store: Path, kills: int, chance: ran
     return killed
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_workers_killed_at_random_lose_nothing(folder: Path) -> None:
     """STUDY_KILLS says how many are killed, over as many studies as it takes."""
@@ -104,6 +105,7 @@ def test_a_member_that_kills_its_worker_fails_alone(folder: Path, monkeypatch: p
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_killed_worker_loses_nothing(folder: Path, cluster) -> None:
     address, workers = cluster
@@ -125,6 +127,7 @@ def test_a_killed_worker_loses_nothing(folder: Path, cluster) -> None:
     assert {p for processes in ran.values() for p in processes} == {w.pid for w in workers}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_killed_study_goes_on(folder: Path) -> None:
     arguments = [*write(folder, [0], [1.25 + 0.001 * i for i in range(10)]), "--workers", "2"]
@@ -147,6 +150,7 @@ def test_a_killed_study_goes_on(folder: Path) -> None:
     assert not (folder / "out" / ".partial").exists()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
     disk = folder / "disk"
@@ -173,6 +177,7 @@ def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_an_interrupted_study_is_one_line_and_its_workers_had_devices_of_their_own(folder: Path) -> None:
     lengths = [1.5 + 0.001 * i for i in range(40)]

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 import clsim
 from clsim.cli import main
 from clsim.render import planning
-from clsim.render.contributions import State
+from clsim.render.contributions import State, Unshared
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.rendering import Rendering
 from clsim.workflow import checkpoint
@@ -65,7 +65,7 @@ class Tail:
         return Ringing(self)
 
 
-class Ringing:
+class Ringing(Unshared):
     """A tail, and how it rings on."""
 
     def __init__(self, tail: Tail) -> None:
@@ -107,7 +107,7 @@ def find_paths() -> clsim.PathSet:
     places = clsim.Trajectory.line((3, 1, 2), (3, 2, 2), 2.0), clsim.Trajectory.fixed((3, 2, 2))
     receivers = [clsim.Receiver(f"r{i}", place) for i, place in enumerate(places)]
     room = clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.9))
-    return clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], receivers), 1)
+    return clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], receivers), 0)
 
 
 def options(engine: str, chunk: int) -> dict[str, Any]:

@@ -53,7 +53,7 @@ def test_the_page_needs_nothing_else(page: Path) -> None:
 def test_frames_must_fit() -> None:
     wall = ViewedWall("w", "m", np.zeros((1, 3, 3)), np.zeros((1, 2, 3)))
     end = ViewedEnd("s", "source", np.zeros((1, 3)), np.zeros((1, 3)))
-    none = ViewedPaths((), np.empty(0, dtype=np.int32), ())
+    none = ViewedPaths.none()
     with pytest.raises(clsim.InputError, match="frames: must be one per time, 2"):
         write_page("x.html", title="t", walls=[wall], ends=[end], times=np.array([0.0, 1.0]), frames=[none, none])
     pair = ViewedEnd("s", "source", np.zeros((2, 3)), np.zeros((1, 3)))
@@ -99,6 +99,7 @@ def heard(paths: clsim.PathSet, time: float) -> list[int]:
     return np.bincount(paths.order[now], minlength=3).tolist()
 
 
+@pytest.mark.exhaustive
 def test_the_slider_moves_what_is_drawn(browser_page, paths: clsim.PathSet) -> None:
     before = browser_page.evaluate("clsim.state()")
     assert before["paths"] == heard(paths, 0.0)
@@ -118,6 +119,7 @@ def test_the_slider_moves_what_is_drawn(browser_page, paths: clsim.PathSet) -> N
     assert browser_page.screenshot() != picture
 
 
+@pytest.mark.exhaustive
 def test_paths_of_an_order_can_be_hidden(browser_page) -> None:
     names = browser_page.evaluate("clsim.state().names")
     assert {"reflection 0.9", "carpet </script>", "direct sound", "order 1", "order 2"} <= set(names)
@@ -129,6 +131,7 @@ def test_paths_of_an_order_can_be_hidden(browser_page) -> None:
         browser_page.wait_for_timeout(500)  # two clicks in a row would be a double click
 
 
+@pytest.mark.exhaustive
 def test_play_goes_through_the_frames(browser_page) -> None:
     browser_page.locator("#play").click()
     browser_page.wait_for_function("clsim.state().index >= 3")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exhaustive import few
 
 import clsim
 from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
@@ -18,7 +19,7 @@ TIMES = np.linspace(0.0, 2.0, 11)
 WAY = np.linspace((2.0, 8.0, 1.4), (3.0, 2.0, 1.4), len(TIMES))
 EARS = {"near": (7.0, 1.0, 2.0), "<far> & {{data}}": (1.0, 1.0, 2.0)}
 PLASTER, CARPET = "plaster {{plotly}}", "carpet </script><b>"
-NO_PATHS = ViewedPaths((), np.empty(0, dtype=np.int32), ())
+NO_PATHS = ViewedPaths.none()
 
 
 def l_room() -> list[ViewedWall]:
@@ -37,7 +38,7 @@ def l_room() -> list[ViewedWall]:
 def frame(index: int) -> ViewedPaths:
     """Return 2 direct paths, and a number of bent ones that differs from frame to frame."""
     rng = np.random.default_rng(index)
-    corners, orders, labels = [], [], []
+    corners, orders, labels, pairs = [], [], [], []
     for name, ear in EARS.items():
         for p in range(12 + index):
             order = 0 if p == 0 else 1 + p % 3
@@ -45,7 +46,9 @@ def frame(index: int) -> ViewedPaths:
             corners.append(np.vstack([WAY[index], bends, ear]))
             orders.append(order)
             labels.append(f"robot to {name}, path {p}: 12.31 ms")
-    return ViewedPaths(tuple(corners), np.array(orders, dtype=np.int32), tuple(labels))
+            pairs.append(("robot", name))
+    levels = -60.0 * rng.random(len(orders))
+    return ViewedPaths(tuple(corners), np.array(orders, dtype=np.int32), tuple(labels), tuple(pairs), levels)
 
 
 FRAMES = [frame(i) for i in range(len(TIMES))]
@@ -54,7 +57,12 @@ FRAMES = [frame(i) for i in range(len(TIMES))]
 def ends() -> list[ViewedEnd]:
     seen = np.where(TIMES < 1.0, 1.0, np.nan)[:, None] * (5.0, 3.0, 1.0)
     fixed = [ViewedEnd(n, "receiver", np.tile(p, (len(TIMES), 1)), np.array([p])) for n, p in EARS.items()]
-    return [ViewedEnd("robot", "source", WAY, WAY), *fixed, ViewedEnd("lost </script><script>", "receiver", seen, seen)]
+    ahead = np.tile((0.0, 1.0, 0.0), (len(TIMES), 1))
+    return [
+        ViewedEnd("robot", "source", WAY, WAY, ahead),
+        *fixed,
+        ViewedEnd("lost </script><script>", "receiver", seen, seen),
+    ]
 
 
 def write(path: Path, **changed: Any) -> Path:
@@ -104,11 +112,13 @@ def test_materials_have_colours_of_their_own(tmp_path: Path) -> None:
 def test_a_page_of_nothing_can_be_written(tmp_path: Path) -> None:
     data = data_of(write(tmp_path / "x.html", walls=[], ends=[], times=np.zeros(1), frames=[NO_PATHS]))
     assert data["fixed"] == []
-    assert data["frames"] == [[{"mm": [], "labels": []}]]
+    assert data["frames"] == [[{"mm": [], "labels": [], "source": [], "receiver": [], "level": []}]]
 
 
 def one_path(corners: int, order: int, labels: int, fill: float = 0.0) -> list[ViewedPaths]:
-    path = ViewedPaths((np.full((corners, 3), fill),), np.array([order], dtype=np.int32), ("a",) * labels)
+    path = ViewedPaths(
+        (np.full((corners, 3), fill),), np.array([order], dtype=np.int32), ("a",) * labels, (("s", "r"),), np.zeros(1)
+    )
     return [path, *FRAMES[1:]]
 
 
@@ -214,7 +224,7 @@ def test_the_slider_moves_what_is_drawn(tab: Any) -> None:
     assert picture(tab) not in (before, moved)
 
 
-@pytest.mark.parametrize("entry", ["order 2", CARPET])
+@pytest.mark.parametrize("entry", few(["order 2", CARPET]))
 def test_a_legend_entry_toggles_what_it_names(entry: str, tab: Any) -> None:
     names = tab.evaluate("clsim.state().names")
     mine = [names.index(entry)] + ([names.index(entry) + 1] if entry == CARPET else [])  # a material and its outlines
@@ -249,6 +259,7 @@ def hovered(tab: Any, point: Any) -> str:
     return " ".join(tab.locator("#drawing .hovertext text").all_text_contents())
 
 
+@pytest.mark.exhaustive
 def test_the_mouse_finds_paths_behind_walls_and_walls(tab: Any) -> None:
     near = FRAMES[0].corners[0]
     assert "robot to near, path" in hovered(tab, 0.3 * near[0] + 0.7 * near[1])
@@ -256,6 +267,60 @@ def test_the_mouse_finds_paths_behind_walls_and_walls(tab: Any) -> None:
     assert f": {PLASTER}" in hovered(tab, (7.7, 0.0, 0.3))
 
 
+def test_filters_leave_the_paths_that_were_asked_for(tab: Any) -> None:
+    given = FRAMES[0]
+    order, to = given.order, np.array([receiver for _, receiver in given.pairs])
+    tab.select_option("#receiver", label="near")
+    state = tab.evaluate("clsim.state()")
+    assert state["paths"] == np.bincount(order[to == "near"], minlength=4).tolist()
+    tab.select_option("#order", label="up to 1")
+    assert tab.evaluate("clsim.state().paths") == [1, np.sum((to == "near") & (order == 1)), 0, 0]
+    tab.select_option("#receiver", label="all")
+    tab.select_option("#order", label="all")
+    tab.wait_for_function(f"clsim.state().text.includes(': {len(order)} paths')")
+    assert not tab.locator("#source").is_visible()  # of one source
+
+
+def test_paths_are_coloured_by_their_levels(tab: Any) -> None:
+    plain = picture(tab)
+    tab.select_option("#colour", label="level")
+    tab.wait_for_function("Array.isArray(document.getElementById('drawing').data.at(-1).line.color)")
+    given = FRAMES[0]
+    drawn = tab.evaluate("document.getElementById('drawing').data.at(-1).line.color")
+    want = [
+        v for level, n in zip(given.levels, given.order, strict=True) if n == 3 for v in (*[round(level, 1)] * 5, -60)
+    ]
+    np.testing.assert_allclose(drawn, want, atol=0.051)
+    assert picture(tab) != plain
+    tab.select_option("#colour", label="order")
+    tab.wait_for_function("!Array.isArray(document.getElementById('drawing').data.at(-1).line.color)")
+
+
+def test_aims_are_drawn_where_they_point(tab: Any) -> None:
+    columns = tab.evaluate(
+        "(t => [t.x, t.y, t.z])(document.getElementById('drawing').data.find(t => t.name === 'aims'))"
+    )
+    points = np.array(columns, dtype=float).T
+    np.testing.assert_allclose(points[0], WAY[0], atol=0.501e-3)
+    np.testing.assert_allclose(points[1] - points[0], [0.0, 0.06 * 9.0, 0.0], atol=1.1e-3)
+
+
+def test_the_room_follows_the_window(tab: Any) -> None:
+    for width in (420, 1400):
+        tab.set_viewport_size({"width": width, "height": 550})
+        tab.wait_for_function(
+            f"Math.abs(document.querySelector('#drawing canvas').getBoundingClientRect().width - {width}) < 2"
+        )
+        assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    tab.set_viewport_size({"width": 800, "height": 550})
+    tab.wait_for_function("Math.abs(document.querySelector('#drawing canvas').getBoundingClientRect().width - 800) < 2")
+
+
+def test_the_page_is_small(page: Path) -> None:
+    assert page.stat().st_size < 2.1e6
+
+
+@pytest.mark.exhaustive
 def test_play_goes_on_until_pause(tab: Any) -> None:
     play = tab.locator("#play")
     play.click()
@@ -270,6 +335,7 @@ def test_play_goes_on_until_pause(tab: Any) -> None:
     assert_drawn(tab, rests)
 
 
+@pytest.mark.exhaustive
 def test_a_scene_at_rest_has_no_slider(browser: Any, tmp_path: Path) -> None:
     path = write(tmp_path / "x.html", ends=[], times=TIMES[:1], frames=FRAMES[:1])
     still = browser.new_page(viewport={"width": 400, "height": 300})

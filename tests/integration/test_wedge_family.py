@@ -346,6 +346,7 @@ with wedge.registered_family("wedge", wedge.find_wedge):
 """
 
 
+@pytest.mark.exhaustive
 def test_a_killed_run_goes_on_with_it_and_not_without(tmp_path: Path, device: None, capsys) -> None:
     from clsim.cli import main
 

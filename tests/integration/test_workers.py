@@ -45,6 +45,7 @@ def whole(scene: Path) -> dict[str, bytes]:
     return content(scene.parent / "whole")
 
 
+@pytest.mark.exhaustive
 def test_either_goes_on_where_the_other_was_killed(
     scene: Path, whole: dict[str, bytes], cluster, killer: Killer, device
 ) -> None:
@@ -60,6 +61,7 @@ def test_either_goes_on_where_the_other_was_killed(
         assert "clipped" in killer.log  # those before the kill are counted too
 
 
+@pytest.mark.exhaustive
 def test_a_killed_worker_changes_nothing(scene: Path, whole: dict[str, bytes], cluster, capsys, device) -> None:
     address, workers = cluster
     out, reached = scene.parent / "out", []
@@ -111,6 +113,7 @@ def test_workers_that_cannot_be_had_are_one_line(
     assert not out.exists(), "nothing was begun"
 
 
+@pytest.mark.exhaustive
 def test_what_a_worker_finds_wrong_is_said_as_by_one_process(scene: Path, cluster, capfd, device) -> None:
     loud = scene.with_name("loud.toml")
     text = LONG.replace("gain_db = 40.0", "gain_db = 200.0").replace('"chirp",', '"chirp", amplitude = 1e12,')

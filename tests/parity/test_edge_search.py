@@ -1,9 +1,10 @@
 """The search for paths over edges on the device against its NumPy twin, and with one thing wrong at a time."""
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from exhaustive import exhaustive, few
 from made_meshes import joined, screen
 from mutants import Mutants
 from same_intervals import same
@@ -77,9 +78,9 @@ def candidates(name: str) -> list[EdgeCandidates]:
 
 
 @pytest.fixture(scope="module")
-def wanted(once) -> dict[str, list[tuple[EdgeCandidates, Intervals]]]:
-    """Return what the NumPy twin finds."""
-    return once("edge search", lambda: {name: found_on_host(name) for name in CASES})
+def wanted(once) -> Callable[[str], list[tuple[EdgeCandidates, Intervals]]]:
+    """Return what gives all that the NumPy twin finds in a scene."""
+    return lambda name: once(f"edge search, {name}", lambda: found_on_host(name))
 
 
 def found_on_host(name: str) -> list[tuple[EdgeCandidates, Intervals]]:
@@ -97,10 +98,11 @@ def agree(wanted: dict[str, list[tuple[EdgeCandidates, Intervals]]]) -> bool:
 
 
 @pytest.mark.slow
-def test_both_find_the_same(wanted) -> None:
-    assert agree(wanted)
-    counts = {name: sum(len(found.path) for _, found in parts) for name, parts in wanted.items()}
-    assert min(counts.values()) > 10
+@pytest.mark.parametrize("name", few(CASES))
+def test_both_find_the_same(name: str, wanted) -> None:
+    parts = wanted(name)
+    assert agree({name: parts})
+    assert sum(len(found.path) for _, found in parts) > 10
 
 
 # Not here, since these scenes do not see them: an end before the other edge (`fmin(heard.r, sent.r)`), which takes edges
@@ -138,8 +140,12 @@ MUTANTS = {
 
 
 @pytest.mark.slow
-def test_mutants_are_caught(wanted: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    mutants = Mutants("edge_intervals", MUTANTS)
+@pytest.mark.parametrize(
+    ("names", "rooms"), [(["valid outside"], ["into the fold"]), exhaustive((MUTANTS, CASES))], ids=["one", "all"]
+)
+def test_mutants_are_caught(names, rooms, wanted, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {room: wanted(room) for room in rooms}
+    mutants = Mutants("edge_intervals", {name: MUTANTS[name] for name in names})
     mutants.play(monkeypatch)
-    assert agree(wanted), "none of them is chosen"
-    assert mutants.unseen(lambda: agree(wanted)) == []
+    assert agree(found), "none of them is chosen"
+    assert mutants.unseen(lambda: agree(found)) == []

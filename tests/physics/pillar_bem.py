@@ -1,6 +1,6 @@
-"""The field about a hard square pillar in two dimensions, by collocation on its outline: values for tests of edges.
+"""The field about hard pillars and walls in two dimensions, by collocation on their outline: values for tests of edges.
 
-Run as a program it prints the values that are stored in `PILLAR`.
+Run as a program it prints the values that are stored in `PILLAR` and `WALLS`.
 """
 
 import numpy as np
@@ -8,6 +8,7 @@ from scipy.special import hankel2
 
 C = 343.0
 SIDE = 0.2  # m
+HEIGHT = 0.3  # m, of walls between two free ends
 SOURCE = (-2.0, 0.03)  # m, from the pillar's centre
 RECEIVERS = [(1.5, y) for y in (-0.13, -0.06, 0.0, 0.05, 0.08, 0.095, 0.11, 0.13)]  # all out of sight
 # Total over free field at the receivers, 40 kHz.
@@ -24,21 +25,74 @@ PILLAR = np.array(
     ]
 )
 
+WALLS = {  # by thickness, m
+    0.002: np.array(
+        [
+            (-0.0552 + 0.0645j),
+            (0.0713 - 0.1672j),
+            (-0.0047 - 0.0222j),
+            (0.0502 + 0.1152j),
+            (-0.0037 + 0.1038j),
+            (-0.176 + 0.0084j),
+            (-0.2366 + 0.0024j),
+            (-0.0745 - 0.1255j),
+        ]
+    ),
+    0.005: np.array(
+        [
+            (-0.056 + 0.0632j),
+            (0.068 - 0.1684j),
+            (-0.0042 - 0.0221j),
+            (0.0536 + 0.1155j),
+            (-0.0031 + 0.1016j),
+            (-0.1771 + 0.0107j),
+            (-0.2348 + 0.0056j),
+            (-0.0749 - 0.128j),
+        ]
+    ),
+    0.01: np.array(
+        [
+            (-0.0578 + 0.0623j),
+            (0.0642 - 0.1691j),
+            (-0.0044 - 0.0226j),
+            (0.0562 + 0.1154j),
+            (-0.0039 + 0.0994j),
+            (-0.1784 + 0.0134j),
+            (-0.2321 + 0.0087j),
+            (-0.0745 - 0.1307j),
+        ]
+    ),
+    0.02: np.array(
+        [
+            (-0.0612 + 0.0614j),
+            (0.0563 - 0.1712j),
+            (-0.005 - 0.0235j),
+            (0.0617 + 0.1153j),
+            (-0.0055 + 0.0958j),
+            (-0.1814 + 0.0195j),
+            (-0.2273 + 0.0154j),
+            (-0.0749 - 0.136j),
+        ]
+    ),
+}
 
-def outline(side: float, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+
+def outline(size: tuple[float, float], step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return Gauss points (N, G, 2), weights (N, G) and outward normals (N, 2) of elements, short near the corners."""
-    count = int(np.ceil(side / step)) | 1
-    share = np.linspace(0.0, 1.0, count + 1)
-    ends = side * (share - np.sin(2.0 * np.pi * share) / (2.5 * np.pi) - 0.5)
     x, w = np.polynomial.legendre.leggauss(4)
-    middle, half = 0.5 * (ends[1:] + ends[:-1]), 0.5 * np.diff(ends)
-    along, weight = middle[:, None] + half[:, None] * x, half[:, None] * w
-    points, normals = [], []
-    for angle in 0.5 * np.pi * np.arange(4):
+    points, weights, normals = [], [], []
+    for i, angle in enumerate(0.5 * np.pi * np.arange(4)):
+        off, side = size[i % 2], size[1 - i % 2]
+        count = max(int(np.ceil(side / step)) | 1, 9)
+        share = np.linspace(0.0, 1.0, count + 1)
+        ends = side * (share - np.sin(2.0 * np.pi * share) / (2.5 * np.pi) - 0.5)
+        middle, half = 0.5 * (ends[1:] + ends[:-1]), 0.5 * np.diff(ends)
+        along = middle[:, None] + half[:, None] * x
         out, right = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-        points.append(0.5 * side * out + along[..., None] * right)
+        points.append(0.5 * off * out + along[..., None] * right)
+        weights.append(half[:, None] * w)
         normals.append(np.tile(out, (count, 1)))
-    return np.concatenate(points), np.tile(weight, (4, 1)), np.concatenate(normals)
+    return np.concatenate(points), np.concatenate(weights), np.concatenate(normals)
 
 
 def dipoles(x: np.ndarray, points: np.ndarray, weights: np.ndarray, normals: np.ndarray, k: float) -> np.ndarray:
@@ -52,13 +106,13 @@ def dipoles(x: np.ndarray, points: np.ndarray, weights: np.ndarray, normals: np.
     return out
 
 
-def pillar_field(side: float, frequency: float, elements: float = 9.0) -> np.ndarray:
+def field_behind(size: tuple[float, float], frequency: float, elements: float = 9.0) -> np.ndarray:
     """Return the total over the free field at `RECEIVERS`, with so many elements in a wavelength."""
     k = 2.0 * np.pi * frequency / C
-    points, weights, normals = outline(side, C / frequency / elements)
+    points, weights, normals = outline(size, C / frequency / elements)
     middles = np.einsum("ngi,ng->ni", points, weights) / weights.sum(axis=1)[:, None]
     # Places within, where there is nothing, tell resonances of the inside apart.
-    inside = np.random.default_rng(1).uniform(-0.45, 0.45, (40, 2)) * side
+    inside = np.random.default_rng(1).uniform(-0.45, 0.45, (40, 2)) * size
 
     def free(x: np.ndarray) -> np.ndarray:
         return -0.25j * hankel2(0, k * np.linalg.norm(x - np.array(SOURCE), axis=1))
@@ -73,6 +127,7 @@ def pillar_field(side: float, frequency: float, elements: float = 9.0) -> np.nda
 
 
 if __name__ == "__main__":
-    coarse, fine = pillar_field(SIDE, 40e3), pillar_field(SIDE, 40e3, 14.0)
-    print(f"within {20.0 * np.log10(np.abs(coarse - fine).max()):.1f} dB")
-    print([complex(np.round(value, 4)) for value in fine])
+    for size in ((SIDE, SIDE), *((thickness, HEIGHT) for thickness in WALLS)):
+        coarse, fine = field_behind(size, 40e3), field_behind(size, 40e3, 14.0)
+        print(size, f"within {20.0 * np.log10(np.abs(coarse - fine).max()):.1f} dB")
+        print([complex(np.round(value, 4)) for value in fine])

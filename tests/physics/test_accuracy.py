@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import oracle
 import pytest
+from exhaustive import few
 
 import clsim
 from clsim.render.opencl.engine import OpenclEngine
@@ -61,7 +62,7 @@ def tone_and_formula(frequency: float, rate: float, fade: float, duration: float
 
 # Delays and tracks are what is tested here, so everything is taken at one frequency (responses="centre").
 # Of the -85 dB, -90 is the filter's bound; tracks stay within -96, and 63 paths in float32 within -110 (measured).
-@pytest.mark.parametrize(("rate", "duration"), [(48e3, 0.4), (192e3, 0.2), (500e3, 0.1)])
+@pytest.mark.parametrize(("rate", "duration"), few([(192e3, 0.2), (48e3, 0.4), (500e3, 0.1)]))
 @pytest.mark.parametrize("share", [0.1, 0.42, 0.8])
 def test_tones(engine: str, rng, rate: float, duration: float, share: float) -> None:
     signal, formula = tone_and_formula(share * rate / 2, rate, 0.01, 2 * duration)
@@ -71,7 +72,7 @@ def test_tones(engine: str, rng, rate: float, duration: float, share: float) -> 
     assert error_db(plan, formula, source, receiver, 3, *made, rng) < -85.0
 
 
-@pytest.mark.parametrize(("rate", "duration"), [(48e3, 0.4), (192e3, 0.2), (500e3, 0.1)])
+@pytest.mark.parametrize(("rate", "duration"), few([(192e3, 0.2), (48e3, 0.4), (500e3, 0.1)]))
 def test_chirps(engine: str, rng, rate: float, duration: float) -> None:
     low, high, fade, length = 0.1 * rate / 2, 0.8 * rate / 2, 0.1 * duration, duration
     signal = clsim.Signal.chirp(low, high, length, rate, window="tukey")

@@ -1,4 +1,7 @@
-"""Errors of renderings at default settings, against an oracle of its own: listed scenes, and 100 drawn ones."""
+"""Errors of renderings at default settings, against an oracle of its own: listed scenes, and 100 drawn ones.
+
+At every change a tenth of the drawn ones, and few of those that differ in a rate or a speed.
+"""
 
 import warnings
 from dataclasses import replace
@@ -23,6 +26,7 @@ from default_cases import (
     wide_bands,
 )
 from default_oracle import Emitted, Fineness, Line, Room
+from exhaustive import few
 from scipy.signal import firwin
 
 import clsim
@@ -59,7 +63,7 @@ def test_listed_scenes(case: Case) -> None:
     check(measured(case))
 
 
-@pytest.mark.parametrize("case", named(near_and_far(0.25)))
+@pytest.mark.parametrize("case", few(named(near_and_far(0.25))))
 def test_every_20_ms_is_as_right(case: Case) -> None:
     figures = measured(case)
     check(figures)
@@ -75,7 +79,7 @@ def test_near_and_fast(case: Case) -> None:
     assert figures.error_db <= PROMISED_DB or told
 
 
-@pytest.mark.parametrize("case", named(fast_ends()))
+@pytest.mark.parametrize("case", few(named(fast_ends()), kept=(0, 7, 14)))
 def test_fast_ends(case: Case) -> None:
     check(measured(replace(case, samples=640)))
 
@@ -104,7 +108,7 @@ def test_what_lies_above_the_band_is_refused_and_not_rendered_as_nothing(
         clsim.render(clsim.find_paths(scene, 0), 48e3, interpolator=filters)
 
 
-@pytest.mark.parametrize("case", named(drawn()))
+@pytest.mark.parametrize("case", few(named(drawn()), kept=range(0, 100, 10)))
 def test_drawn_scenes(case: Case) -> None:
     check(measured(case))
 

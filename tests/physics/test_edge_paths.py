@@ -5,9 +5,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from edge_fields import field, jumps
+from edge_fields import field, jumps, terms
 from scipy.signal.windows import tukey
-from wedge_oracle import half_plane
+from wedge_oracle import edge_field, half_plane
 
 import clsim
 from clsim.acoustics.diffraction import edge_way, lit_angles, transition, wedge_terms
@@ -23,13 +23,15 @@ def fixed(*place: float) -> clsim.Trajectory:
     return clsim.Trajectory.fixed(place)
 
 
-def behind_a_screen(signal: clsim.Signal, receiver: clsim.Trajectory, source: clsim.Trajectory) -> PathSet:
+def behind_a_screen(
+    signal: clsim.Signal, receiver: clsim.Trajectory, source: clsim.Trajectory, model: str = "utd"
+) -> PathSet:
     """Return the paths at a screen in the plane y = 0, at x < 0, with its edge along z."""
     corners = [(0, 0, -FAR), (0, 0, FAR), (-FAR, 0, FAR), (-FAR, 0, -FAR)]
     screen = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], HARD)
     air = clsim.Air(absorption=False, speed_of_sound=C)
     scene = clsim.Scene(screen, air, [clsim.Source("s", signal, source)], [clsim.Receiver("r", receiver)])
-    specular, edge = clsim.find_paths(scene, 1, diffraction=1).families
+    specular, edge = clsim.find_paths(scene, 1, diffraction=1, diffraction_model=model).families
     near = edge.arrivals(slice(None), np.zeros(1)).length[:, 0] < 0.5 * FAR  # what the other edges send is late
     return PathSet(scene, (specular, edge.part(np.flatnonzero(near))))
 
@@ -52,18 +54,63 @@ def test_a_walk_behind_a_half_plane(speed: float, engine: str) -> None:
     source = np.array([-0.02, -2.0, 0.0])
     paths = behind_a_screen(clsim.Signal.tone(TONE, length - 0.012, RATE, fade=0.001), way, fixed(*source))
     heard = clsim.render(paths, RATE, duration=length - 0.001, engine=engine).pressure[0]
-    n = np.arange(round(0.014 * RATE), len(heard) - round(0.002 * RATE), 47)
+    n = np.arange(round(0.014 * RATE), len(heard) - round(0.002 * RATE), 131)
     places = way.position(n / RATE)
     assert places[0, 0] < 0.013 < 0.017 < places[-1, 0]  # the boundary of the shadow is at x = 0.015 m
     exact = np.array([half_plane(polar(source), polar(x), 2.0 * np.pi * TONE / C) for x in places])
     wanted = np.imag(exact * np.exp(2j * np.pi * TONE * n / RATE))
-    assert decibels(np.abs(heard[n] - wanted).max() * 3.5) < -75.0
+    assert decibels(np.abs(heard[n] - wanted).max() * 3.5) < -85.0
 
 
-def test_a_chirp_behind_a_half_plane(device: None) -> None:
-    """20 to 45 kHz at 6 m/s: the sum over frequencies of the field at the place of each sample."""
-    length, speed = 0.04, 6.0
-    way = clsim.Trajectory.line((-0.05, 1.5, 0.2), (-0.05 + speed * length, 1.5, 0.2), length)
+def test_audio_near_a_corner(device: None) -> None:
+    """1 kHz, some 5 cm from a corner of 270 degrees through its shadow's boundary, rendered: the exact field.
+
+    At default settings; what the theory for high frequencies makes of it is not near.
+    """
+    frequency, length, wedge = 1e3, 0.1, 1.5 * np.pi
+    corners = [(0, 0, -FAR), (0, 0, FAR), (-FAR, 0, FAR), (-FAR, 0, -FAR), (0, FAR, FAR), (0, FAR, -FAR)]
+    corner = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3), (0, 4, 1), (0, 5, 4)], HARD)
+    way = clsim.Trajectory.line((0.01, 0.04, 0.1), (0.06, 0.04, 0.1), length)
+    place = np.array([-1.2, -1.6, 0.0])
+    source = clsim.Source("s", clsim.Signal.tone(frequency, 0.09, RATE, fade=0.02), fixed(*place))
+    scene = clsim.Scene(corner, clsim.Air(absorption=False, speed_of_sound=C), [source], [clsim.Receiver("r", way)])
+    paths = clsim.find_paths(scene, 1, diffraction=1, diffraction_model="btm")
+    specular, edge = paths.families
+    near = edge.arrivals(slice(None), np.zeros(1)).length[:, 0] < 0.5 * FAR
+    paths = PathSet(scene, (specular, edge.part(np.flatnonzero(near))))
+    heard = clsim.render(paths, RATE, duration=length - 0.001).pressure[0]
+    n = np.arange(round(0.03 * RATE), round(0.07 * RATE), 311)
+    k, exact = 2.0 * np.pi * frequency / C, []
+    for receiver in map(polar, way.position(n / RATE)):
+        apart = receiver[1] - polar(place)[1]
+        assert apart + 2.0 * polar(place)[1] > np.pi  # no reflection is there
+        field_at = edge_field(polar(place), receiver, wedge, k)
+        beside = np.linalg.norm(
+            place - [receiver[0] * -np.cos(receiver[1]), receiver[0] * -np.sin(receiver[1]), receiver[2]]
+        )
+        exact.append(field_at + (apart < np.pi) * np.exp(-1j * k * beside) / beside)
+    wanted = np.imag(exact * np.exp(2j * np.pi * frequency * n / RATE))
+    assert decibels(np.abs(heard[n] - wanted).max() * 2.0) < -75.0
+
+
+def test_models_have_one_way_of_saying_which() -> None:
+    ends = clsim.Trajectory.line((-0.02, 1.0, 0.1), (0.06, 1.0, 0.1), 0.08), fixed(-0.02, -2.0, 0.0)
+    tone = clsim.Signal.tone(TONE, 0.075, RATE)
+    paths = {model: behind_a_screen(tone, *ends, model).families[1] for model in ("utd", "btm")}
+    assert len(set(map(type, paths.values()))) == 2
+    assert paths["utd"].digest() != paths["btm"].digest()
+    for column in ("start", "end", "lit", "objects"):
+        np.testing.assert_array_equal(*(getattr(family, column) for family in paths.values()))
+    assert paths["btm"].device is None
+    with pytest.raises(clsim.InputError, match='diffraction_model: must be one of "utd", "btm", but is \'exact\''):
+        behind_a_screen(tone, *ends, "exact")
+
+
+@pytest.mark.parametrize(("speed", "start"), [(1.0, 0.0), (6.0, -0.08)])
+def test_a_chirp_behind_a_half_plane(speed: float, start: float, device: None) -> None:
+    """20 to 45 kHz through the boundary: the sum over frequencies of the field at the place of each sample."""
+    length = 0.04
+    way = clsim.Trajectory.line((start, 1.5, 0.2), (start + speed * length, 1.5, 0.2), length)
     chirp = clsim.Signal.chirp(20e3, 45e3, 0.016, RATE, window="hann")
     source = np.array([-0.02, -2.0, 0.0])
     paths = behind_a_screen(chirp, way, fixed(*source))
@@ -78,7 +125,7 @@ def test_a_chirp_behind_a_half_plane(device: None) -> None:
         exact = _screen_field(polar(source), polar(place), 2.0 * np.pi * f[band] / C)
         turned = spectrum[band] * exact * np.exp(2j * np.pi * f[band] * n[i] / RATE)
         wanted[i] = 2.0 * np.sum(turned.real) / size
-    assert decibels(np.abs(heard[n] - wanted).max() / np.abs(wanted).max()) < -60.0
+    assert decibels(np.abs(heard[n] - wanted).max() / np.abs(wanted).max()) < -85.0
 
 
 def _screen_field(source, receiver, k):
@@ -94,26 +141,29 @@ def _screen_field(source, receiver, k):
     return total
 
 
-def test_what_a_moving_source_sends_round_an_edge() -> None:
-    """At 5 m/s across the boundary, against the integral over times of emission of what each one's place sends."""
-    t, velocity = 0.05, np.array([0.3, 4.9, 0.4])
+def test_what_a_moving_source_sends_round_an_edge(device: None) -> None:
+    """At 5 m/s across the boundary, against the integral over times of emission of what each one's place sends.
+
+    The paths' phasor within -95 dB of the free field, and what is rendered of it at default settings within -85 dB.
+    """
+    velocity, receiver = np.array([0.3, 4.9, 0.4]), np.array([0.0, 0.8, 0.0])
     start = np.array([-0.03, -1.25, 0.1])  # at emission some 2 mm off the boundary, in the shadow
     way = clsim.Trajectory.line(start, start + 0.08 * velocity, 0.08)
-    receiver = np.array([0.0, 0.8, 0.0])
-    paths = behind_a_screen(clsim.Signal.tone(TONE, 0.079, RATE), fixed(*receiver), way)
-    found = field(paths, np.array([t]), TONE)[0] * np.exp(2j * np.pi * TONE * t)
-    # A window of 3 ms about the delay holds all that is sent round: its edges are smooth.
-    step, delay = 1.0 / 160e3, 1.83 / C
-    emitted = t - delay + step * np.arange(-240, 241)
-    window = tukey(481, 0.5)
-    f = TONE + np.linspace(-6e3, 6e3, 121)
-    total = 0j
-    k = 2.0 * np.pi * f / C
-    for w, at in zip(window, emitted, strict=True):
-        sent = _screen_field(polar(way.position(np.array([at]))[0]), polar(receiver), k)
-        total += w * np.exp(2j * np.pi * TONE * at) * np.sum(sent * np.exp(2j * np.pi * f * (t - at)))
-    wanted = total * step * (f[1] - f[0])
-    assert decibels(abs(found - wanted) * 1.85) < -75.0
+    paths = behind_a_screen(clsim.Signal.tone(TONE, 0.079, RATE, fade=0.005), fixed(*receiver), way)
+    heard = clsim.render(paths, RATE, duration=0.06).pressure[0]
+    # A window of 6 ms about the delay holds all that is sent round: its edges are smooth.
+    step, delay, window = 1.0 / 160e3, 1.83 / C, tukey(961, 0.8)
+    f = TONE + np.linspace(-6e3, 6e3, 241)
+    for n in (9593, 9600):
+        t, total = n / RATE, 0j
+        emitted = t - delay + step * np.arange(-480, 481)
+        for w, at, place in zip(window, emitted, way.position(emitted), strict=True):
+            sent = _screen_field(polar(place), polar(receiver), 2.0 * np.pi * f / C)
+            total += w * np.exp(2j * np.pi * TONE * at) * np.sum(sent * np.exp(2j * np.pi * f * (t - at)))
+        wanted = total * step * (f[1] - f[0])
+        found = field(paths, np.array([t]), TONE)[0] * np.exp(2j * np.pi * TONE * t)
+        assert decibels(abs(found - wanted) * 1.85) < -95.0
+        assert decibels(abs(heard[n] - wanted.imag) * 1.85) < -85.0
 
 
 @cache
@@ -126,18 +176,19 @@ def l_room(order: int) -> PathSet:
     return clsim.find_paths(clsim.Scene(room, clsim.Air(absorption=False), [source], [receiver]), order, diffraction=1)
 
 
-def test_no_jump_where_reflections_begin_and_end() -> None:
-    """In an L-shaped room, order 2: -75 dB of the strongest path at every birth and death, without any transition.
+@pytest.mark.parametrize(("order", "events"), [(1, 5), (2, 14), (3, 20)])
+def test_no_jump_where_reflections_begin_and_end(order: int, events: int) -> None:
+    """In an L-shaped room: -75 dB of the strongest path at every birth and death, without any transition.
 
     Where two walls of a path are met in another order, one path ends and another begins within a sample: one event.
     """
-    paths = l_room(2)
+    paths = l_room(order)
     specular = paths.families[0]
     times = np.concatenate([specular.start, specular.end])
     rows = np.tile(np.arange(len(specular)), 2)[np.isfinite(times)]
     times = times[np.isfinite(times)]
     swaps = np.array([np.sum(np.abs(times - t) < 1e-6) > 1 for t in times])
-    assert np.sum(~swaps) >= 14
+    assert np.sum(~swaps) >= events, np.sum(~swaps)
     found = jumps(paths, times[~swaps], TONE)
     names = paths.table(np.zeros(1)).name_way
     loud = [f"{names(row)} at {t:.4f} s: {decibels(jump):.1f} dB" for row, t, jump in zip(rows[~swaps], times[~swaps], found, strict=True) if jump > 10 ** (-75 / 20)]  # fmt: skip
@@ -147,24 +198,35 @@ def test_no_jump_where_reflections_begin_and_end() -> None:
     assert decibels(jumps(alone, times[~swaps], TONE).max()) > -6.0
 
 
-def test_edge_paths_begin_and_end_quietly() -> None:
-    """At most -40 dB of the strongest path where one begins; nothing where one goes over into another."""
-    paths = l_room(2)
+@pytest.mark.parametrize(("order", "together", "swaps"), [(1, -57.0, 1), (2, -43.0, 4), (3, -34.0, 44)])
+def test_edge_paths_begin_and_end_quietly(order: int, together: float, swaps: int) -> None:
+    """At most -40 dB of the strongest where one of them begins or ends; nothing where one goes over into another.
+
+    As the receiver passes the plane of the wall that ends at the edge, all that go on by the wall across it end
+    together, as what turns round the edge a second time is not there; at order 3 a dozen of them are louder.
+    """
+    paths = l_room(order)
     edge, first = paths.families[1], len(paths.families[0])
     events = np.unique(np.concatenate([edge.start, edge.end]))
     events = events[np.isfinite(events)]
     found = jumps(paths, events, TONE)
+    assert decibels(found.max()) < together
     names = paths.table(np.zeros(1)).name_way
-    loud, swaps = [], 0
+    loud, seen = [], 0
     for t, jump in zip(events, found, strict=True):
         begins, ends = np.flatnonzero(edge.start == t), np.flatnonzero(edge.end == t)
-        swap = bool(ends.size) and np.array_equal(*(np.sort(edge.objects[rows]) for rows in (begins, ends)))
-        swaps += swap and not np.array_equal(edge.objects[begins], edge.objects[ends])
-        if decibels(jump) > (-75.0 if swap else -40.0):
+        goes_on = bool(ends.size) and np.array_equal(*(np.sort(edge.objects[rows]) for rows in (begins, ends)))
+        seen += goes_on and not np.array_equal(edge.objects[begins], edge.objects[ends])
+        if goes_on:
+            alone = jump
+        else:
+            there = np.abs(terms(paths, t + np.array([-1e-9, 1e-9]), TONE))
+            alone = np.abs(np.diff(there[first + np.append(ends, begins)])).max() / there.max()
+        if decibels(alone) > (-75.0 if goes_on else -40.0):
             ways = [names(first + row) for row in (*ends, *begins)]
-            loud.append(f"{ways} at {t:.6f} s: {decibels(jump):.1f} dB")
+            loud.append(f"{ways} at {t:.6f} s: {decibels(alone):.1f} dB")
     assert not loud, "\n".join(loud)
-    assert swaps == 4, "walls met in another order"
+    assert seen == swaps, "walls met in another order"
 
 
 def test_edge_paths_of_the_highest_order_keep_two_terms() -> None:

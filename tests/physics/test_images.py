@@ -1,5 +1,7 @@
 """Images of a shoebox against mirroring point after point, and the path table that is made from them."""
 
+from collections.abc import Callable
+
 import numpy as np
 import oracle
 import pytest
@@ -50,6 +52,30 @@ def test_listed_walls_make_the_image() -> None:
         np.testing.assert_allclose(matrix @ point + offset, image, atol=1e-12)
 
 
+def mirrored(way: oracle.Wobble, walls: tuple[int, ...]) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a way mirrored at one wall after the other."""
+
+    def image(t: np.ndarray) -> np.ndarray:
+        x = way.position(t)
+        for wall in walls:
+            x = oracle.mirror(x, wall, SIZE)
+        return x
+
+    return image
+
+
+def arriving(image: Callable[[np.ndarray], np.ndarray], receiver: oracle.Wobble) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the delay by time of reception, s, by fixed-point iteration."""
+
+    def delay(t: np.ndarray) -> np.ndarray:
+        out = np.zeros(len(t))
+        for _ in range(20):
+            out = np.linalg.norm(receiver.position(t) - image(t - out), axis=1) / AIR.speed_of_sound
+        return out
+
+    return delay
+
+
 def test_path_table_of_a_moving_scene(rng) -> None:
     order, c = 3, AIR.speed_of_sound
     source, receiver = (oracle.Wobble.random(rng, x, 8.0) for x in ([1.6, 2.0, 1.5], [3.6, 2.0, 1.5]))
@@ -64,19 +90,8 @@ def test_path_table_of_a_moving_scene(rng) -> None:
     decibel = AIR.absorption_at(40e3)
     h = 1e-5
     for walls in oracle.mirror_sequences(order):
-
-        def image(t: np.ndarray, walls: tuple[int, ...] = walls) -> np.ndarray:
-            x = source.position(t)
-            for wall in walls:
-                x = oracle.mirror(x, wall, SIZE)
-            return x
-
-        def delay(t: np.ndarray) -> np.ndarray:
-            out = np.zeros(len(t))
-            for _ in range(20):
-                out = np.linalg.norm(receiver.position(t) - image(t - out), axis=1) / c
-            return out
-
+        image = mirrored(source, walls)
+        delay = arriving(image, receiver)
         exact = delay(times)
         i = by_place[tuple(exact.round(9))]
         assert table.order[i] == len(walls)

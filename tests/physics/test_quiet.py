@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from exhaustive import exhaustive
 
 import clsim
 from clsim.render.planning import plan_render
@@ -35,6 +36,7 @@ def test_bounds_are_bounds(beam, rng: np.random.Generator) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("engine", ["opencl", exhaustive("reference")], indirect=True)
 def test_what_is_lost_is_less_than_said(engine: str) -> None:
     world = scene()
     paths = clsim.find_paths(world, 5)

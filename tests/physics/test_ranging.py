@@ -220,7 +220,7 @@ def test_what_cannot_be_scored_is_refused(receding: clsim.Recording) -> None:
         (lambda: ranging(bare, pulse), r"recording: must have its paths for ranging, but has none"),
         (lambda: ranging(envelope, pulse), r"recording: must be sound for ranging, but is the envelope about 40000 Hz"),
         (lambda: ranging(receding, pulse, "nearest"), r"method: must be one of"),
-        (lambda: ranging(receding, pulse, source="x"), r"source: must be one of 's0', 's1', 's2', 's3', but is 'x'"),
+        (lambda: ranging(receding, pulse, source="x"), r'source: must be one of "s0", "s1", "s2", "s3", but is .x.'),
         (lambda: ranging(receding, pulse, max_range=0.0), r"max_range: must be above 0"),
         (lambda: range_doppler(receding, pulse, 4), r"receiver: must be from 0 to 3, but is 4"),
         (lambda: range_doppler(receding, pulse, "nobody"), r"receiver: must be one of .*, but is 'nobody'"),

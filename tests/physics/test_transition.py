@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from exhaustive import few
 from made_meshes import l_room
 
 import clsim
@@ -102,7 +103,7 @@ def walk(transition: float = 1e-3) -> tuple[clsim.Scene, clsim.PathSet]:
 
 
 @pytest.mark.usefixtures("device")
-@pytest.mark.parametrize("transition", [0.0, 1e-3])
+@pytest.mark.parametrize("transition", few([1e-3, 0.0]))
 def test_engines_agree_while_paths_come_and_go(transition: float) -> None:
     _scene, paths = walk()
     ends = np.concatenate([paths.start, paths.end])

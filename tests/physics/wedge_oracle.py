@@ -47,12 +47,14 @@ def edge_field(
         return _gauss(along, np.array(ends), 16000)
     length = np.hypot(rs + rr, zs - zr)
 
-    def steep(v):
-        p = length - 1j * v**2
-        terms, sinh = beta((p**2 - rs**2 - rr**2 - (zs - zr) ** 2) / (2.0 * rs * rr))
-        return terms / (rs * rr * sinh) * np.exp(-k * v**2) * (-2j * v)
+    def steep(log_v):  # so that what is near the start, of ends near the edge or near a boundary, is looked at closely
+        v = np.exp(log_v)
+        eta = 2.0 * np.arcsinh(np.sqrt(-(2j * length + v**2) * v**2 / (4.0 * rs * rr)))
+        terms = (np.sin(angles) / (np.cosh(nu * eta)[..., None] - np.cos(angles))).sum(axis=-1)
+        return terms / (rs * rr * np.sinh(eta)) * np.exp(-k * v**2) * (-2j * v) * v
 
-    total = _gauss(steep, np.sqrt(np.array([0.0, 40.0]) / abs(k)), 400)
+    last = 0.5 * np.log(40.0 / abs(k))
+    total = _gauss(steep, np.array([last - 24.0, last]), 800)
     return -nu / (2.0 * np.pi) * total * np.exp(-1j * k * length)
 
 

@@ -185,7 +185,7 @@ def test_an_empty_key_is_told(tmp_path: Path) -> None:
     from clsim.scene_file import load_scene
 
     (tmp_path / "scene.toml").write_text('"" = 1\n')
-    with pytest.raises(InputError, match=r'^"": is no known key'):
+    with pytest.raises(InputError, match=r'scene.toml: "": is no known key'):
         load_scene(tmp_path / "scene.toml")
 
 

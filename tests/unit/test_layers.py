@@ -38,6 +38,7 @@ LAYERS = [
     ("study",),
     ("commands",),
     ("cli",),
+    ("__main__",),
     ("__init__",),
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
@@ -157,6 +158,8 @@ def test_help_loads_no_command() -> None:
         "clsim.workflow",
         "clsim.workflow.console",
         "clsim.commands",
+        "clsim.scene_file",
+        "clsim.scene_file.words",
     }
 
 
@@ -173,7 +176,6 @@ def test_a_run_without_pictures_loads_nothing_that_draws(tmp_path: Path) -> None
     loaded = loaded_by(f"from clsim.cli import main\nassert main({[*arguments, '--engine', 'reference']!r}) == 0")
     late = {
         "matplotlib",
-        "plotly",
         "trimesh",
         "xarray",
         "zarr",

@@ -27,6 +27,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("h5netcdf", "store", ["run", "scene.toml", "-o", "out", "--store", "hdf5"]),
         ("distributed", "study", ["run", "scene.toml", "-o", "out", "--store", "zarr", "--workers", "2"]),
         ("dask", "study", ["study", "study.toml", "-o", "out"]),
+        ("matplotlib", "pictures", ["run", "scene.toml", "-o", "out"]),
+        ("matplotlib", "pictures", ["plot", "air", "-o", "out.png"]),
+        ("matplotlib", "pictures", ["materials", "-o", "out.png"]),
         ("sofar", "sofa", ["rir", "scene.toml", "-o", "out.sofa"]),
     ],
 )

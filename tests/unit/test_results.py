@@ -221,7 +221,7 @@ def test_what_cannot_be_played_or_found_is_refused(recording: clsim.Recording) -
         (lambda: recording.play(slower=100), r"slower: must leave a rate of 3000 to 384000 Hz.*it 1920 Hz"),
         (lambda: recording.play(slower=0.5), r"slower: must be .*1"),
         (lambda: envelope.play(), r"recording: must be sound to be played, but is the envelope about 40000 Hz"),
-        (lambda: recording.spectrogram("left"), r"receiver: must be one of 'über links', 'right', but is 'left'"),
+        (lambda: recording.spectrogram("left"), r'receiver: must be one of "über links", "right", but is .left.'),
         (lambda: recording.plot([2]), r"receiver: must be from 0 to 1, but is 2"),
     ):
         with pytest.raises(clsim.InputError, match=message):

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import double_breadths, edge_way, lit_angles, wedge_terms
-from clsim.paths.diffraction.family import EdgePaths, cylindrical, face_factors, sum_of_terms
+from clsim.acoustics.diffraction import edge_way, lit_angles, wedge_terms
+from clsim.acoustics.double_edge import double_tie, double_transition
+from clsim.paths.diffraction.family import EdgePaths, cylindrical, face_factors
 from clsim.paths.diffraction.ways import EdgeView, RolledOut
 
 if TYPE_CHECKING:
@@ -49,6 +50,11 @@ class DoubleEdgePaths(EdgePaths):
     columns: ClassVar[tuple[str, ...]] = (
         *EdgePaths.columns, "last_frame", "last_n", "last_faces", "last_lit", "shared",
     )  # fmt: skip
+
+    @property
+    def device(self) -> None:
+        """None: the host makes their nodes."""
+        return
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field beyond two edges."""
@@ -99,15 +105,32 @@ class DoubleEdgePaths(EdgePaths):
             (self.n[index], t_s, face[:, 0], self.lit[index], self.faces[index]),
             (self.last_n[index], face[:, 1], t_r, self.last_lit[index], self.last_faces[index]),
         )
-        terms = [
-            wedge_terms(n[:, None], lit_angles(n[:, None], came, went), lit[:, None]) for n, came, went, lit, _ in edges
+        tie = double_tie(ways[0], r_s * ways[0].length / (r_s + heard[0]), r_r * ways[1].length / (r_r + sent[0]))
+        found = [
+            self._terms(edge, way.breadth, by_face, at)
+            for edge, way, by_face in zip(edges, ways, ((2, 3), (3, 2)), strict=True)
         ]
-        breadths = double_breadths(ways, (r_s, r_r), (heard[0], sent[0]), (terms[0][1], terms[1][1]))
-        field: Any = 1.0 / ways[0].length[..., None]
-        for (_, came, went, lit, faces), (weight, root), breadth in zip(edges, terms, breadths, strict=True):
-            cosine = np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape)
-            factors = face_factors(faces, cosine, at)
-            field = field * sum_of_terms(lit, weight, root, wave * breadth[..., None], factors)
-        both = 1.0 + np.where(self.shared[index, 1, None, None] == 1, factors[1], factors[0])
+        (first, before, _), (last, after, last_factors) = found
+        field: Any = np.zeros(wave.shape, dtype=np.complex128)
+        for i, weight in enumerate(before):
+            for j, other in enumerate(after):
+                field += 0.25 * weight * other * double_transition(first[..., i], last[..., j], tie, wave)
+        field /= ways[0].length[..., None]
+        both = 1.0 + np.where(self.shared[index, 1, None, None] == 1, last_factors[1], last_factors[0])
         both = np.where(np.any(self.lit[index, 2:], axis=1)[:, None, None], both, 1.0)
         return field / np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
+
+    @staticmethod
+    def _terms(
+        edge: tuple[Any, ...], breadth: Floats, by_face: tuple[int, int], at: SceneResponse
+    ) -> tuple[Floats, list[Any], list[Any]]:
+        """Return roots (P, T, 2), weights (P, T, F) of the two kinds of terms at an edge, and its faces' factors.
+
+        Along the shared face a term by a face has the root of one past the edge: `by_face` are those of 0 and 1.
+        """
+        n, came, went, lit, faces = edge
+        weight, root = wedge_terms(n[:, None], lit_angles(n[:, None], came, went), lit[:, None])
+        factors = face_factors(faces, np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape), at)
+        kept = weight * np.abs(lit)[:, None]
+        weights = [kept[..., i, None] + kept[..., j, None] * factors[j - 2] for i, j in enumerate(by_face)]
+        return root[..., :2] * np.sqrt(breadth)[..., None], weights, factors

@@ -12,7 +12,7 @@ from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angle
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
 from clsim.paths.diffraction.ways_over import WaysOver
-from clsim.paths.propagation import arrivals_by
+from clsim.paths.propagation import UniformAir, arrivals_by
 from clsim.paths.two_sided import TwoSidedPaths
 
 if TYPE_CHECKING:
@@ -63,6 +63,13 @@ class EdgePaths(TwoSidedPaths):
     )  # fmt: skip
 
     costly: ClassVar[bool] = True
+
+    @property
+    def device(self) -> str | None:
+        """The program for paths over one edge; it knows air of one speed alone, that rests."""
+        media = [self.medium(source) for source in range(len(self.scene.sources))]
+        still = all(isinstance(m, UniformAir) and m.wind is None and m.fluctuation is None for m in media)
+        return "edges" if still else None
 
     @property
     def is_complex(self) -> bool:
@@ -180,15 +187,26 @@ class EdgePaths(TwoSidedPaths):
         """Return the field (P, T, F) of ends seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
         (r_s, t_s, z_s), (r_r, t_r, z_r) = (cylindrical(self.n[index], x) for x in (emitted_at, heard_at))
         way = edge_way(r_s, z_s, r_r, z_r)
-        n, lit = self.n[index], self.lit[index]
-        weight, root = wedge_terms(n[:, None], lit_angles(n[:, None], t_s, t_r), lit[:, None])
+        angles = lit_angles(self.n[index][:, None], t_s, t_r)
         factors = face_factors(self.faces[index], np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
-        field = sum_of_terms(lit, weight, root, wave * way.breadth[..., None], factors)
+        field = self._at_wedge(index, angles, (r_s, r_r), way, wave, factors)
         field /= way.length[..., None]
         over_end = np.flatnonzero(self.end_side[index])
         if len(over_end):
             field[over_end] *= self._end_factor(index, over_end, way, (r_s, z_s), (r_r, z_r), wave)
         return field
+
+    def _at_wedge(
+        self, index: NDArray[np.int64], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
+        factors: list[Any],
+    ) -> Any:  # fmt: skip
+        """Return the field (P, T, F) of edges without ends over that of the shortest ways.
+
+        By the angles (P, T, 4) of the partners, the ends' distances from the edges (P, T), and the faces' factors.
+        """
+        lit = self.lit[index]
+        weight, root = wedge_terms(self.n[index][:, None], angles, lit[:, None])
+        return sum_of_terms(lit, weight, root, wave * way.breadth[..., None], factors)
 
     def _end_factor(
         self, index: NDArray[np.int64], rows: NDArray[np.int64], way: EdgeWay,

@@ -12,6 +12,7 @@ from clsim.arrays import as_count, read_only
 from clsim.errors import InputError
 from clsim.paths.diffraction.columns import path_columns
 from clsim.paths.diffraction.double import DoubleEdgePaths
+from clsim.paths.diffraction.exact import ExactEdgePaths
 from clsim.paths.diffraction.family import EdgePaths
 from clsim.paths.diffraction.intervals import EdgeSearch
 from clsim.paths.diffraction.swaps import with_swaps
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
     Generator = Callable[[Walls, Sides, list[Sides], Edges, int], Iterator[tuple[float, EdgeCandidates]]]
 
+DIFFRACTION_MODELS = {"utd": EdgePaths, "btm": ExactEdgePaths}  # of paths over one edge
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
 _SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
@@ -86,7 +88,8 @@ def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...])
     rows, order, within = _rows_of(scene, search, others, _candidates)
     edges = scene.room.edges()
     columns = path_columns(scene, edges, order, rows)
-    return with_swaps(EdgePaths(scene=scene, **columns, edge_names=edges.names), within)
+    kind = DIFFRACTION_MODELS[search.diffraction_model]
+    return with_swaps(kind(scene=scene, **columns, edge_names=edges.names), within)
 
 
 def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> DoubleEdgePaths:

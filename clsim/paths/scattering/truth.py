@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
-from clsim.arrays import as_choice, as_floats, read_only
+from clsim.arrays import as_choice, as_floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.paths.arrivals import MOTIONS
 from clsim.paths.scattering.search import direct_ways
@@ -54,6 +54,8 @@ class ScattererTruth:
     receiver_names: tuple[str, ...]
 
     MEASURES: ClassVar[tuple[str, ...]] = ("delay", "doppler_factor", "range", "radial_speed", "bearing")
+
+    __repr__ = short_repr
 
 
 def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> ScattererTruth:

@@ -64,10 +64,12 @@ class _Beams:
     sequence: NDArray[np.int32]
 
     def part(self, which: slice | NDArray[np.int64] | NDArray[np.bool_]) -> _Beams:
+        """Return some of the beams, by index or mask."""
         return _Beams(self.centre[which], self.ring[which], self.corners[which], self.sequence[which])
 
     @staticmethod
     def joined(parts: list[_Beams]) -> _Beams:
+        """Return the beams of several sets as one; rings of fewer corners repeat their last one."""
         width = max(p.ring.shape[1] for p in parts)
         fill = [np.minimum(np.arange(width), p.ring.shape[1] - 1) for p in parts]
         return _Beams(

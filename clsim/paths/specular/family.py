@@ -120,14 +120,18 @@ class _Images:
         self._mirrored = np.einsum("pji,ptj->pti", matrix, heard_at[None] - offset[:, None, :])
 
     def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Return lengths (m) and directions of the straight ways from `start` to the mirrored receivers."""
         return straight(start, self._mirrored[p, t])
 
     def arrive(self, start: Floats) -> Floats:
+        """Return the directions in which sound arrives, turned by each image's matrix, `(paths, times, 3)`."""
         return np.asarray(np.einsum("pij,ptj->pti", self._matrix, straight(start, self._mirrored)[1]))
 
     def seen(self) -> Floats:
+        """Return the receivers as they are seen from the source, mirrored, `(paths, times, 3)` m."""
         return np.asarray(self._mirrored)
 
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Return what air by height does to folded ways from `start`."""
         assert self._folds is not None
         return self._folds.bends(p, start, self._heard_at[t])

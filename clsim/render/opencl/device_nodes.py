@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from clsim.acoustics.diffraction import ON_BOUNDARY
 from clsim.numerics.quaternions import rotate
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
-    from clsim.paths.specular.family import SpecularPaths
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
@@ -61,6 +61,7 @@ class DeviceChunk:
     start: int  # sample
     images: dict[str, Any]
     columns: dict[str, Any]
+    field: dict[str, Any]
     bounds: Boundaries
     coarse_delays: Any
     trajectory: dict[str, Any]
@@ -72,11 +73,13 @@ class DeviceChunk:
 class DeviceTracks:
     """Makes block polynomials with ``tracks.cl``."""
 
+    _edges: ClassVar[int] = 0  # whether paths turn round edges
+
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
         self._plan, self._tracks, self._queue, self._compiler = plan, tracks, queue, compiler
-        self._family: SpecularPaths = family
+        self._family = family
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
@@ -125,7 +128,6 @@ class DeviceTracks:
         around, pairs = self._surroundings[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
         walls = self._family.walls[rows]
-        matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
         reflection = np.where(batch.padding[:, None, None], 0.0, around.reflection(walls)).astype(np.float32)
         receiver_of = np.repeat(np.arange(len(batch.pairs), dtype=np.int32), np.diff(batch.first_slot))
         rate = plan.sampling_rate
@@ -136,8 +138,8 @@ class DeviceTracks:
             (start + length) / rate - shortest + spare,
             self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
         )  # fmt: skip
-        images = self._images(matrix.reshape(-1, 9).T, offset.T) | self._uploaded(receiver_of=receiver_of)
-        wall_of, normal = around.bounces(walls)
+        images = self._images(source, rows) | self._uploaded(receiver_of=receiver_of)
+        wall_of, normal = self._bounces(source, rows)
         columns = self._uploaded(reflection=reflection, wall_of=wall_of, normal=normal)
         trajectory = self._trajectory(knots) | {
             "knot_count": len(knots), "first_knot": knot_first, "knot_rate": self._knot_rates[source],
@@ -150,11 +152,21 @@ class DeviceTracks:
         turn = 0.0
         if around.source_kind != OMNI:
             turn = self._knot_rates[source] * _largest_turn(knots[:, CUBIC_COLUMNS : CUBIC_COLUMNS + 3])
-        return DeviceChunk(source, batch, start, images, columns, bounds, coarse, trajectory, cells, first, turn)
+        field = self._field(source, rows)
+        return DeviceChunk(source, batch, start, images, columns, field, bounds, coarse, trajectory, cells, first, turn)
 
-    def _images(self, matrix: Floats, offset: Floats) -> dict[str, Any]:
-        """Return images (9, slots) and (3, slots) as the program takes them."""
-        return self._uploaded(image_matrix=matrix, image_offset=offset)
+    def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Return what paths (slots,) see of the ends as the program takes it: images as columns."""
+        matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
+        return self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"edges": None}
+
+    def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return the walls of paths (slots,) that depend on the angle, see `Surroundings.bounces`."""
+        return self._surroundings[source].bounces(self._family.walls[rows])
+
+    def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Return what the field of paths (slots,) that are more than reflected is made of: nothing, for images."""
+        return {"transition": None, "faces": None, "waves": None, "middle": 0.0}
 
     def _trajectory(self, knots: Floats) -> dict[str, Any]:
         """Return the knots of motion as the program takes them."""
@@ -225,9 +237,11 @@ class DeviceTracks:
         filters = self._plan.source_filters[source]
         first, last = filters.emitted_between(rate)
         constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
+        constants |= {"HALF_TURN": math.pi, "ON_BOUNDARY": ON_BOUNDARY}
         kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
             self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
+            **chunk.field,
             **self._media[source], receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
             first_walk=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
             delay_samples=filters.delay_samples, oversampling=filters.oversampling,
@@ -237,7 +251,8 @@ class DeviceTracks:
     def _exact_constants(self, source: int) -> dict[str, Any]:
         """Constants of the program in float64."""
         wind = int(self._media[source]["wind"] is not None)
-        return {"SMOOTH_ERROR": np.float32(SMOOTH_ERROR), "NODES_AT_ONCE": self._together, "WIND": wind}
+        smooth = np.float32(SMOOTH_ERROR)
+        return {"SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind, "EDGES": self._edges}
 
     def _smooth(self, chunk: DeviceChunk, receivers: NDArray[Any], block: int) -> float:
         """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 if all are looked at.
@@ -254,7 +269,7 @@ class DeviceTracks:
     def _mach(self, source: int) -> float:
         """Return a bound of a source's speed over that of sound, by as much as frequencies on the way follow it."""
         speed = float(self._tracks.speeds.source[source]) if self._tracks.motion == "retarded" else 0.0
-        return speed / self._family.medium(source).slowest
+        return speed / float(self._family.medium(source).slowest)
 
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._surroundings[source].source_kind == SPHERICAL
@@ -347,7 +362,3 @@ def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
     for i, axis in enumerate(np.eye(3)[:2]):
         out["axes"][:, i] = rotate(receiver.orientation(true), axis)
     return out
-
-
-# What makes the nodes of kinds of paths, by `PathFamily.device`; `pair_nodes.py` has those without float64.
-NODE_PROGRAMS = {"images": DeviceTracks}

@@ -15,11 +15,10 @@ from clsim.opencl.launch import Scratch, upload, work
 from clsim.opencl.limits import check_group
 from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
-from clsim.render.opencl.device_nodes import NODE_PROGRAMS, DeviceTracks
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
 from clsim.render.opencl.limits import Limits
-from clsim.render.opencl.pair_nodes import PAIR_PROGRAMS
+from clsim.render.opencl.node_programs import NODE_PROGRAMS, PAIR_PROGRAMS
 from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.paths.family import PathFamily
+    from clsim.render.opencl.device_nodes import DeviceTracks
     from clsim.render.opencl.fades import Fades
     from clsim.render.plan import Plan
 

@@ -112,6 +112,7 @@ def find_fades(bounds: Boundaries, batch: PathBatch, start: int, block: int, blo
     far = 2.0**23
 
     def here(place: Floats) -> NDArray[Any]:
+        """Return places in samples of the run from its beginning, bounded so that float32 holds them."""
         return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
 
     return Fades(

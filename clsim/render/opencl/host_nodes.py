@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.threads import side_by_side
 from clsim.opencl.launch import upload
 from clsim.render.opencl.block_polynomials import SMOOTH_SHARE, between, block_error, block_polynomials
 from clsim.render.plan import Plan, node_times
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from clsim.tracks.basis import Basis
 
 _CELL = 4  # nodes from one at which costly gains are taken to the next
+_PATHS_EACH = 128  # paths of a pair that one thread makes at a time
 _BESIDE = 8  # paths whose terms stand side by side, as in polynomials.h
 
 
@@ -41,8 +43,28 @@ class HostNodes:
     longest: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Run:
+    """What nodes are made of: a source's, blocks of so many samples from one on, and when each slot is heard."""
+
+    source: int
+    start: int
+    block: int
+    blocks: int
+    heard: tuple[NDArray[np.int32], NDArray[np.int32]]  # (slots,), samples of the run
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What was found of some paths: squares (2, segments) of errors and of what is heard, and bounds of delays, s."""
+
+    squares: Floats
+    shortest: float
+    longest: float
+
+
 class HostTracks:
-    """Makes block polynomials in NumPy and uploads them."""
+    """Makes block polynomials in NumPy, in threads, and uploads them."""
 
     def __init__(self, plan: Plan, queue: Any) -> None:
         self._plan, self._queue = plan, queue
@@ -68,40 +90,54 @@ class HostTracks:
         blocks: int,
         meanwhile: Callable[[], None] | None = None,
     ) -> HostNodes:
-        """Make the polynomials of `blocks` blocks from a sample on; the host has no time for anything else."""
+        """Make the polynomials of `blocks` blocks from a sample on, in threads; other work can be done meanwhile."""
         source, batch, bounds = state
         plan, filters = self._plan, self._plan.source_filters[source]
-        rate = plan.sampling_rate
+        run = _Run(source, start, block, blocks, bounds.samples_from(start))
         whole = np.empty((blocks, batch.count), dtype=np.int32)
         cubics = np.empty((blocks, plan.delay_terms + 4 * len(filters.basis), batch.count), dtype=np.float32)
+
+        def make(part: tuple[int, NDArray[np.int64]]) -> _Found:
+            pair, slots = part
+            whole[:, slots], cubics[:, :, slots], found = self._part(run, pair, batch.path[slots], slots)
+            return found
+
+        parts = [(index, slots) for i, index in enumerate(batch.pairs) for slots in _parts(batch, i)]
+        made = side_by_side(make, parts, meanwhile)
         error = np.zeros(-(-blocks * block // plan.segment))
-        shortest, longest = math.inf, -math.inf
-        times = node_times(start, block, blocks, rate)
-        first, last = bounds.samples_from(start)
-        begins = block * np.arange(blocks)
-        for i, index in enumerate(batch.pairs):
-            here = batch.of_pair(i)
-            delay, change, gain = self._evaluated(index, times, filters.basis, batch.path[here])
-            whole[:, here], made = block_polynomials(
-                delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, plan.delay_terms
-            )
-            sized = gain * filters.basis.strengths[:, None, None]
-            part = 0.0 if plan.is_fine(block) else plan.subblock(source, block) / block
-            swiftness = 2.0 * math.pi * filters.swiftness
-            wrong = block_error(delay, change, sized, swiftness, block / rate, part, plan.delay_terms)
-            heard = (first[here, None] < begins + block) & (last[here, None] > begins)
-            sounds = heard & _sounds(filters, times, delay, rate)
-            terms = plan.delay_terms
-            made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
-            cubics[:, :, here] = made
-            loud = np.abs(sized).sum(axis=0)[:, 1:-2] * heard
-            np.maximum(error, _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block), out=error)
-            shortest, longest = min(shortest, float(delay.min())), max(longest, float(delay.max()))
+        for index in batch.pairs:
+            squares = sum(found.squares for found, (pair, _) in zip(made, parts, strict=True) if pair == index)
+            wrong, heard = np.sqrt(squares)
+            np.maximum(error, wrong / np.maximum(heard, 1e-30), out=error)
         beside = 1 if plan.delay_terms == 8 else _BESIDE
         laid_out = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
+        shortest, longest = min(found.shortest for found in made), max(found.longest for found in made)
         return HostNodes(
             self._upload(whole), self._upload(laid_out), None, error, np.zeros(len(error)), shortest, longest
         )
+
+    def _part(
+        self, run: _Run, pair: int, rows: NDArray[np.int64], slots: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32], _Found]:
+        """Return whole delays, polynomials, and what was found of some paths of a pair."""
+        plan, filters, block = self._plan, self._plan.source_filters[run.source], run.block
+        rate, terms = plan.sampling_rate, plan.delay_terms
+        times = node_times(run.start, block, run.blocks, rate)
+        delay, change, gain = self._evaluated(pair, times, filters.basis, rows)
+        whole, made = block_polynomials(
+            delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, terms
+        )
+        sized = gain * filters.basis.strengths[:, None, None]
+        part = 0.0 if plan.is_fine(block) else plan.subblock(run.source, block) / block
+        wrong = block_error(delay, change, sized, 2.0 * math.pi * filters.swiftness, block / rate, part, terms)
+        first, last = (edge[slots, None] for edge in run.heard)
+        begins = block * np.arange(run.blocks)
+        heard = (first < begins + block) & (last > begins)
+        made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
+        loud = np.abs(sized).sum(axis=0)[:, 1:-2] * heard
+        sounds = heard & _sounds(filters, times, delay, rate)
+        squares = _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block)
+        return whole, made, _Found(squares, float(delay.min()), float(delay.max()))
 
     def _evaluated(
         self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64]
@@ -135,9 +171,14 @@ def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float) -
 
 
 def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:
-    """Return the largest error of each segment relative to what is heard, of those of paths (paths, blocks)."""
+    """Return the largest error of each segment and what is heard, (2, segments), squared, of paths (paths, blocks)."""
     first = np.arange(0, wrong.shape[1], step)
-    error, heard = (
-        np.sqrt(np.sum(np.maximum.reduceat(values, first, axis=1) ** 2, axis=0)) for values in (wrong, np.abs(gain))
-    )
-    return np.asarray(error / np.maximum(heard, 1e-30))
+    largest = [np.maximum.reduceat(values, first, axis=1) for values in (wrong, np.abs(gain))]
+    return np.stack([np.sum(values**2, axis=0) for values in largest])
+
+
+def _parts(batch: PathBatch, i: int) -> list[NDArray[np.int64]]:
+    """Return the slots of a batch's i-th pair in parts, the same on every machine: rows beside each other together."""
+    here = batch.of_pair(i)
+    order = here.start + np.argsort(batch.path[here], kind="stable")
+    return [order[first : first + _PATHS_EACH] for first in range(0, len(order), _PATHS_EACH)]

@@ -64,7 +64,7 @@ def directivity_table(
     ends = (slice(0, half + 1), slice(half, CELLS + 1))
     return np.concatenate(
         [
-            _cubics(cosine[piece], _shaped(directivity.gain(cosine[piece][:, None], frequencies, speed_of_sound),
+            cubics(cosine[piece], _shaped(directivity.gain(cosine[piece][:, None], frequencies, speed_of_sound),
                                            (half + 1, len(frequencies))), parts)
             for piece in ends
         ]
@@ -76,14 +76,14 @@ def wall_table(material: Material, frequencies: Floats, speed_of_sound: float, p
     root = np.linspace(0.0, 1.0, CELLS + 1)
     cosine = np.maximum(root, 1e-6)[:, None] ** 2
     factor = material.reflection_at(covered(frequencies, material), cosine, speed_of_sound)
-    return _cubics(root, _shaped(factor, (CELLS + 1, len(frequencies))), parts)
+    return cubics(root, _shaped(factor, (CELLS + 1, len(frequencies))), parts)
 
 
 def _shaped(values: Floats | Complexes, shape: tuple[int, ...]) -> Any:
     return np.broadcast_to(values, shape)
 
 
-def _cubics(place: Floats, values: Floats | Complexes, parts: int) -> NDArray[np.float32]:
+def cubics(place: Floats, values: Floats | Complexes, parts: int) -> NDArray[np.float32]:
     """Return cubics between equidistant places (n + 1,), (n, 4, parts, M) flat, lowest power first."""
     from scipy.interpolate import CubicSpline
 

@@ -50,8 +50,9 @@ class PairTracks(DeviceTracks):
         counted = start + length - first < _MOST_COUNTED
         return super().prepare(source, batch, bounds, start, length, activity if counted else None, first)
 
-    def _images(self, matrix: Floats, offset: Floats) -> dict[str, Any]:
-        return self._uploaded(image_matrix=pairs(matrix), image_offset=pairs(offset))
+    def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
+        return self._uploaded(image_matrix=pairs(matrix.reshape(-1, 9).T), image_offset=pairs(offset.T))
 
     def _trajectory(self, knots: Floats) -> dict[str, Any]:
         both = pairs(knots)
@@ -89,6 +90,3 @@ class PairTracks(DeviceTracks):
             receivers=told, numbers=pairs(np.array(numbers)), speed_of_sound=c, emitted_first=first - origin,
             emitted_last=last - origin,
         )  # fmt: skip
-
-
-PAIR_PROGRAMS = {"images": PairTracks}  # what makes the nodes of kinds of paths without float64, by `PathFamily.device`

@@ -55,7 +55,7 @@ class Surroundings:
         tables = [directivity_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
         bands = len(tables[0]) // min(self.count, VECTOR)
         self.directivity_of = np.array([kinds.index(b) * bands for b in directivities], dtype=np.int32)
-        materials, angular = scene.room.faces.materials, self._responses.angular
+        materials, angular = scene.materials, self._responses.angular
         different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
         kind = {key: i for i, key in enumerate(different)}
         self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)
@@ -79,6 +79,10 @@ class Surroundings:
         """Return what the walls that are the same at every angle do to each path, (P, parts, nodes)."""
         product = self._responses.reflection(walls)
         return np.stack([product.real, product.imag][: self.parts], axis=1)
+
+    def tables_of(self, walls: Walls) -> NDArray[np.int32]:
+        """Return the tables of walls (...) that depend on the angle, -1 for others."""
+        return np.asarray(self._material_of[walls])
 
     def bounces(self, walls: Walls) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return material and normal of every bounce that depends on the angle, those of each path first."""

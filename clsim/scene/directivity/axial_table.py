@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.acoustic_centre import fit_delay
-from clsim.arrays import Floats, as_choice, as_floats, read_only
+from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.directivity.angles import SAME_ANGLE as _SAME_ANGLE
 from clsim.scene.directivity.angles import overhangs, within_half_turn
@@ -101,6 +101,8 @@ class AxialDirectivity(AxisymmetricDirectivity):
     relative_to_axis: bool = False
     name: str = ""
     delay: Floats = field(init=False, repr=False)  # (2,) s, by 1 and by cosine
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         as_choice("scale", self.scale, ("linear", "db"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from clsim.acoustics.acoustic_centre import fit_delay
-from clsim.arrays import Floats, as_floats, read_only
+from clsim.arrays import Floats, as_floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere
 from clsim.scene.directivity.directivity import Directivity
@@ -87,6 +87,8 @@ class SphericalDirectivity(Directivity):
     relative_to_axis: bool = False
     name: str = ""
     delay: Floats = field(init=False, repr=False)  # (4,) s, by 1 and by direction
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_options(self.outside, self.relative_to_axis, self.name)

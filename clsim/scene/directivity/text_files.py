@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import as_choice
-from clsim.errors import InputError
+from clsim.errors import InputError, not_one_of
 from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, check_file, open_file, read_file
 from clsim.scene.directivity.mat_process import VERSION_73
 
@@ -181,7 +181,7 @@ def _check_struct(content: Mapping[str, Any], variable: str, path: str | PathLik
 
 
 def _must_be_one_of(there: list[str], name: str, path: str | PathLike[str]) -> str:
-    return f"must be one of {', '.join(map(repr, there))[:200]}, but is {name!r:.80}: {path}"
+    return f"{not_one_of(name, there)}: {path}"
 
 
 def _picked(

@@ -24,6 +24,8 @@ class LibraryEntry:
         The constructor of `Material` that makes it, without ``from_``, and its arguments.
     roughness : float
         Root mean square of its heights, m.
+    scattering : float or (frequencies, values)
+        Share of the energy sent back that leaves the mirror's direction.
     beyond : str
         What happens outside its table.
     """
@@ -35,6 +37,7 @@ class LibraryEntry:
     constructor: str
     arguments: dict[str, Any]
     roughness: float
+    scattering: Any
     beyond: str
 
     @property
@@ -56,7 +59,8 @@ def _read(path: Path) -> dict[str, LibraryEntry]:
         advice = f"for ultrasound there is {instead!r}, an estimate" if instead else "measure it for ultrasound"
         library[name] = LibraryEntry(
             name, row["what"], content["sources"][row["source"]], row["uncertainty"], constructor, arguments,
-            row.get("roughness", 0.0), f"outside, the absorption at the nearest end is taken; {advice}",
+            row.get("roughness", 0.0), row.get("scattering", 0.0),
+            f"outside, the absorption at the nearest end is taken; {advice}",
         )  # fmt: skip
     return library
 

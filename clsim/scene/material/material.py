@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -50,6 +50,9 @@ class Material(ReflectingSurface):
         What to call it.
     roughness : float
         Root mean square of the wall's heights, m: see `rough`.
+    scattering : float or (frequencies, values), optional
+        Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz; of every
+        constructor a keyword.
 
     Examples
     --------
@@ -58,7 +61,7 @@ class Material(ReflectingSurface):
     """
 
     @classmethod
-    def from_reflection(cls, factor: complex, name: str = "") -> Material:
+    def from_reflection(cls, factor: complex, name: str = "", *, scattering: Any = None) -> Material:
         """Return a material of one reflection factor of sound pressure.
 
         Parameters
@@ -67,6 +70,8 @@ class Material(ReflectingSurface):
             From -1 (pressure release) to 1 (rigid), or complex with a magnitude of 1 at most.
         name : str
             What to call it.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -78,10 +83,12 @@ class Material(ReflectingSurface):
         InputError
             If the factor is out of bounds.
         """
-        return cls(ConstantFactor(as_factor("factor", factor)), name)
+        return cls(ConstantFactor(as_factor("factor", factor)), name, scattering=scattering)
 
     @classmethod
-    def from_absorption(cls, frequencies: ArrayLike, coefficients: ArrayLike, name: str = "") -> Material:
+    def from_absorption(
+        cls, frequencies: ArrayLike, coefficients: ArrayLike, name: str = "", *, scattering: Any = None
+    ) -> Material:
         """Return a material of absorption coefficients by frequency; factors are ``sqrt(1 - α)``, at all angles.
 
         Parameters
@@ -93,6 +100,8 @@ class Material(ReflectingSurface):
             ends are held with a warning.
         name : str
             What to call it.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -113,11 +122,17 @@ class Material(ReflectingSurface):
         alpha = as_floats("coefficients", coefficients, (len(f),))
         for i in np.flatnonzero((alpha < 0.0) | (alpha > 1.0))[:1]:
             raise InputError(f"coefficients[{i}]", f"must be from 0 to 1, but is {alpha[i]:g}")
-        return cls(AbsorptionTable(f, alpha), name)
+        return cls(AbsorptionTable(f, alpha), name, scattering=scattering)
 
     @classmethod
     def from_table(
-        cls, frequencies: ArrayLike, factors: ArrayLike, outside: str | None = None, name: str = ""
+        cls,
+        frequencies: ArrayLike,
+        factors: ArrayLike,
+        outside: str | None = None,
+        name: str = "",
+        *,
+        scattering: Any = None,
     ) -> Material:
         """Return a material of reflection factors by frequency, at all angles.
 
@@ -131,6 +146,8 @@ class Material(ReflectingSurface):
             What the factor is outside the table: refused, or that at the nearest end.
         name : str
             What to call it.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -164,11 +181,17 @@ class Material(ReflectingSurface):
         for i in np.flatnonzero(np.abs(given) > 1.0 + ROUNDING)[:1]:
             raise InputError(f"factors[{i}]", f"must have a magnitude of at most 1, but is {given[i]:g}")
         check_clear_phase(f, given)
-        return cls(FactorTable(f, given, _outside(outside, "hold")), name)
+        return cls(FactorTable(f, given, _outside(outside, "hold")), name, scattering=scattering)
 
     @classmethod
     def from_impedance(
-        cls, frequencies: ArrayLike, impedances: ArrayLike, outside: str | None = None, name: str = ""
+        cls,
+        frequencies: ArrayLike,
+        impedances: ArrayLike,
+        outside: str | None = None,
+        name: str = "",
+        *,
+        scattering: Any = None,
     ) -> Material:
         """Return a locally reacting wall: sound moves it here and there, but not along it.
 
@@ -184,6 +207,8 @@ class Material(ReflectingSurface):
             What the impedance is outside the table: refused, or that at the nearest end.
         name : str
             What to call it.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -212,7 +237,7 @@ class Material(ReflectingSurface):
             raise InputError(f"impedances[{i}]", f"must have a real part of at least 0 (passive), but is {given[i]:g}")
         for i in np.flatnonzero(np.abs(given) > _RIGID)[:1]:
             raise InputError(f"impedances[{i}]", f"must have a magnitude of at most {_RIGID:g}, but is {given[i]:g}")
-        return cls(ImpedanceTable(f, given, _outside(outside, "hold")), name)
+        return cls(ImpedanceTable(f, given, _outside(outside, "hold")), name, scattering=scattering)
 
     @classmethod
     def from_impulse_response(
@@ -224,6 +249,8 @@ class Material(ReflectingSurface):
         outside: str | None = None,
         tolerance: float = 0.05,
         name: str = "",
+        *,
+        scattering: Any = None,
     ) -> Material:
         """Return the material whose reflection was measured as an impulse response; it holds at all angles.
 
@@ -244,6 +271,8 @@ class Material(ReflectingSurface):
             By how much magnitudes within the band may exceed 1, 0 to 1; they are then taken as 1. More is refused.
         name : str
             What to call it.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -277,7 +306,8 @@ class Material(ReflectingSurface):
             )
         check_passive_echo(taps, rate, (low, high), tolerance)
         warn_of_noise(taps, name)
-        return cls(MeasuredEcho(taps, rate, reference, (low, high), _outside(outside, "hold")), name)
+        echo = MeasuredEcho(taps, rate, reference, (low, high), _outside(outside, "hold"))
+        return cls(echo, name, scattering=scattering)
 
     @classmethod
     def from_wav(
@@ -290,6 +320,8 @@ class Material(ReflectingSurface):
         outside: str | None = None,
         tolerance: float = 0.05,
         name: str = "",
+        *,
+        scattering: Any = None,
     ) -> Material:
         """Return the material whose impulse response is one channel of a sound file.
 
@@ -303,6 +335,8 @@ class Material(ReflectingSurface):
             What full scale means: 1 where the file holds the factor's own impulse response.
         reference, band, outside, tolerance, name
             See `from_impulse_response`.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -317,10 +351,18 @@ class Material(ReflectingSurface):
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel)
         taps = scale * samples.astype(np.float64)
-        return cls.from_impulse_response(taps, rate, reference, band, outside, tolerance, name)
+        return cls.from_impulse_response(taps, rate, reference, band, outside, tolerance, name, scattering=scattering)
 
     @classmethod
-    def from_solid(cls, density: float, sound_speed: float, boundary_layer: bool = True, name: str = "") -> Material:
+    def from_solid(
+        cls,
+        density: float,
+        sound_speed: float,
+        boundary_layer: bool = True,
+        name: str = "",
+        *,
+        scattering: Any = None,
+    ) -> Material:
         """Return a thick, hard, smooth, airtight solid.
 
         Parameters
@@ -334,6 +376,8 @@ class Material(ReflectingSurface):
             normal incidence, and the more the lower the sound comes in. Otherwise one real factor for all angles.
         name : str
             What to call it.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -366,11 +410,17 @@ class Material(ReflectingSurface):
             )
         if not isinstance(boundary_layer, bool):
             raise InputError("boundary_layer", f"must be true or false, but is {boundary_layer!r:.80}")
-        return cls(SolidWall(density, sound_speed, boundary_layer), name)
+        return cls(SolidWall(density, sound_speed, boundary_layer), name, scattering=scattering)
 
     @classmethod
     def from_porous(
-        cls, flow_resistivity: float, thickness: float, outside: str | None = None, name: str = ""
+        cls,
+        flow_resistivity: float,
+        thickness: float,
+        outside: str | None = None,
+        name: str = "",
+        *,
+        scattering: Any = None,
     ) -> Material:
         """Return a fibrous absorber on a rigid wall, by Miki's formula.
 
@@ -385,6 +435,8 @@ class Material(ReflectingSurface):
             fitted: refused, or the formula is used all the same.
         name : str
             What to call it.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -408,10 +460,10 @@ class Material(ReflectingSurface):
         """
         resistivity = as_number("flow_resistivity", flow_resistivity, at_least=100.0, at_most=1e7, unit="Pa s/m²")
         thickness = as_number("thickness", thickness, above=0.0, at_most=10.0, unit="m")
-        return cls(PorousLayer(resistivity, thickness, _outside(outside, "extend")), name)
+        return cls(PorousLayer(resistivity, thickness, _outside(outside, "extend")), name, scattering=scattering)
 
     @classmethod
-    def named(cls, name: str) -> Material:
+    def named(cls, name: str, *, scattering: Any = None) -> Material:
         """Return a built-in material.
 
         Parameters
@@ -421,6 +473,8 @@ class Material(ReflectingSurface):
             on are published coefficients from 125 Hz to 4 kHz, held above with a warning. Those that begin with
             ``"estimated-"`` are calculated for ultrasound from assumed properties: no measurements. ``clsim
             materials`` lists all with source and uncertainty.
+        scattering : float or (frequencies, values), optional
+            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
 
         Returns
         -------
@@ -438,7 +492,9 @@ class Material(ReflectingSurface):
         -1.0
         """
         entry = LIBRARY[as_choice("name", name, MATERIAL_NAMES)]
-        made: Material = getattr(cls, f"from_{entry.constructor}")(**entry.arguments, name=name)
+        made: Material = getattr(cls, f"from_{entry.constructor}")(
+            **entry.arguments, name=name, scattering=entry.scattering if scattering is None else scattering
+        )
         if isinstance(made.model, AbsorptionTable) and entry.beyond:
             made = replace(made, model=replace(made.model, beyond=entry.beyond))
         return made.rough(entry.roughness) if entry.roughness else made

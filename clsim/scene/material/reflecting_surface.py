@@ -11,6 +11,7 @@ import numpy as np
 from clsim.acoustics.reflection import coherent_share
 from clsim.arrays import Floats, as_number
 from clsim.errors import InputError, warn
+from clsim.scene.material.scattering import Scattering, as_scattering
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -80,11 +81,14 @@ class ReflectingSurface:
         What to call it.
     roughness : float
         Root mean square of the wall's heights, m: see `rough`.
+    scattering : float or (frequencies, values), optional
+        Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
     """
 
     model: SurfaceModel
     name: str = ""
     roughness: float = 0.0
+    scattering: Scattering | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, SurfaceModel):
@@ -93,6 +97,7 @@ class ReflectingSurface:
             raise InputError("name", f"must be a text, but is {self.name!r:.80}")
         rms = as_number("roughness", self.roughness, at_least=0.0, at_most=0.1, unit="m")
         object.__setattr__(self, "roughness", rms)
+        object.__setattr__(self, "scattering", as_scattering(self.scattering))
 
     @property
     def is_complex(self) -> bool:
@@ -112,7 +117,7 @@ class ReflectingSurface:
     def describe(self) -> str:
         """Return what it is, in a few words."""
         rough = f", {1e3 * self.roughness:g} mm rough" if self.roughness else ""
-        return self.model.describe() + rough
+        return self.model.describe() + rough + (", scatters" if self.scattering else "")
 
     def rough(self, rms: float) -> Self:
         """Return the material with a rough surface, which sends less sound back specularly.
@@ -130,7 +135,7 @@ class ReflectingSurface:
         Notes
         -----
         Factors are multiplied by ``exp(-2 (k rms cos θ)²)``: see `clsim.acoustics.reflection.coherent_share`, also for
-        its range. The sound that is scattered is not rendered.
+        its range. What they lose is scattered: `scattered_share`.
 
         Examples
         --------
@@ -173,6 +178,92 @@ class ReflectingSurface:
             If a frequency lies outside a table of absorption; its nearest end is taken. The words depend on the
             material alone, so that a filter for equal warnings shows each once.
         """
+        f, cos, c = self._checked(frequency, cosine, speed_of_sound)
+        factor = self._smooth_factor(f, cos, c)
+        if self.roughness:
+            factor = factor * coherent_share(self.roughness, np.clip(f, *self.model.band), cos, c)
+        if self.scattering is not None:
+            factor = factor * np.sqrt(1.0 - self.scattering.at(f))
+        factor = factor / np.maximum(np.abs(factor), 1.0)
+        return np.array(np.broadcast_to(factor, np.broadcast_shapes(f.shape, cos.shape)))
+
+    def energy_at(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
+        """Return the share of energy that comes back, in the mirror's direction and in others together.
+
+        Parameters
+        ----------
+        frequency, cosine : array_like (...)
+            As of `reflection_at`, Hz and without a unit.
+        speed_of_sound : float
+            In the air, m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Shares, 0 to 1.
+
+        Raises
+        ------
+        InputError
+            As of `reflection_at`.
+
+        Warns
+        -----
+        ClsimWarning
+            As of `reflection_at`.
+
+        Examples
+        --------
+        >>> from clsim.scene.material.material import Material
+        >>> Material.from_reflection(0.5, scattering=0.36).energy_at(1e3).item()
+        0.25
+        """
+        f, cos, c = self._checked(frequency, cosine, speed_of_sound)
+        energy = np.square(np.abs(self._smooth_factor(f, cos, c)))
+        return np.array(np.broadcast_to(np.minimum(energy, 1.0), np.broadcast_shapes(f.shape, cos.shape)))
+
+    def scattered_share(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
+        """Return the share of the energy sent back that leaves the mirror's direction, by coefficient and roughness.
+
+        Parameters
+        ----------
+        frequency, cosine : array_like (...)
+            As of `reflection_at`, Hz and without a unit.
+        speed_of_sound : float
+            In the air, m/s.
+
+        Returns
+        -------
+        ndarray (...)
+            Shares, 0 to 1.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds.
+
+        Notes
+        -----
+        ``1 - (1 - s) exp(-(2 k rms cos θ)²)`` with the scattering coefficient s: what `reflection_at` loses by either.
+        M. Vorländer, E. Mommertz, "Definition and measurement of random-incidence scattering coefficients", Applied
+        Acoustics 60, 2000, section 2.
+
+        Examples
+        --------
+        >>> from clsim.scene.material.material import Material
+        >>> Material.from_reflection(0.9, scattering=([500.0, 2000.0], [0.1, 0.5])).scattered_share(1e3).round(9).item()
+        0.3
+        """
+        f, cos, c = self._checked(frequency, cosine, speed_of_sound)
+        kept = np.ones(np.broadcast_shapes(f.shape, cos.shape))
+        if self.roughness:
+            kept = kept * np.square(coherent_share(self.roughness, np.clip(f, *self.model.band), cos, c))
+        if self.scattering is not None:
+            kept = kept * (1.0 - self.scattering.at(f))
+        return np.asarray(1.0 - kept)
+
+    def _checked(self, frequency: ArrayLike, cosine: ArrayLike, speed_of_sound: float) -> tuple[Floats, Floats, float]:
+        """Return frequencies, Hz, cosines and the speed of sound, m/s, within their bounds."""
         f, cos = _numbers("frequency", frequency), _numbers("cosine", cosine)
         sane = (f >= _FREQUENCIES[0]) & (f <= _FREQUENCIES[1])
         if not np.all(sane):
@@ -183,16 +274,15 @@ class ReflectingSurface:
             raise InputError("cosine", f"must be above 0 and at most 1, but is {_first_bad(cos, usual):g}")
         c = as_number("speed_of_sound", speed_of_sound, at_least=1.0, at_most=1e5, unit="m/s")
         try:
-            shape = np.broadcast_shapes(f.shape, cos.shape)
+            np.broadcast_shapes(f.shape, cos.shape)
         except ValueError as error:
             raise InputError("cosine", f"must broadcast with frequency, {f.shape}, but has {cos.shape}") from error
-        self.check_coverage(f)
-        f, cos = np.clip(f, *self.model.band), np.minimum(cos, 1.0)
-        factor = self.model.factor(f, cos, c)
-        if self.roughness:
-            factor = factor * coherent_share(self.roughness, f, cos, c)
-        factor = factor / np.maximum(np.abs(factor), 1.0)
-        return np.array(np.broadcast_to(factor, shape))
+        return f, np.minimum(cos, 1.0), c
+
+    def _smooth_factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return the factor of the model, where the material is known or is held."""
+        self.check_coverage(frequency)
+        return self.model.factor(np.clip(frequency, *self.model.band), cosine, speed_of_sound)
 
     def check_coverage(self, frequency: ArrayLike) -> None:
         """Check that the material covers frequencies.

@@ -67,7 +67,7 @@ class AbsorptionTable:
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
         """Return the absorption as a function of frequency."""
-        return _over_octaves(self.frequencies, self.coefficients)
+        return over_octaves(self.frequencies, self.coefficients)
 
     def describe(self) -> str:
         """Return what it is."""
@@ -107,7 +107,7 @@ class FactorTable:
         go astray where a factor comes near zero.
         """
         if not self.is_complex:
-            return _over_octaves(self.frequencies, self.factors)
+            return over_octaves(self.frequencies, self.factors)
         turn = _mean_turn(self.frequencies, self.factors)
         rest = self.factors * np.exp(-1j * turn * self.frequencies)
         real, imaginary = _smooth(self.frequencies, rest.real), _smooth(self.frequencies, rest.imag)
@@ -142,8 +142,8 @@ class ImpedanceTable:
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
         """Return the impedance as a function of frequency; monotone cubics keep its real part above 0."""
-        resistance = _over_octaves(self.frequencies, self.impedances.real)
-        reactance = _over_octaves(self.frequencies, self.impedances.imag)
+        resistance = over_octaves(self.frequencies, self.impedances.real)
+        reactance = over_octaves(self.frequencies, self.impedances.imag)
         return lambda f: resistance(f) + 1j * reactance(f)
 
     def describe(self) -> str:
@@ -215,7 +215,7 @@ def _smooth(x: Floats, y: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
     return lambda at: np.asarray(through(np.clip(at, x[0], x[-1])))
 
 
-def _over_octaves(frequencies: Floats, values: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
+def over_octaves(frequencies: Floats, values: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
     """Return monotone cubics over the logarithm of frequency."""
     curve = _smooth(np.log(frequencies), values)
     return lambda f: curve(np.log(f))

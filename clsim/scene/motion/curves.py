@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import Floats, read_only, short_repr
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -124,6 +124,8 @@ class Piecewise:
     polynomial: PPoly
     derivative: PPoly
     _fastest: Floats = field(init=False, repr=False)  # bound of the speed on each cubic, m/s
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         knots = self.derivative.x

@@ -74,7 +74,7 @@ class Motion:
     @property
     def turns(self) -> bool:
         """Whether the orientation changes."""
-        return self.turning is not None and bool(np.any(self.turning.angle))
+        return self.turning is not None and self.turning.turns
 
     def position(self, t: ArrayLike) -> Floats:
         """Return positions, m.
@@ -203,10 +203,8 @@ class Motion:
 
     @property
     def peak_turn(self) -> float:
-        """Largest angular velocity, rad/s."""
-        if self.turning is None:
-            return 0.0
-        return float(np.linalg.norm(self.turning.angular_velocity(self.turning.times), axis=-1).max())
+        """Bound of the angular velocity, rad/s."""
+        return 0.0 if self.turning is None else self.turning.peak
 
     def peak_speed(self, start: float, end: float, rate: float = 1000.0) -> tuple[float, float]:
         """Return the largest speed at evenly spaced instants to nine digits, and when it is reached.
@@ -242,6 +240,7 @@ class Motion:
         best = (float(np.linalg.norm(self.velocity(start))), start)
 
         def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+            """Return no hits, and which spans may hold a speed above the best so far."""
             nonlocal best
             times = instants.times(middle)
             speed = np.linalg.norm(self.velocity(times), axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -10,11 +11,45 @@ from clsim.arrays import Floats, as_floats, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import same_hemisphere
 
+if TYPE_CHECKING:
+    from clsim.scene.motion.curves import Piecewise
+
 _UNIT_TOLERANCE = 1e-2  # largest error of a quaternion's norm that counts as rounding
 
 
+class Turning(Protocol):
+    """An orientation for every time, in which `time` has any shape."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether it changes."""
+        ...
+
+    @property
+    def peak(self) -> float:
+        """Bound of the angular velocity, rad/s."""
+        ...
+
+    @property
+    def breaks(self) -> Floats:
+        """Times (k,) at which the angular velocity may jump, s."""
+        ...
+
+    def lever(self, points: Floats) -> float:
+        """Return a bound of the distance of points (n, 3) of what turns from the axes about which it does, m."""
+        ...
+
+    def orientation(self, time: Floats) -> Floats:
+        """Return unit quaternions x y z w with 4 more columns, whose sign does not jump."""
+        ...
+
+    def angular_velocity(self, time: Floats) -> Floats:
+        """Return angular velocities in the room with 3 more columns, rad/s."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Turning:
+class GreatArcs:
     """Spherical linear interpolation between orientations, held before the first and after the last.
 
     On each piece ``q(u) = q0 cos(u Ω) + e sin(u Ω)`` with u from 0 to 1, Ω the angle between the quaternions
@@ -39,6 +74,25 @@ class Turning:
     side: Floats
     angle: Floats
 
+    @property
+    def turns(self) -> bool:
+        """Whether any two orientations differ."""
+        return bool(np.any(self.angle))
+
+    @property
+    def peak(self) -> float:
+        """Largest angular velocity of the pieces, rad/s."""
+        return float(np.linalg.norm(self.angular_velocity(self.times), axis=-1).max())
+
+    @property
+    def breaks(self) -> Floats:
+        """Times from piece to piece, s."""
+        return self.times if self.turns else self.times[:0]
+
+    def lever(self, points: Floats) -> float:
+        """Return how far the farthest of points (n, 3) is from the origin, m."""
+        return float(np.linalg.norm(points, axis=-1).max())
+
     def orientation(self, time: Floats) -> Floats:
         """Return unit quaternions x y z w at `time` of any shape, with 4 more columns."""
         if len(self.times) == 1:
@@ -62,7 +116,61 @@ class Turning:
         return np.where((piece >= 0)[..., None], turns[piece], 0.0)
 
 
-def turning_between(times: Floats, quaternions: Floats) -> Turning:
+@dataclass(frozen=True, slots=True, eq=False)
+class Hinge:
+    """A turn about one axis, by an angle that is a smooth function of time.
+
+    Parameters
+    ----------
+    axis : ndarray (3,)
+        Unit vector.
+    angle : Piecewise
+        Angle in its first coordinate, rad.
+    """
+
+    axis: Floats
+    angle: Piecewise
+
+    @property
+    def turns(self) -> bool:
+        """Whether the angle changes."""
+        return bool(np.any(self.angle.derivative.c))
+
+    @property
+    def peak(self) -> float:
+        """Bound of the angular velocity, rad/s."""
+        knots = self.angle.derivative.x
+        return float(self.angle.speed_over(knots[:1], knots[-1:])[0])
+
+    @property
+    def breaks(self) -> Floats:
+        """None: angles are smooth."""
+        return np.empty(0)
+
+    def lever(self, points: Floats) -> float:
+        """Return how far the farthest of points (n, 3) is from the axis, m."""
+        return float(np.linalg.norm(np.cross(self.axis, points), axis=-1).max())
+
+    def at(self, time: Floats) -> Floats:
+        """Return angles, of the shape of `time`, rad; held where the motion no longer goes on."""
+        return self.angle.position(self._held(time))[..., 0]
+
+    def orientation(self, time: Floats) -> Floats:
+        """Return unit quaternions x y z w at `time` of any shape, with 4 more columns."""
+        half = 0.5 * self.at(time)[..., None]
+        return np.concatenate([np.sin(half) * self.axis, np.cos(half)], axis=-1)
+
+    def angular_velocity(self, time: Floats) -> Floats:
+        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns."""
+        rate = np.where(time == self._held(time), self.angle.velocity(self._held(time))[..., 0], 0.0)
+        return np.asarray(rate[..., None] * self.axis)
+
+    def _held(self, time: Floats) -> Floats:
+        knots = self.angle.derivative.x
+        return np.clip(time, knots[0], knots[-1])
+
+
+def turning_between(times: Floats, quaternions: Floats) -> GreatArcs:
     """Return the turning through unit quaternions (n, 4) at strictly increasing `times` (n,) s."""
     base = same_hemisphere(quaternions)
     following = np.concatenate([base[1:], base[-1:]])
@@ -71,7 +179,7 @@ def turning_between(times: Floats, quaternions: Floats) -> Turning:
     sine = np.linalg.norm(across, axis=1, keepdims=True)
     side = np.divide(across, sine, out=np.zeros_like(across), where=sine > 0.0)
     angle = np.arctan2(sine, cosine)[:, 0]
-    return Turning(read_only(times), read_only(base), read_only(side), read_only(angle))
+    return GreatArcs(read_only(times), read_only(base), read_only(side), read_only(angle))
 
 
 def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> Floats:

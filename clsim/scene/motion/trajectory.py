@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
+from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
+from clsim.numerics.quaternions import quaternion_from_direction
+from clsim.scene.motion.carried import Carried, CarriedTurning, Swung, velocity_breaks
 from clsim.scene.motion.checks import (
     LONGEST,
     as_choices,
@@ -22,7 +24,7 @@ from clsim.scene.motion.checks import (
 )
 from clsim.scene.motion.curves import Circular, Static, Straight, frame_about, kinks, legs_through, spline_through
 from clsim.scene.motion.motion import Motion
-from clsim.scene.motion.orientation import as_quaternions, quaternion_product, turning_between
+from clsim.scene.motion.orientation import Hinge, as_quaternions, quaternion_product, turning_between
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,7 +37,7 @@ _MOST_SAMPLES = 2e7  # of a function
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory(Motion):
-    """A motion, made by `fixed`, `line`, `circle`, `waypoints`, `sampled` or `from_file`.
+    """A motion, made by `fixed`, `line`, `circle`, `swing`, `waypoints`, `sampled` or `from_file`.
 
     Its functions of time are those of `Motion`.
 
@@ -179,6 +181,61 @@ class Trajectory(Motion):
         return Trajectory(curve, 0.0, as_span("duration", duration))
 
     @staticmethod
+    def swing(
+        axis_point: ArrayLike,
+        axis: ArrayLike,
+        angles: ArrayLike,
+        times: ArrayLike,
+        origin: ArrayLike | None = None,
+    ) -> Trajectory:
+        """Return a swing about an axis, such as that of a door: position and orientation turn together.
+
+        Parameters
+        ----------
+        axis_point : array_like (3,)
+            A point of the axis, m.
+        axis : array_like (3,)
+            Its direction, of any length and without a unit; angles follow the right-hand rule.
+        angles : array_like (n,)
+            rad; the cubic spline through them is the motion, so that no velocity jumps.
+        times : array_like (n,)
+            Strictly increasing, s, at least two.
+        origin : array_like (3,), optional
+            What swings, where it is at angle 0, m; the axis point where left out. For a body it is the origin of its
+            mesh: with 0, 0, 0 a mesh is told in coordinates of the room, as it is at angle 0.
+
+        Returns
+        -------
+        Trajectory
+            From the first to the last time, with orientation.
+
+        Raises
+        ------
+        InputError
+            If the axis has no length, lengths differ, a value is not finite or times do not increase.
+
+        Examples
+        --------
+        >>> door = Trajectory.swing((2, 0, 0), (0, 0, 1), [0.0, 1.5], [0.0, 2.0], origin=(3, 0, 0))
+        >>> door.position([0.0, 2.0]).round(3), door.angular_velocity(1.0).round(9)
+        (array([[3.   , 0.   , 0.   ],
+               [2.071, 0.997, 0.   ]]), array([0.  , 0.  , 0.75]))
+        """
+        t = as_increasing(times)
+        theta = as_floats("angles", angles, (len(t),), within=LONGEST, unit="rad")
+        point = as_places("axis_point", axis_point, (3,))
+        unit = as_direction("axis", axis)
+        unit = unit / np.abs(unit).max()
+        unit = unit / np.linalg.norm(unit)
+        hinge = Hinge(read_only(unit), spline_through(t, theta[:, None] * np.eye(3)[0], "not-a-knot"))
+        arm = (point if origin is None else as_places("origin", origin, (3,))) - point
+        along = arm - (arm @ unit) * unit
+        foot = point + (arm @ unit) * unit
+        still = np.linalg.norm(along) == 0.0
+        curve = Static(read_only(foot)) if still else Swung(foot, along, np.cross(unit, along), hinge)
+        return Trajectory(curve, float(t[0]), float(t[-1]), hinge)
+
+    @staticmethod
     def waypoints(
         times: ArrayLike, positions: ArrayLike, orientations: ArrayLike | None = None, smooth: bool = True
     ) -> Trajectory:
@@ -264,6 +321,37 @@ class Trajectory(Motion):
         times = np.linspace(0.0, duration, max(3, math.ceil(duration * rate * (1 - 1e-12))) + 1)
         positions = as_places("function", function(times.copy()), (len(times), 3))
         return Trajectory(spline_through(times, positions, "not-a-knot"), 0.0, duration)
+
+    @staticmethod
+    def carried(carrier: Motion, own: Motion, aim: ArrayLike | None = None) -> Trajectory:
+        """Return the motion in the room of something that a moving thing carries.
+
+        Parameters
+        ----------
+        carrier : Motion
+            Of the thing.
+        own : Motion
+            Of what it carries, in the thing's own frame.
+        aim : array_like (3,), optional
+            A direction in that frame in which the axis of what is carried points.
+
+        Returns
+        -------
+        Trajectory
+            As long as both are known, with orientation.
+
+        Examples
+        --------
+        >>> robot = Trajectory.line((0, 0, 0), (1, 0, 0), duration=1.0)
+        >>> Trajectory.carried(robot, Trajectory.fixed((0.0, 0.1, 0.3))).position(0.5)
+        array([0.5, 0.1, 0.3])
+        """
+        towards = np.array([0.0, 0.0, 0.0, 1.0]) if aim is None else quaternion_from_direction(aim)
+        curve, turning = Carried(carrier, own), CarriedTurning(carrier, own, towards)
+        if carrier.is_static and own.is_static and not turning.turns:
+            return Trajectory.fixed(curve.position(np.zeros(())), turning.orientation(np.zeros(())))
+        start, end = max(carrier.start, own.start), min(carrier.end, own.end)
+        return Trajectory(curve, start, end, turning, breaks=velocity_breaks(carrier, own))
 
     @staticmethod
     def from_file(

@@ -162,6 +162,7 @@ class _Piece:
 
     @property
     def middle(self) -> Floats:
+        """Return the point halfway between both ends, m."""
         return self.line.point + 0.5 * (self.first + self.last) * self.line.along
 
     @property

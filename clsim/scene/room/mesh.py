@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only
-from clsim.errors import InputError
+from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only, short_repr
+from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
 from clsim.scene.room.contact import first_contact, first_off, walls_at
 from clsim.scene.room.edges import Edges, find_edges
@@ -19,7 +19,7 @@ from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
 from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, mesh_shape
 from clsim.scene.room.report import describe_mesh
-from clsim.scene.room.sheets import thin_panels
+from clsim.scene.room.sheets import panels_below, thin_panels
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls
 
 if TYPE_CHECKING:
@@ -97,6 +97,8 @@ class MeshRoom:
     walls: Walls = field(init=False)
     faces: Faces = field(init=False)
     shape: MeshShape = field(init=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         vertices = as_floats("vertices", self.vertices, (None, 3), within=FARTHEST, unit="m")
@@ -296,6 +298,16 @@ class MeshRoom:
             vertices, triangles, [materials[i] for i in origin], self.flatness, [labels[i] for i in origin],
             (*self.notes, *notes), self.scale,
         )  # fmt: skip
+
+    def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
+        """Return the panels that `with_sheets` would make sheets of: names, and thicknesses, m.
+
+        Parameters
+        ----------
+        thinner_than : float
+            Their thickness at most, m.
+        """
+        return panels_below(self.vertices, self.triangles, self.labels or (), thinner_than)
 
     @property
     def extent(self) -> tuple[Floats, Floats]:
@@ -545,7 +557,9 @@ def _by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str
     listed = ", ".join(repr(g) for g in groups)
     for key, material in materials.items():
         if key != "default" and key not in groups:
-            raise InputError(f"materials.{key}", f"is no group of {name}, whose groups are {listed}")
+            raise InputError(
+                f"materials.{key}", f"is no group of {name}, whose groups are {listed}{meant(key, groups)}"
+            )
         if not isinstance(material, Material):
             raise InputError(f"materials.{key}", f"must be a Material, but is {material!r:.80}")
     missing = [g for g in groups if g not in materials]

@@ -9,7 +9,7 @@ import numpy as np
 from clsim.scene.room.mesh_cleaning import clusters, cross_products
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -48,13 +48,9 @@ def thin_panels(
     A panel is a shell all of whose corners lie in one of two planes along its largest triangle. Its layer is the one of
     its two sides that faces along that triangle's normal, moved half-way to the other.
     """
-    _, part = clusters(len(vertices), triangles[:, [0, 1, 1, 2]].reshape(-1, 2))
-    shell, area = part[triangles[:, 0]], np.linalg.norm(cross_products(vertices[triangles]), axis=1)
     made, moved, origin, notes = [], [vertices], [], []
     count = len(vertices)
-    for one in np.unique(shell):
-        mine = np.flatnonzero(shell == one)
-        side, shift, thickness = _side(vertices[triangles[mine]], area[mine])
+    for mine, side, shift, thickness in _shells(vertices, triangles):
         if not 0.0 < thickness < thinner_than:
             made.append(triangles[mine])
             origin.append(mine)
@@ -66,6 +62,28 @@ def thin_panels(
         count += len(corners)
         notes.append(f"{labels[mine[0]] or 'a panel'} of {1e3 * thickness:.3g} mm is taken as a sheet")
     return np.concatenate(moved), np.concatenate(made), np.concatenate(origin), notes
+
+
+def panels_below(
+    vertices: Floats, triangles: NDArray[np.int64], labels: Sequence[str], thinner_than: float
+) -> list[tuple[str, float]]:
+    """Return the names and thicknesses, m, of separate shells that are flat panels and thin."""
+    return [
+        (labels[mine[0]] or "a panel", thickness)
+        for mine, _, _, thickness in _shells(vertices, triangles)
+        if 0.0 < thickness < thinner_than
+    ]
+
+
+def _shells(
+    vertices: Floats, triangles: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Floats, float]]:
+    """Yield the triangles of every shell, and what `_side` says of them."""
+    _, part = clusters(len(vertices), triangles[:, [0, 1, 1, 2]].reshape(-1, 2))
+    shell, area = part[triangles[:, 0]], np.linalg.norm(cross_products(vertices[triangles]), axis=1)
+    for one in np.unique(shell):
+        mine = np.flatnonzero(shell == one)
+        yield mine, *_side(vertices[triangles[mine]], area[mine])
 
 
 def _side(corners: Floats, area: Floats) -> tuple[NDArray[np.int64], Floats, float]:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import LARGEST_ROOM, SMALLEST_ROOM, Complexes, Floats, as_floats, as_number, read_only
-from clsim.errors import InputError
+from clsim.arrays import LARGEST_ROOM, SMALLEST_ROOM, Complexes, Floats, as_floats, as_number, read_only, short_repr
+from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
 from clsim.scene.room.convex import ConvexRoom
 from clsim.scene.room.faces import Faces
@@ -55,6 +55,8 @@ class Shoebox(ConvexRoom):
     walls: Material | Mapping[str, Material] | Sequence[Material]
 
     faces: Faces = field(init=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         size = as_floats("size", self.size, (3,))
@@ -128,7 +130,9 @@ def _checked_walls(walls: object) -> tuple[Material, ...]:
     if isinstance(walls, Mapping):
         for name in walls:
             if name not in (*WALLS, "default"):
-                raise InputError(f"walls.{name}", f"is no wall; the walls are {', '.join(WALLS)} and default")
+                raise InputError(
+                    f"walls.{name}", f"is no wall; the walls are {', '.join(WALLS)} and default{meant(name, WALLS)}"
+                )
         missing = [name for name in WALLS if name not in walls]
         if missing and "default" not in walls:
             raise InputError(f"walls.{missing[0]}", "is missing, and there is no default")

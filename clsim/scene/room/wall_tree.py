@@ -115,6 +115,7 @@ class WallTree:
         """
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:
+            """Return which boxes reach to the inner side of all planes of their row."""
             inside = np.ones(len(row), dtype=bool)
             for p in range(planes.shape[1]):
                 plane = planes[:, p][row]
@@ -149,6 +150,7 @@ class WallTree:
         reach = np.abs(along) + slack
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:
+            """Return which boxes, by middles and half sizes, touch the segment of their row, by separating axes."""
             apart, length, away = along[row], reach[row], middle - centre[row]
             near = np.all(np.abs(away) <= half + length, axis=1)
             for i, j in ((1, 2), (2, 0), (0, 1)):  # an axis apart from both: the cross product of segment and axis
@@ -163,6 +165,7 @@ class WallTree:
         centre, reach = 0.5 * (low + high), 0.5 * (high - low)
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:
+            """Return which boxes overlap the box of their row."""
             return np.asarray(np.all(np.abs(middle - centre[row]) <= half + reach[row], axis=1))
 
         return self._from_top(len(low), meets)

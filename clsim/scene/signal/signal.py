@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.scene.signal.sequences import SEQUENCES, binary_sequence, most_repeats
@@ -40,6 +40,8 @@ class Signal:
 
     waveform: Waveform
     sampling_rate: float
+
+    __repr__ = short_repr
 
     @property
     def count(self) -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from clsim.arrays import short_repr
 from clsim.errors import InputError
 from clsim.numerics.kaiser import band_pass
 from clsim.numerics.resampling import Resampler
@@ -276,6 +277,8 @@ class Samples:
     values: NDArray[Any]
     recorded: float
     centre_frequency: float | None
+
+    __repr__ = short_repr
 
     def count(self, sampling_rate: float) -> int:
         """Return the number of samples."""

@@ -56,6 +56,7 @@ class Resonance:
             return self.peak * _cut(resonance_taps(self.frequency, self.width, sampling_rate))
 
         def magnitude(f: Floats) -> Floats:
+            """Return the magnitude of the resonance, bounded from below, since its logarithm is taken."""
             return np.maximum(np.abs(resonance_response(f, self.frequency, self.width)), 1e-6)
 
         return self.peak * _settled(lambda f: minimum_phase(magnitude(f)), sampling_rate)
@@ -107,6 +108,7 @@ class ResponseTable:
             return _settled(lambda f: minimum_phase(self.magnitude_at(f)), sampling_rate)
 
         def transformed(f: Floats) -> Floats:
+            """Return the impulse response that magnitude and phase at frequencies (Hz) give."""
             from scipy.fft import irfft
 
             return np.asarray(irfft(self.magnitude_at(f) * np.exp(1j * self.phase_at(f))), dtype=np.float64)

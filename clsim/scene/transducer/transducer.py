@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.air import absorption_iso9613
-from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only
+from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.scene.signal.filtering import Filtered
@@ -55,6 +55,8 @@ class Transducer:
 
     model: Resonance | ResponseTable | ImpulseResponse
     name: str = ""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, Resonance | ResponseTable | ImpulseResponse):

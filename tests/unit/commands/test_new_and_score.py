@@ -105,7 +105,7 @@ def test_a_run_is_scored(run: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_what_cannot_be_scored_is_a_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["score", str(run), "--source", "x"]) == 2
-    assert "--source: must be one of 'robot', but is 'x'" in capsys.readouterr().err
+    assert "--source: must be one of \"robot\", but is 'x'" in capsys.readouterr().err
     assert main(["score", str(run), "--max-range", "-1"]) == 2
     assert "--max-range: must be above 0" in capsys.readouterr().err
     assert main(["-v", "score", str(tmp_path)]) == 2

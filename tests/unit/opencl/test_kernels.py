@@ -13,6 +13,7 @@ from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_fo
 from clsim.opencl.launch import NUMBERS, Launch, upload
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
 from clsim.render.opencl.device_nodes import RECEIVER_NODE
+from clsim.render.opencl.edge_nodes import EDGE_VIEW
 from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
 from clsim.render.opencl.surroundings import VECTOR
 
@@ -32,6 +33,7 @@ STRUCTURES = {
         "edge_intervals",
         np.dtype([*((name, "f8", 3) for name in ("start", "across", "out", "along")), ("length", "f8"), ("n", "f8")]),
     ),
+    "edge_view": ("tracks", EDGE_VIEW),
     "table_scale": ("intervals", np.dtype([("first_knot", "f8"), ("knot_rate", "f8"), ("fastest", "f8")])),
 }
 

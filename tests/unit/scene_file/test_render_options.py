@@ -68,7 +68,9 @@ def test_a_new_option_is_a_key_of_scenes_and_studies(monkeypatch: pytest.MonkeyP
         assert file.render["tail_db"] == -45.0
         assert "tail_db = -45.0" in completed_scene(file, tmp_path)
         assert "tail_db" in scene_schema()["$defs"]["_Render"]["properties"]
-        with pytest.raises(clsim.InputError, match=r"render\.tail_kind: must be 'none' or 'exponential', but is 'x'"):
+        with pytest.raises(
+            clsim.InputError, match=r'render\.tail_kind: must be one of "none", "exponential", but is .x.'
+        ):
             build_scene(replaced(SCENE, "render.tail_kind", "x"), tmp_path)
     finally:
         monkeypatch.undo()

@@ -102,7 +102,7 @@ def test_numpy_and_matlab_files(tmp_path: Path, arrays: dict[str, np.ndarray], k
     write(path, theta=arrays["angles"], f=arrays["frequencies"], H=arrays["values"])
     names = {"angle": "theta", "frequency": "f", "values": "H"}
     np.testing.assert_array_equal(read(path, **names).angles_degrees, arrays["angles"])
-    with pytest.raises(clsim.InputError, match=r"must be one of 'H', 'f', 'theta', but is 'angles'") as error:
+    with pytest.raises(clsim.InputError, match=r'must be one of "H", "f", "theta", but is .angles.') as error:
         read(path)
     assert error.value.field == "angle"
     write(path, **(arrays | {"values": -np.abs(arrays["values"])}))
@@ -166,9 +166,9 @@ def test_levels_beyond_the_axis_are_told_in_db() -> None:
     ("asked", "field", "message"),
     [
         ({"variable": None}, "angle", "'L10R' is a struct: give variable=\"L10R\""),
-        ({"variable": "R10L"}, "variable", "must be one of 'L10R', 'other', but is 'R10L'"),
+        ({"variable": "R10L"}, "variable", 'must be one of "L10R", "other", but is \'R10L\''),
         ({"variable": "other"}, "variable", "must be a struct"),
-        ({"angle": "b"}, "angle", "must be one of 'X', 'a', 'f', 'note', but is 'b'"),
+        ({"angle": "b"}, "angle", 'must be one of "X", "a", "f", "note", but is \'b\''),
         ({"values": "note"}, "values", "numbers"),
     ],
 )

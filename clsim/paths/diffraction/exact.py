@@ -1,0 +1,38 @@
+"""Paths over one edge with the exact field of a wedge, at all frequencies and however near the edge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.exact_wedge import exact_wedge_terms
+from clsim.paths.diffraction.family import EdgePaths
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.acoustics.diffraction import EdgeWay
+    from clsim.arrays import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExactEdgePaths(EdgePaths):
+    """Paths over one edge, and those over an end of one, whose wedge answers exactly."""
+
+    @property
+    def device(self) -> None:
+        """None: the host makes their nodes, of whatever kind those of other edge paths are."""
+        return None
+
+    def _at_wedge(
+        self, index: NDArray[np.int64], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
+        factors: list[Any],
+    ) -> Any:  # fmt: skip
+        lit, field = self.lit[index], np.zeros(wave.shape, dtype=np.complex128)
+        terms = exact_wedge_terms(self.n[index][:, None], angles, np.where(lit, lit, 1)[:, None], *distances, way, wave)
+        for term, each in enumerate(terms):
+            kept = np.flatnonzero(lit[:, term])
+            field[kept] += (each * factors[term - 2])[kept] if term >= 2 else each[kept]
+        return field

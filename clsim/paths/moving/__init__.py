@@ -1,0 +1,1 @@
+"""Paths by bodies that move: image events, their search, and what bodies hide."""

@@ -1,0 +1,255 @@
+"""Sound by mirrors that move, exactly: images of events.
+
+A mirror ``n x = h + V t`` that moves evenly makes of the wave from an event at a time t and a place x that of the image
+
+    x' = x - 2 g n / (1 - M²),    t' = t - 2 g V / (c² (1 - M²)),    g = n x - V t - h,    M = V / c
+
+(a Lorentz reflection, with the speed of sound for that of light): what the image emits meets the boundary condition on
+the mirror, and at rest it is the usual one. Sequences of mirrors compose. What a mirror does otherwise, such as
+turning, is taken from its tangent in time and space about the event in which the sound meets it, which is found by
+iteration: paths are stationary, so that each round squares what is left but for a factor M.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.moving.mirrors import Mirrors, Planes
+    from clsim.paths.propagation import UniformAir
+    from clsim.scene.motion.motion import Motion
+
+_ROUNDS = 20
+_CONVERGED = 1e-14  # s
+_BEYOND = 0.5  # of a leg, by which events of paths that are not there may lie off it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Events:
+    """P paths of N mirrors at T times of reception, from which all times are counted.
+
+    Attributes
+    ----------
+    delay, rate : ndarray (P, T)
+        s, and its derivative by the time of reception.
+    distance : ndarray (P, T)
+        From the image of the emission to the receiver in the air's frame, m.
+    stretch, carried : ndarray (P, T)
+        By how much the time of reception grows with that of emission for a receiver that rests in the air; what the
+        wind makes of it where all rests in the room.
+    mach : ndarray (P, T)
+        Of the source along its way.
+    departure, arrival : ndarray (P, T, 3)
+        Normals of the wavefront: as it leaves, and back from the receiver.
+    place, time : ndarray (P, T, N + 2, 3), (P, T, N + 2)
+        Emission, reflections and reception in the room, m and s; those of no mirror at that before.
+    share : ndarray (P, T, N)
+        Where the line from the receiver's side to the image meets each mirror: between 0 and 1 if it does.
+    cosine : ndarray (P, T, N)
+        Of the angle of incidence.
+    """
+
+    delay: Floats
+    rate: Floats
+    distance: Floats
+    stretch: Floats
+    carried: Floats
+    mach: Floats
+    departure: Floats
+    arrival: Floats
+    place: Floats
+    time: Floats
+    share: Floats
+    cosine: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ends:
+    """Source and receiver as the air's frame sees them."""
+
+    motion: tuple[Motion, Motion]
+    now: Floats
+    wind: Floats
+    retarded: bool
+
+    def emitted(self, event: Floats) -> tuple[Floats, Floats]:
+        """Return places and velocities (P, T, 3) of the source in the room at events (P, T)."""
+        source = self.motion[0]
+        if not self.retarded:
+            place = source.position(self.now)
+            return place, np.zeros_like(place)
+        return source.position(self.now + event), source.velocity(self.now + event)
+
+
+def find_events(
+    mirrors: Mirrors,
+    walls: NDArray[np.signedinteger[Any]],
+    motion: tuple[Motion, Motion],
+    medium: UniformAir,
+    times: Floats,
+    retarded: bool = True,
+    rounds: int = _ROUNDS,
+) -> Events:
+    """Return the events of paths by mirrors.
+
+    Parameters
+    ----------
+    mirrors : Mirrors
+        Of the scene.
+    walls : ndarray (P, N) int
+        Mirrors of each path from the source's side, filled up with -1.
+    motion : tuple of Motion
+        Of the source and of the receiver.
+    medium : UniformAir
+        What sound travels in; in wind all is seen from the air's own frame, where the law is the same.
+    times : ndarray (T,) or (P, T)
+        Of reception, s.
+    retarded : bool
+        Whether all is where it was when the sound passed, or rests where it is at reception.
+    rounds : int
+        At the most; those that are there need few.
+
+    Returns
+    -------
+    Events
+        Also of paths that are not there: what would be seen if mirrors had no edges.
+
+    References
+    ----------
+    A. Einstein, Annalen der Physik 17 (1905), section 8: reflection by a moving mirror, of which this is the form for
+    events; for sound D. Censor, J. Acoust. Soc. Am. 76 (1984), with mirrors that leave the air at rest.
+    """
+    shape = (len(walls), np.shape(times)[-1])
+    now = np.broadcast_to(np.asarray(times, dtype=np.float64), shape)
+    wind = np.array(medium.wind or (0.0, 0.0, 0.0))
+    ends = _Ends(motion, now, wind, retarded)
+    heard_at = np.broadcast_to(motion[1].position(np.asarray(times)), (*shape, 3))
+    count, c = walls.shape[1], medium.speed_of_sound
+    event, place = [np.zeros(shape)] * count, [heard_at] * count
+    emission, first = np.zeros(shape), True
+    for _ in range(rounds):
+        rest = first or not retarded
+        at = [e if retarded else np.zeros(shape) for e in event]
+        planes = [
+            _in_air(mirrors.planes(walls[:, k], now, at[k], None if rest else place[k]), wind) for k in range(count)
+        ]
+        seen = _images(planes, ends, emission, c)
+        apart = heard_at - seen.place[-1]
+        distance = np.linalg.norm(apart, axis=-1)
+        onwards = apart / np.maximum(distance, 1e-300)[..., None]
+        beyond = seen.late - np.sum(onwards * seen.moved, axis=-1) / c
+        step = -(seen.time[-1] + distance / c) / (1.0 + beyond)
+        emission = emission + step
+        event, place, share = _traced(planes, seen, heard_at, wind)
+        if not first and np.abs(step).max(initial=0.0) <= _CONVERGED:
+            break
+        first = False
+    return _told(mirrors, walls, planes, ends, (emission, event, place, share), (distance, onwards, beyond), c)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Images:
+    """Images of the emission, before and after each mirror, in the air's frame, and how the last one moves on.
+
+    It is later by ``late``, and farther by ``moved``, m, for a second of emission.
+    """
+
+    time: list[Floats]
+    place: list[Floats]
+    late: Floats
+    moved: Floats
+
+
+def _in_air(planes: Planes, wind: Floats) -> Planes:
+    """Return mirrors as they are in the air's frame, which is that of the room at the times from which is counted."""
+    from dataclasses import replace
+
+    return replace(planes, speed=planes.speed - planes.normal @ wind) if wind.any() else planes
+
+
+def _images(planes: list[Planes], ends: _Ends, emission: Floats, c: float) -> _Images:
+    """Return the images of what is emitted at times (P, T)."""
+    place, velocity = ends.emitted(emission)
+    places, times = [place - emission[..., None] * ends.wind], [emission]
+    moved, late = velocity - ends.wind, np.zeros(emission.shape)
+    for plane in planes:
+        mach = plane.speed / c
+        twice = 2.0 / (1.0 - mach**2)
+        height = plane.height(times[-1], places[-1]) * twice
+        rise = (np.sum(plane.normal * moved, axis=-1) - plane.speed * (1.0 + late)) * twice
+        places.append(places[-1] - height[..., None] * plane.normal)
+        times.append(times[-1] - height * mach / c)
+        moved, late = moved - rise[..., None] * plane.normal, late - rise * mach / c
+    return _Images(times, places, late, moved)
+
+
+def _traced(
+    planes: list[Planes], seen: _Images, heard_at: Floats, wind: Floats
+) -> tuple[list[Floats], list[Floats], list[Floats]]:
+    """Return times, places in the room and shares of the reflections, from the receiver back to the source."""
+    time, place = np.zeros(heard_at.shape[:2]), heard_at
+    found: list[tuple[Floats, Floats, Floats]] = []
+    for k in range(len(planes) - 1, -1, -1):
+        near = planes[k].height(time, place)
+        far = planes[k].height(seen.time[k + 1], seen.place[k + 1])
+        apart = near - far
+        share = np.where(apart == 0.0, 0.0, near / np.where(apart == 0.0, 1.0, apart))
+        part = np.clip(share, -_BEYOND, 1.0 + _BEYOND)
+        time, place = (
+            time + part * (seen.time[k + 1] - time),
+            place + part[..., None] * (seen.place[k + 1] - place),
+        )
+        found.append((time, place + time[..., None] * wind, share))
+    times, places, shares = ([each[i] for each in found[::-1]] for i in range(3))
+    return times, places, shares
+
+
+def _told(
+    mirrors: Mirrors, walls: NDArray[np.signedinteger[Any]], planes: list[Planes], ends: _Ends,
+    found: tuple[Floats, list[Floats], list[Floats], list[Floats]], last: tuple[Floats, Floats, Floats], c: float,
+) -> Events:  # fmt: skip
+    """Return what was found as it is told, with directions of the legs from the receiver back."""
+    emission, event, place, share = found
+    distance, onwards, beyond = last
+    now, wind, shape = ends.now, ends.wind, ends.now.shape
+    source, receiver = ends.motion
+    heading = np.broadcast_to(receiver.velocity(now), (*shape, 3))
+    carried = 1.0 + onwards @ wind / c
+    turned, cosine, growth = onwards, np.empty((*shape, len(planes))), np.zeros(shape)
+    for k in range(len(planes) - 1, -1, -1):
+        before = _reflected(planes[k], turned, c)
+        cosine[..., k] = np.abs(np.sum(planes[k].normal * before, axis=-1))
+        if not ends.retarded:
+            speed = mirrors.planes(walls[:, k], now, np.zeros(shape), place[k]).speed
+            slowness = before / (c + before @ wind)[..., None] - turned / (c + turned @ wind)[..., None]
+            growth += np.sum(slowness * planes[k].normal, axis=-1) * speed
+        turned = before
+    at, velocity = ends.emitted(emission)
+    leaving = velocity if ends.retarded else np.broadcast_to(source.velocity(now), (*shape, 3))
+    mach = np.sum(turned * leaving, axis=-1) / (c + turned @ wind)
+    if ends.retarded:
+        away = np.sum(onwards * (heading - wind), axis=-1) / c
+        rate = (beyond + away) / (1.0 + beyond)
+    else:
+        rate = growth - mach + np.sum(onwards * heading, axis=-1) / (c + onwards @ wind)
+    heard_at = np.broadcast_to(receiver.position(now), (*shape, 3))
+    return Events(
+        -emission, rate, distance, 1.0 + beyond, carried, mach, turned, -onwards,
+        np.stack([np.broadcast_to(at, heard_at.shape), *place, heard_at], axis=-2),
+        np.stack([emission, *event, np.zeros(shape)], axis=-1),
+        np.stack([*share], axis=-1) if share else np.empty((*shape, 0)), cosine,
+    )  # fmt: skip
+
+
+def _reflected(plane: Planes, direction: Floats, c: float) -> Floats:
+    """Return the directions (P, T, 3) in which sound comes to a mirror that leaves it in given ones."""
+    mach = plane.speed / c
+    rise = 2.0 * (np.sum(plane.normal * direction, axis=-1) - mach) / (1.0 - mach**2)
+    before = direction - rise[..., None] * plane.normal
+    return np.asarray(before / (1.0 - rise * mach)[..., None])

@@ -1,0 +1,103 @@
+"""What bodies hide of other paths: their intervals, cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.paths.moving.events import find_events
+from clsim.paths.moving.looks import ROUNDS, intervals
+from clsim.paths.moving.visibility import Legs, hidden_by
+from clsim.paths.propagation import mean_medium_of
+from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.vertices import path_vertices
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.family import PairPaths, PathFamily
+    from clsim.paths.moving.mirrors import Mirrors
+    from clsim.paths.moving.search import BodySearch
+
+    Rows = NDArray[np.int64]
+
+
+def behind_bodies(search: BodySearch, family: PathFamily) -> PathFamily:
+    """Return the paths of a kind that is reflected by no body without what bodies hide, rows cut as it takes.
+
+    Parameters
+    ----------
+    search : BodySearch
+        Of the scene.
+    family : PathFamily
+        As if there were no bodies.
+    """
+    rows: list[Any] = [np.empty(0, dtype=np.int64)]
+    begins, ends = [np.empty(0)], [np.empty(0)]
+    for pair in family.pairs():
+        query = search.pair(pair.source, pair.receiver)
+        path, begin, end = intervals(_Status(pair, search), pair.index, query.times, query.resolution)
+        begin, end = query.bounded(begin, end)
+        path = pair.index[path]
+        begin, end = np.maximum(begin, family.start[path]), np.minimum(end, family.end[path])
+        rows.append(path[begin < end])
+        begins.append(begin[begin < end])
+        ends.append(end[begin < end])
+    path, begin, end = (np.concatenate(each) for each in (rows, begins, ends))
+    order = np.lexsort((begin, path))
+    cut = family.part(path[order])
+    return replace(cut, start=read_only(begin[order]), end=read_only(end[order]))
+
+
+class _Status:
+    """Whether paths of a pair are free of all bodies."""
+
+    def __init__(self, pair: PairPaths, search: BodySearch) -> None:
+        self._family, self._bodies, self._mirrors = pair.family, search.scene.bodies, search.obstacles.mirrors
+
+    def __call__(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
+        free = np.ones(times.shape, dtype=bool)
+        shared = isinstance(self._family, SpecularPaths) or bool(np.all(times == times[:1]))
+        for some in [np.arange(len(rows))] if shared else [np.array([i]) for i in range(len(rows))]:
+            free[some] = self._free(*polylines(self._family, self._mirrors, rows[some], times[some]))
+        return free
+
+    def _free(self, place: Floats, when: Floats) -> NDArray[np.bool_]:
+        """Return which polylines (P, T, V, 3) of events at times (P, T, V) pass all bodies, (P, T)."""
+        shape = when.shape[:2]
+        free = np.ones(shape[0] * shape[1], dtype=bool)
+        flat, at = place.reshape(-1, *place.shape[2:]), when.reshape(-1, when.shape[2])
+        for leg in range(at.shape[1] - 1):
+            for body in self._bodies:
+                rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
+                legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
+                none = np.full(len(rows), -1)
+                free[rows] = ~hidden_by(body, legs, none, none)
+        return free.reshape(shape)
+
+
+def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -> tuple[Floats, Floats]:
+    """Return the corners (P, T, V, 3) of paths of one pair, m, and when sound is there (P, T, V), s.
+
+    It is received at times (P, T), which may differ from path to path where these are reflected by nothing but walls.
+    Behind the receiver of paths of fewer corners stands NaN.
+    """
+    count, every = times.shape
+    source, receiver = (end.trajectory for end in family.ends(rows))
+    if isinstance(family, SpecularPaths):  # whatever the order of walls, their image is one and the same
+        medium = mean_medium_of(family.scene.air, family.ends(rows)[0].emitted.centre_frequency)
+        delay = find_events(mirrors, family.objects[rows], (source, receiver), medium, times, rounds=ROUNDS).delay
+        faces, walls = family.scene.room.faces, np.repeat(family.objects[rows], every, axis=0)
+        ends = source.position((times - delay).ravel()), receiver.position(times.ravel())
+        corners = path_vertices((faces.normals, faces.offsets), walls, *ends).reshape(count, every, -1, 3)
+    else:
+        delay = family.arrivals(rows, times[0]).delay
+        corners = np.stack([family.vertices(rows, float(time)) for time in times[0]], axis=1)
+    way = np.linalg.norm(np.diff(corners, axis=2), axis=3)
+    along = np.concatenate([np.zeros((count, every, 1)), np.cumsum(way, axis=2)], axis=2)
+    whole = np.nanmax(along, axis=2, keepdims=True)
+    return corners, (times - delay)[..., None] + delay[..., None] * along / np.maximum(whole, 1e-300)

@@ -1,0 +1,110 @@
+"""When to look which paths are there, and where between two looks that changes."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.scene.motion.carried import even_ways
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.body import Body
+    from clsim.scene.motion.motion import Motion
+
+    Status = Callable[[NDArray[np.int64], Floats], NDArray[np.bool_]]
+
+ROUNDS = 5  # of the search for events, where 1e-9 m do
+_RATE = 1000.0  # Hz, at which speeds are looked at
+_PARTS = 4  # of the time between two looks, and so on
+_AT_A_TIME = 50_000  # paths and times
+
+
+def looks(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: float, step: float) -> Floats:
+    """Return times of reception (n,), from one to the next of which all that moves goes no farther than a step, s.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        Their fastest points count.
+    ends : sequence of Motion
+        Of a source and a receiver.
+    last : float
+        Until when, from 0 s on, s.
+    longest : float
+        How long sound is on its way at most, s: what moves meanwhile counts.
+    step : float
+        By the sum of the ways of all of them, m.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
+    speed = np.zeros(len(instants))
+    for body in bodies:
+        if not body.is_static:
+            speed += body.speed(instants)
+    for motion in ends:
+        if not motion.is_static:
+            speed += np.linalg.norm(motion.velocity(instants), axis=-1)
+    width = 2 * math.ceil(longest * _RATE) + 1
+    return np.minimum(even_ways(maximum_filter1d(speed, width, mode="nearest"), _RATE, step), last)
+
+
+def intervals(
+    status: Status, rows: NDArray[np.int64], times: Floats, resolution: float
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return when paths are there: places among `rows` (n,) in order, begins and ends (n,), s.
+
+    Parameters
+    ----------
+    status : callable
+        Takes rows (P,) and times (P, T), s; returns whether each path is there at each of its times.
+    rows : ndarray (P,) int
+        Paths to look at.
+    times : ndarray (T,)
+        Looks, s; what comes and goes between two of them is missed.
+    resolution : float
+        To which begins and ends are found, s.
+    """
+    parts = np.array_split(np.arange(len(rows)), max(1, -(-len(rows) * len(times) // _AT_A_TIME)))
+    parts = [part for part in parts if len(part)]
+    seen = [status(rows[part], np.tile(times, (len(part), 1))) for part in parts]
+    there = np.concatenate(seen) if seen else np.zeros((0, len(times)), dtype=bool)
+    path, gap = np.nonzero(there[:, 1:] != there[:, :-1])
+    change = _changes(status, rows[path], (times[gap], times[gap + 1]), resolution)
+    # In the order of time each path's changes are begins and ends in turn.
+    first, last = np.flatnonzero(there[:, 0]), np.flatnonzero(there[:, -1])
+    rising = ~there[path, gap]
+    paths = np.concatenate([path[rising], first]), np.concatenate([path[~rising], last])
+    bounds = (
+        np.concatenate([change[rising], np.full(len(first), times[0])]),
+        np.concatenate([change[~rising], np.full(len(last), times[-1])]),
+    )
+    begin, end = (np.lexsort((when, whose)) for when, whose in zip(bounds, paths, strict=True))
+    return paths[0][begin], bounds[0][begin], bounds[1][end]
+
+
+def _changes(status: Status, rows: NDArray[np.int64], between: tuple[Floats, Floats], resolution: float) -> Floats:
+    """Return the first time (n,) of those between two at which a path is no more as it was at the first, s."""
+    begin, end = (np.array(x) for x in between)
+    before = ~_at(status, rows, end[:, None])[:, 0] if len(rows) else np.zeros(0, dtype=bool)
+    share = np.arange(1, _PARTS) / _PARTS
+    while len(rows) and np.max(end - begin) > resolution:
+        times = begin[:, None] + (end - begin)[:, None] * share
+        differs = _at(status, rows, times) != before[:, None]
+        any_differs, first = differs.any(axis=1), np.argmax(differs, axis=1)
+        step = (end - begin) / _PARTS
+        part = np.where(any_differs, first, _PARTS - 1)
+        begin, end = begin + step * part, np.where(any_differs, begin + step * (part + 1), end)
+    return end
+
+
+def _at(status: Status, rows: NDArray[np.int64], times: Floats) -> NDArray[np.bool_]:
+    parts = np.array_split(np.arange(len(rows)), max(1, -(-times.size // _AT_A_TIME)))
+    return np.concatenate([status(rows[part], times[part]) for part in parts if len(part)])

@@ -1,0 +1,136 @@
+"""Walls of the room and faces of bodies as mirrors, with where they are and how fast at any event."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.numerics.quaternions import cross_product, rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.body import Body
+    from clsim.scene.scene import Scene
+
+    Integers = NDArray[np.signedinteger[Any]]
+
+ROOM = -1  # owner of the walls of the room
+_FARTHEST = 2.0  # radii of a body from its origin, beyond which its velocity is not continued
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Planes:
+    """Flat mirrors, each as it is about one event, of any shape (...).
+
+    The mirror is where ``normal @ x = offset + speed t``, with times counted from some instant.
+
+    Attributes
+    ----------
+    normal : ndarray (..., 3)
+        Unit vectors; zero for no mirror.
+    offset : ndarray (...)
+        m.
+    speed : ndarray (...)
+        Along the normal, m/s.
+    """
+
+    normal: Floats
+    offset: Floats
+    speed: Floats
+
+    def height(self, time: Floats, place: Floats) -> Floats:
+        """Return how far events at times (...), s, and places (..., 3), m, are in front of them, m."""
+        return np.asarray(np.sum(self.normal * place, axis=-1) - self.speed * time - self.offset)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mirrors:
+    """All mirrors of a scene: the walls of the room, and behind them the faces of its bodies.
+
+    Attributes
+    ----------
+    normal, offset : ndarray (W, 3), (W,)
+        Planes ``normal @ x = offset``, of faces in the coordinates of their bodies, m.
+    owner : ndarray (W,) int
+        Index of the body, `ROOM` for walls of the room.
+    first : ndarray (bodies,) int
+        First face of each body.
+    bodies : tuple of Body
+        Of the scene.
+    """
+
+    normal: Floats
+    offset: Floats
+    owner: NDArray[np.int64]
+    first: NDArray[np.int64]
+    bodies: tuple[Body, ...]
+
+    @staticmethod
+    def of(scene: Scene) -> Mirrors:
+        """Return the mirrors of a scene."""
+        bodies = tuple(scene.bodies)
+        faces = [scene.room.faces, *(body.mesh.faces for body in bodies)]
+        counts = [len(each) for each in faces]
+        return Mirrors(
+            read_only(np.concatenate([each.normals for each in faces])),
+            read_only(np.concatenate([each.offsets for each in faces])),
+            read_only(np.repeat(np.arange(-1, len(bodies)), counts)),
+            read_only(np.cumsum(counts)[:-1]),
+            bodies,
+        )
+
+    def planes(self, walls: Integers, now: Floats, event: Floats, place: Floats | None) -> Planes:
+        """Return mirrors as they are about the events in which sound meets them.
+
+        Parameters
+        ----------
+        walls : ndarray (P,) int
+            Which, -1 for none.
+        now : ndarray (P, T)
+            Instants from which times are counted, s.
+        event : ndarray (P, T)
+            When each is met, from these on, s.
+        place : ndarray (P, T, 3), optional
+            Where, m; they rest where they are at the event if left out.
+
+        Notes
+        -----
+        A face n(t) x = h(t) that turns is taken as its tangent about the event, a plane of the constant normal n and
+        the speed ``h' - n' x``, which is that of the body's own point there.
+        """
+        met = walls >= 0
+        normal = np.empty((*event.shape, 3))
+        offset, speed = np.empty(event.shape), np.zeros(event.shape)
+        normal[...] = np.where(met[:, None], self.normal[walls], 0.0)[:, None]
+        offset[...] = np.where(met, self.offset[walls], 0.0)[:, None]
+        for body in np.unique(self.owner[walls[met]]).tolist():
+            if body == ROOM:
+                continue
+            mine = np.flatnonzero(met & (self.owner[walls] == body))
+            where = None if place is None else place[mine]
+            self._pose(self.bodies[body], walls[mine], now[mine], event[mine], where, (normal, offset, speed), mine)
+        return Planes(normal, offset, speed)
+
+    def _pose(
+        self, body: Body, walls: Integers, now: Floats, event: Floats, place: Floats | None,
+        out: tuple[Floats, Floats, Floats], mine: NDArray[np.int64],
+    ) -> None:  # fmt: skip
+        """Write planes (P, T) of faces (P,) of a body into rows of others."""
+        motion, time = body.trajectory, now + event
+        own = np.broadcast_to(self.normal[walls][:, None], (*time.shape, 3))
+        normal = rotate(motion.orientation(time), own) if motion.has_orientation else own
+        origin = motion.position(time)
+        speed = np.zeros(time.shape)
+        if place is not None and not body.is_static:
+            arm = place - origin
+            far = np.linalg.norm(arm, axis=-1, keepdims=True)
+            arm = arm * np.minimum(_FARTHEST * body.radius / np.maximum(far, 1e-300), 1.0)
+            moved = motion.velocity(time) + cross_product(motion.angular_velocity(time), arm)
+            speed = np.sum(normal * moved, axis=-1)
+        out[0][mine], out[2][mine] = normal, speed
+        out[1][mine] = self.offset[walls][:, None] + np.sum(normal * origin, axis=-1) - speed * event

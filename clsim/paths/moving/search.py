@@ -1,0 +1,285 @@
+"""Every path by bodies: sequences from beam trees about poses of the bodies, and when each is heard."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.errors import InputError
+from clsim.paths.moving.events import find_events
+from clsim.paths.moving.family import BodyPaths
+from clsim.paths.moving.looks import ROUNDS, intervals, looks
+from clsim.paths.moving.visibility import Obstacles
+from clsim.paths.propagation import mean_medium_of
+from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
+from clsim.paths.specular.mesh import BEAM_LIMIT, visibility_query
+from clsim.paths.specular.occlusion import air_sides
+from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
+from clsim.scene.flush import find_mount
+from clsim.scene.motion.carried import even_ways
+from clsim.scene.room.walls import build_walls
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.propagation import UniformAir
+    from clsim.paths.search import PathSearch
+    from clsim.paths.specular.intervals import VisibilityQuery
+    from clsim.scene.ends import End, Receiver, Source
+    from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.walls import Walls
+    from clsim.scene.scene import Scene
+
+_POSES = 0.1  # m, which bodies go from one pose in which sequences are looked for to the next
+_RATE = 1000.0  # Hz, at which speeds are looked at
+_SHORTEST = 1e-3  # s between poses
+_FASTEST = 0.5  # of the speed of sound, of bodies and sources on a path together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairQuery:
+    """What is looked at between one source and one receiver.
+
+    Attributes
+    ----------
+    ends : tuple of Motion
+        Where they are as validity takes them.
+    medium : UniformAir
+        What sound travels in.
+    times : ndarray (T,)
+        Looks, s.
+    resolution : float
+        To which begins and ends are found, s.
+    """
+
+    ends: tuple[Motion, Motion]
+    medium: UniformAir
+    times: Floats
+    resolution: float
+
+    def bounded(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
+        """Return intervals that reach from the first look or to the last one as endless."""
+        return (
+            np.where(begin <= self.times[0], -np.inf, begin),
+            np.where(end >= self.times[-1], np.inf, end),
+        )
+
+
+class _Lifted:
+    """An end as validity takes it: off the wall that it sits in, and off planes of symmetry."""
+
+    def __init__(self, scene: Scene, end: End, shift: Floats) -> None:
+        self._motion, self._mount, self._shift = end.trajectory, find_mount(scene.room, end), shift
+        self.is_static = end.trajectory.is_static
+
+    def position(self, times: Floats) -> Floats:
+        place = self._motion.position(times)
+        if self._mount is not None:
+            place = self._mount.lifted(place.reshape(-1, 3)).reshape(place.shape)
+        return place + self._shift
+
+    def velocity(self, times: Floats) -> Floats:
+        return self._motion.velocity(times)
+
+
+class BodySearch:
+    """How paths by bodies, and what bodies hide, are looked for in a scene; see `find_paths`.
+
+    Parameters
+    ----------
+    scene : Scene
+        With bodies.
+    search : PathSearch
+        What is asked.
+
+    Raises
+    ------
+    InputError
+        If the air depends on the height or fluctuates, or bodies are too fast.
+    """
+
+    def __init__(self, scene: Scene, search: PathSearch) -> None:
+        if scene.air.layers or scene.air.fluctuation is not None:
+            raise InputError("bodies", "must be left out where the air depends on the height or fluctuates")
+        self.scene, self.search = scene, search
+        self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)
+        self.room, self.obstacles = scene.room.as_mesh(), Obstacles.of(scene)
+        fastest = max(body.peak_speed for body in scene.bodies)
+        most = _FASTEST * scene.air.slowest
+        if 2.0 * fastest * self.order > most:
+            raise InputError(
+                "body_order",
+                f"must be so low that bodies change the length of paths by at most {most:.6g} m/s, but with "
+                f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
+            )
+        self._queries = [
+            visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
+        ]
+
+    def pair(self, source: int, receiver: int) -> PairQuery:
+        """Return what is looked at between two ends."""
+        scene, (query, longest) = self.scene, self._queries[source]
+        ends: tuple[Source, Receiver] = (scene.sources[source], scene.receivers[receiver])
+        moving = [body.trajectory.end for body in scene.bodies if not body.is_static]
+        last = float(query.last[receiver])
+        if all(math.isinf(end.trajectory.end) for end in ends):
+            last = max((t for t in moving if math.isfinite(t)), default=0.0) + longest
+        motions = ends[0].trajectory, ends[1].trajectory
+        times = looks(scene.bodies, motions, last, longest, self.search.body_step)
+        lifted: Any = tuple(_Lifted(scene, ends[i], PERTURBATIONS[i]) for i in range(2))
+        medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
+        return PairQuery(lifted, medium, times, query.resolution)
+
+    def paths(self) -> BodyPaths:
+        """Return every path by bodies.
+
+        Raises
+        ------
+        InputError
+            If there are more than the limit, or more beams than can be looked at.
+        """
+        found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]] = []
+        count = 0
+        for source in range(len(self.scene.sources)):
+            pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
+            sequences = self._sequences(source, pairs)
+            for receiver, pair in enumerate(pairs):
+                path, begin, end = self._heard(pair, *sequences[receiver])
+                found.append((path, begin, end, (source, receiver)))
+                count += len(path)
+                if count > self.search.path_limit:
+                    raise InputError(
+                        "body_order", f"must give at most {self.search.path_limit} paths (path_limit), but gives more"
+                    )
+        return self._family(found)
+
+    def _heard(
+        self, pair: PairQuery, sequence: NDArray[np.int32], spans: NDArray[np.int64], cells: Floats
+    ) -> tuple[NDArray[np.int32], Floats, Floats]:
+        """Return the mirrors of paths, and when they are heard, of sequences (n, N) in cells (n,) of time."""
+
+        def status(rows: NDArray[np.int64], times: Floats) -> NDArray[np.bool_]:
+            events = find_events(self.obstacles.mirrors, sequence[rows], pair.ends, pair.medium, times, rounds=ROUNDS)
+            return self.obstacles.there(sequence[rows], events, times)
+
+        parts: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
+        for cell in np.unique(spans):
+            first, last = cells[cell], min(cells[cell + 1], pair.times[-1])
+            inner = pair.times[(pair.times > first) & (pair.times < last)]
+            if last > first or len(pair.times) == 1:
+                here = np.unique([first, *inner, last])
+                rows = np.flatnonzero(spans == cell)
+                path, begin, end = intervals(status, rows, here, pair.resolution)
+                parts.append((rows[path], begin, end))
+        path, begin, end = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        return _merged(sequence[path], *pair.bounded(begin, end))
+
+    def _sequences(
+        self, source: int, pairs: list[PairQuery]
+    ) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
+        """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
+        query, longest = self._queries[source]
+        last = max(pair.times[-1] for pair in pairs)
+        instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
+        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0)
+        waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
+        waiting = waiting if len(waiting) > 1 else [0.0, last]
+        spans = list(pairwise(waiting))[::-1]
+        bounds, rows = [0.0], []
+        while spans:
+            begin, end = spans.pop()
+            try:
+                rows.append(self._cell(query, longest, (begin, end)))
+                bounds.append(end)
+            except TooManyBeamsError as error:
+                if end - begin < 2.0 * _SHORTEST:
+                    raise InputError("body_order", str(error)) from error
+                spans += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
+        cells, found = np.array(bounds), []
+        for receiver in range(len(pairs)):
+            mine = [sequence[receivers == receiver] for sequence, receivers in rows]
+            number = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
+            found.append((np.concatenate(mine), number, cells))
+        return found
+
+    def _cell(
+        self, query: VisibilityQuery, longest: float, span: tuple[float, float]
+    ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        """Return sequences (n, order) that hold a body, and the receiver of each, about one pose of the bodies.
+
+        Notes
+        -----
+        Beams run between balls that hold the ends. Bodies that go by d from the pose, at the most, while sound may meet
+        them displace images by 2 d each: balls are as much larger.
+        """
+        ends, (begin, end) = query.trajectory_tables, span
+        middle = 0.5 * (begin - longest + end)
+        slack = 2.0 * self.order * self._moved(middle, np.linspace(begin - longest, end, 9))
+        walls = self._posed(middle)
+        centre, radius = ends.sphere(0, begin - longest, end)
+        ears = ends.receiver_spheres(begin, end)
+        start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
+        ears = BoundingSpheres(ears.centre, ears.radius + slack)
+        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, sides=air_sides(walls, start))
+        first, width = len(self.scene.room.faces), max(self.order, 1)
+        parts = [(np.empty((0, width), dtype=np.int32), np.empty(0, dtype=np.int64))]
+        for batch in tree.candidates(self.order):
+            rows = np.flatnonzero(np.any(batch.sequence >= first, axis=1)[batch.row])
+            sequence = np.full((len(rows), width), -1, dtype=np.int32)
+            sequence[:, : batch.sequence.shape[1]] = batch.sequence[batch.row[rows]]
+            parts.append((sequence, batch.receiver[rows]))
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def _moved(self, time: float, others: Floats) -> float:
+        """Return how far a corner of a body is at other times (n,) from where it is at a time, at the most, m."""
+        most = 0.0
+        for body in self.scene.bodies:
+            corners = body.mesh.vertices
+            if not body.is_static:
+                away = body.placed(corners[None], others[:, None]) - body.placed(corners, np.array(time))
+                most = max(most, float(np.linalg.norm(away, axis=-1).max()))
+        return most
+
+    def _posed(self, time: float) -> Walls:
+        """Return the walls of the room and the faces of bodies as they are at a time, numbered as mirrors."""
+        meshes = [self.room, *(body.mesh for body in self.scene.bodies)]
+        placed = [self.room.vertices]
+        placed += [body.placed(body.mesh.vertices, np.array(time)) for body in self.scene.bodies]
+        corners = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+        first = np.cumsum([0, *(len(mesh.walls) for mesh in meshes[:-1])])
+        triangles = np.concatenate([mesh.triangles + c for mesh, c in zip(meshes, corners, strict=True)])
+        surface = np.concatenate([mesh.walls.of_triangle + f for mesh, f in zip(meshes, first, strict=True)])
+        flatness = max(mesh.flatness for mesh in meshes)
+        return build_walls(np.concatenate(placed), triangles, surface, 10.0 * flatness)
+
+    def _family(self, found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]]) -> BodyPaths:
+        """Return paths as columns."""
+        source, receiver = (
+            np.concatenate([np.full(len(path), ends[i], dtype=np.int32) for path, _, _, ends in found])
+            for i in range(2)
+        )
+        surfaces = np.concatenate([path for path, _, _, _ in found])
+        return BodyPaths(
+            scene=self.scene, source=read_only(source), receiver=read_only(receiver),
+            order=read_only(np.sum(surfaces >= 0, axis=1).astype(np.int32)),
+            start=read_only(np.concatenate([begin for _, begin, _, _ in found])),
+            end=read_only(np.concatenate([end for _, _, end, _ in found])), surfaces=read_only(surfaces),
+        )  # fmt: skip
+
+
+def _merged(sequence: NDArray[np.int32], begin: Floats, end: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
+    """Sort paths by order, mirrors and time, and join their intervals that touch."""
+    order = np.sum(sequence >= 0, axis=1)
+    rows = np.lexsort([begin, *sequence.T[::-1], order])
+    sequence, begin, end = sequence[rows], begin[rows], end[rows]
+    first = np.ones(len(rows), dtype=bool)
+    first[1:] = np.any(sequence[1:] != sequence[:-1], axis=1) | (begin[1:] > end[:-1])
+    starts = np.flatnonzero(first)
+    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
+    return sequence[starts], begin[starts], end[stops]

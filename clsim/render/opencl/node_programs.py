@@ -1,0 +1,8 @@
+"""What makes the nodes of which kinds of paths on a device, by `PathFamily.device`."""
+
+from clsim.render.opencl.device_nodes import DeviceTracks
+from clsim.render.opencl.edge_nodes import EdgeTracks
+from clsim.render.opencl.pair_nodes import PairTracks
+
+NODE_PROGRAMS = {"images": DeviceTracks, "edges": EdgeTracks}
+PAIR_PROGRAMS = {"images": PairTracks}  # those without float64

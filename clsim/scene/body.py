@@ -1,0 +1,266 @@
+"""Rigid things with flat faces that move through the room: doors, plates, robots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import numpy as np
+
+from clsim.arrays import LARGEST_ROOM, as_floats
+from clsim.errors import InputError
+from clsim.numerics.quaternions import rotate
+from clsim.scene.ends import Receiver, Source
+from clsim.scene.motion.checks import as_places
+from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.protocol import is_room
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from clsim.arrays import Floats
+    from clsim.scene.material.material import Material
+
+End = TypeVar("End", Source, Receiver)
+_SHEET = (0, 1, 3, 2)  # corners of the face of a box on one side of an axis, around it
+_SIDES = ("min", "max")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A rigid thing made of flat faces, which moves: it reflects, and hides what is behind it.
+
+    Parameters
+    ----------
+    name : str
+        Unique among the scene's bodies.
+    mesh : MeshRoom
+        Its faces in its own coordinates, m, with their materials; it may be open, and faces have two sides. Another
+        `Room` is kept as its mesh.
+    trajectory : Trajectory
+        Where the origin of its coordinates is, and how they are turned.
+
+    Attributes
+    ----------
+    radius : float
+        Of a sphere about the origin of its coordinates that holds it, m.
+    lever : float
+        Bound of the distance of its points from the axes about which it turns, m.
+
+    Raises
+    ------
+    InputError
+        If the name is empty, the mesh is none, or the trajectory is none or begins after 0 s.
+    """
+
+    name: str
+    mesh: MeshRoom
+    trajectory: Trajectory
+    radius: float = field(init=False)
+    lever: float = field(init=False)
+    flush: ClassVar[bool] = False  # it sits in no wall
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise InputError("name", f"must be a text that is not empty, but is {self.name!r:.80}")
+        mesh: Any = self.mesh
+        if not is_room(mesh):
+            raise InputError("mesh", f"must be a MeshRoom or another Room, but is {self.mesh!r:.80}")
+        if not isinstance(self.trajectory, Trajectory):
+            raise InputError("trajectory", f"must be a Trajectory, but is {self.trajectory!r:.80}")
+        if self.trajectory.start > 0.0:
+            raise InputError("trajectory", f"must begin at 0 s or before, but begins at {self.trajectory.start:g} s")
+        object.__setattr__(self, "mesh", mesh.as_mesh())
+        corners, turning = self.mesh.vertices, self.trajectory.turning
+        object.__setattr__(self, "radius", float(np.linalg.norm(corners, axis=1).max()))
+        object.__setattr__(self, "lever", 0.0 if turning is None else turning.lever(corners))
+
+    @staticmethod
+    def box(
+        name: str,
+        size: ArrayLike,
+        material: Material,
+        trajectory: Trajectory,
+        centre: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Body:
+        """Return a box, or a sheet.
+
+        Parameters
+        ----------
+        name : str
+            Unique among the scene's bodies.
+        size : array_like (3,)
+            Lengths along its own x, y and z, m; one of them may be 0, and then it is a sheet of two sides.
+        material : Material
+            Of all faces.
+        trajectory : Trajectory
+            Where the origin of its coordinates is, and how they are turned.
+        centre : array_like (3,)
+            Of the box in its own coordinates, m.
+
+        Returns
+        -------
+        Body
+            A box, whose faces are called after their sides, ``x_min`` to ``z_max``.
+
+        Raises
+        ------
+        InputError
+            If a value is of another kind or out of bounds.
+
+        Examples
+        --------
+        >>> from clsim import Body, Material, Trajectory
+        >>> wood = Material.from_reflection(0.9)
+        >>> hinge = Trajectory.swing((2, 0, 0), (0, 0, 1), [0.0, 1.5], [0.0, 2.0])
+        >>> door = Body.box("door", (0.9, 0.0, 2.0), wood, hinge, centre=(0.5, 0.0, 1.0))
+        >>> door.faces, door.radius.__round__(3)
+        (('door',), 2.215)
+        """
+        lengths = as_floats("size", size, (3,), within=LARGEST_ROOM, unit="m")
+        thin = np.flatnonzero(lengths == 0.0)
+        if np.any(lengths < 0.0) or len(thin) > 1:
+            told = ", ".join(f"{x:g}" for x in lengths)
+            raise InputError("size", f"must be above 0 m, or 0 along one axis for a sheet, but is {told} m")
+        corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * lengths
+        number = np.arange(8).reshape(2, 2, 2)
+        triangles, labels = [], []
+        for axis, side in [(int(thin[0]), 0)] if len(thin) else [(a, s) for a in range(3) for s in (0, 1)]:
+            face = np.take(number, side, axis=axis).ravel()[list(_SHEET)]
+            triangles += [face[[0, 1, 2]], face[[0, 2, 3]]]
+            labels += 2 * ["" if len(thin) else f"{'xyz'[axis]}_{_SIDES[side]}"]
+        place = as_places("centre", centre, (3,))
+        return Body(name, MeshRoom(corners + place, np.array(triangles), material, labels=labels), trajectory)
+
+    @property
+    def faces(self) -> tuple[str, ...]:
+        """Names of its faces, with its own before them; its own alone where it has one face."""
+        names = self.mesh.faces.names
+        return (self.name,) if len(names) == 1 else tuple(f"{self.name} {name}" for name in names)
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
+        return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
+
+    @property
+    def is_static(self) -> bool:
+        """Whether it neither moves nor turns."""
+        return self.trajectory.is_static and not self.trajectory.turns
+
+    @property
+    def peak_speed(self) -> float:
+        """Bound of the speed of any point of it, m/s."""
+        motion = self.trajectory
+        moved = 0.0 if motion.is_static else float(motion.speed_over(np.array([-1e9]), np.array([1e9]))[0])
+        return moved + motion.peak_turn * self.lever
+
+    def speed(self, times: Floats) -> Floats:
+        """Return bounds of the speed of any point of it at times (n,), m/s.
+
+        Parameters
+        ----------
+        times : ndarray (n,)
+            s.
+
+        Returns
+        -------
+        ndarray (n,)
+            m/s.
+        """
+        turning = np.linalg.norm(self.trajectory.angular_velocity(times), axis=-1)
+        return np.asarray(np.linalg.norm(self.trajectory.velocity(times), axis=-1) + self.lever * turning)
+
+    def describe(self) -> list[str]:
+        """Return what it is like in a line.
+
+        Returns
+        -------
+        list of str
+            One line.
+        """
+        low, high = self.mesh.extent
+        size = " x ".join(f"{x:.4g}" for x in high - low)
+        moves = "at rest" if self.is_static else f"no point of it faster than {self.peak_speed:.3g} m/s"
+        return [f"body {self.name!r}: {len(self.mesh.walls)} faces, {size} m, {moves}"]
+
+    def placed(self, points: Floats, time: Floats) -> Floats:
+        """Return where points (..., 3) of its own coordinates are at times (...), m.
+
+        Parameters
+        ----------
+        points : ndarray (..., 3)
+            m.
+        time : ndarray (...)
+            s.
+
+        Returns
+        -------
+        ndarray (..., 3)
+            m.
+        """
+        return self.trajectory.position(time) + rotate(self.trajectory.orientation(time), points)
+
+    def seen(self, places: Floats, time: Floats) -> Floats:
+        """Return places (..., 3) of the room in its own coordinates at times (...), m.
+
+        Parameters
+        ----------
+        places : ndarray (..., 3)
+            m.
+        time : ndarray (...)
+            s.
+
+        Returns
+        -------
+        ndarray (..., 3)
+            m.
+        """
+        back = self.trajectory.orientation(time) * np.array([-1.0, -1.0, -1.0, 1.0])
+        return rotate(back, places - self.trajectory.position(time))
+
+
+def as_bodies(values: Any) -> tuple[Body, ...]:
+    """Return bodies of names of their own.
+
+    Raises
+    ------
+    InputError
+        If they are none, or a name is used twice.
+    """
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise InputError("bodies", f"must be a list, but is {values!r:.80}")
+    seen: dict[str, int] = {}
+    for i, value in enumerate(values):
+        if not isinstance(value, Body):
+            raise InputError(f"bodies[{i}]", f"must be a Body, but is {value!r:.80}")
+        if value.name in seen:
+            raise InputError(f"bodies[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
+        seen[value.name] = i
+    return tuple(values)
+
+
+def with_carriers(ends: Sequence[End], bodies: Sequence[Body]) -> tuple[End, ...]:
+    """Return ends with their ways through the room: of those that bodies carry, what follows from these.
+
+    Raises
+    ------
+    InputError
+        If there is no body of the name.
+    """
+    found = {body.name: body.trajectory for body in bodies}
+    carried = []
+    for i, end in enumerate(ends):
+        if end.mounted_on is None:
+            carried.append(end)
+            continue
+        if end.mounted_on not in found:
+            known = ", ".join(map(repr, found)) or "there are none"
+            field_name = f"{'sources' if isinstance(end, Source) else 'receivers'}[{i}].mounted_on"
+            raise InputError(field_name, f"must name a body ({known}), but is {end.mounted_on!r:.80}")
+        motion = Trajectory.carried(found[end.mounted_on], end.trajectory, end.aim)
+        carried.append(replace(end, trajectory=motion, aim=None, mounted_on=None))
+    return tuple(carried)

@@ -1,0 +1,156 @@
+// The field beyond an edge: twin of `EdgePaths._edge_field` in paths/diffraction/family.py and of acoustics/diffraction.py.
+
+typedef struct {
+    __global const bins* transition;  // [CELLS][4][PARTS][BIN_VECTORS] over middle / (middle + root)
+    __global const bins* faces;       // [slots][2][PARTS][BIN_VECTORS], of walls that are the same at every angle
+    __global const bins* waves;       // [BIN_VECTORS], waves in a metre
+    double middle;                    // root of a detour, m^(1/2)
+} edge_tables;
+
+#if EDGES
+// Coordinates of a place along the axes of an edge, and a vector of these in the room.
+static triple place_by_edge(__global const double* turn, __global const double* shift, triple v)
+{
+    const triple out = {turn[0] * v.x + turn[1] * v.y + turn[2] * v.z + shift[0],
+                        turn[3] * v.x + turn[4] * v.y + turn[5] * v.z + shift[1],
+                        turn[6] * v.x + turn[7] * v.y + turn[8] * v.z + shift[2]};
+    return out;
+}
+static triple into_room(__global const double* m, triple v)
+{
+    const triple out = {m[0] * v.x + m[3] * v.y + m[6] * v.z, m[1] * v.x + m[4] * v.y + m[7] * v.z,
+                        m[2] * v.x + m[5] * v.y + m[8] * v.z};
+    return out;
+}
+
+// Distance of an end from the edge, and its angle from the 0-face.
+static double off_edge(triple at) { return sqrt(at.x * at.x + at.y * at.y); }
+static double angle_about(triple at, double n)
+{
+    const double angle = atan2(at.y, at.x), low = HALF_TURN * (0.5 * n - 1.0);  // half of the wedge below its 0-face
+    return angle < low ? angle + 2.0 * HALF_TURN : angle;
+}
+
+// Unit vector from an end to a place on the edge, along the edge's axes.
+static triple towards_edge(triple at, double place)
+{
+    const triple apart = {-at.x, -at.y, place - at.z};
+    return times(1.0 / sqrt(inner(apart, apart)), apart);
+}
+
+// A weight times the transition function of the root of a detour, m^(1/2); beyond a boundary the root is below 0.
+static void transition_of(const edge_tables* t, double root, float weight, response* r)
+{
+    const double size = root < 0.0 ? -root : root;
+    for (int b = 0; b < BIN_VECTORS; b++) {
+        r->part[PARTS - 1][b] = 0.0f;
+        r->part[0][b] = weight;
+    }
+    apply_cubics(t->transition, (float)(t->middle / (t->middle + size)), r);
+#if PARTS == 2  // all that sounds has phases where there are edges
+    if (root >= 0.0) return;
+    response beyond;
+    for (int b = 0; b < BIN_VECTORS; b++) {
+        beyond.part[0][b] = 2.0f * weight;
+        beyond.part[1][b] = 0.0f;
+        turn(&beyond, b, t->waves[b] * (float)(root * root));
+        for (int part = 0; part < PARTS; part++) r->part[part][b] = beyond.part[part][b] - r->part[part][b];
+    }
+#endif
+}
+
+// Multiply by the factor of a face, at the cosine of the angle of incidence of a reflection by it.
+static void by_face(const surroundings* around, const edge_tables* t, __global const edge_view* edge, int slot, int face,
+                    double cosine, response* r)
+{
+    const int table = edge->face[face];
+    if (table >= 0) {
+        apply_cubics(around->walls + (long)table * CELLS * 4 * PARTS * BIN_VECTORS,
+                     sqrt((float)(cosine < 0.0 ? -cosine : cosine)), r);
+        return;
+    }
+    response factor;
+    for (int part = 0; part < PARTS; part++) {
+        for (int b = 0; b < BIN_VECTORS; b++) {
+            factor.part[part][b] = t->faces[((2 * (long)slot + face) * PARTS + part) * BIN_VECTORS + b];
+        }
+    }
+    multiply(r, &factor);
+}
+
+// By how much a leg to a place `off` from the apex is longer than to it, less what cancels over both: see `end_detour`.
+static double longer_leg(double r, double along, double off)
+{
+    const double near = sqrt(r * r + along * along), far = sqrt(r * r + (along + off) * (along + off));
+    return off * (off - along * (off * (off + 2.0 * along) / (near + far)) / near) / (near + far);
+}
+
+// What an end of the edge sends over what the edge would send without one.
+static void by_end(const edge_tables* t, __global const edge_view* edge, triple s, triple r, double apex, double raised,
+                   response* field)
+{
+    const double off = edge->end - apex;
+    const double longer = longer_leg(off_edge(s), apex - s.z, off) + longer_leg(off_edge(r), apex - r.z, off);
+    const double inside = edge->end > 0.0 ? off : apex, root = sqrt(longer > 0.0 ? longer * raised : 0.0);
+    response at_end;
+    transition_of(t, edge->end_side * (inside < 0.0 ? -root : root), -0.5f * (float)edge->end_side, &at_end);
+    multiply(field, &at_end);
+}
+
+// Sines and cosines of four angles side by side, Taylor's of degree 13 and 14 about quarter turns, within 2e-14.
+static double4 sines(double4 angle, double4* cosines)
+{
+    const double4 quarter = (angle * (2.0 / HALF_TURN) + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
+    const double4 f = angle - quarter * (0.5 * HALF_TURN), ff = f * f;
+    const double4 s = f * (1.0 + ff * (-1.0 / 6 + ff * (1.0 / 120 + ff * (-1.0 / 5040 + ff * (1.0 / 362880 + ff *
+                      (-1.0 / 39916800 + ff * (1.0 / 6227020800.0)))))));
+    const double4 c = 1.0 + ff * (-0.5 + ff * (1.0 / 24 + ff * (-1.0 / 720 + ff * (1.0 / 40320 + ff * (-1.0 / 3628800 +
+                      ff * (1.0 / 479001600 - ff * (1.0 / 87178291200.0)))))));
+    const double4 of_half = 0.5 * quarter, odd = of_half - ((of_half + ROUNDING_DOUBLE) - ROUNDING_DOUBLE);
+    const double4 of_turn = quarter - 4.0 * ((0.25 * quarter + ROUNDING_DOUBLE) - ROUNDING_DOUBLE);  // -2 to 2
+    const double4 sine = odd != 0.0 ? c : s, cosine = odd != 0.0 ? s : c;
+    *cosines = ((of_turn > 0.5) | (of_turn < -1.5)) ? -cosine : cosine;
+    return ((of_turn < -0.5) | (of_turn > 1.5)) ? -sine : sine;
+}
+
+// The field over that of free air of the length of the shortest way, which is returned, m; ends are along the edge's axes.
+static double edge_field(const surroundings* around, const edge_tables* t, __global const edge_view* edge, int slot, triple s,
+                         triple r, double raised, response* field)
+{
+    const double r_s = off_edge(s), r_r = off_edge(r), across = r_s + r_r, along = s.z - r.z, n = edge->n;
+    const double length = sqrt(across * across + along * along), breadth = sqrt(2.0 * r_s * r_r / length * raised);
+    const double t_s = angle_about(s, n), t_r = angle_about(r, n), between = t_r - t_s, together = t_r + t_s;
+    const double angles[4] = {HALF_TURN + between, HALF_TURN - between, HALF_TURN - together,
+                              together - (2.0 * n - 1.0) * HALF_TURN};
+    // Of a term's angle a: sine and cosine of a / 2, and of a / 2n but for half turns.
+    double4 c;
+    const double4 shares = {0.5, 0.5 / n, 0.5, 0.5 / n}, sums = {between, between, together, together};
+    const double4 e = sines(shares * sums, &c);
+    const double wide_s = edge->wide[0], wide_c = edge->wide[1], narrow_s = edge->narrow[0], narrow_c = edge->narrow[1];
+    const double sine[4] = {c.x, c.x, c.z, c.z * wide_c + e.z * wide_s}, cosine[4] = {-e.x, e.x, e.z, c.z * wide_s - e.z * wide_c};
+    const double low[4] = {narrow_s * c.y + narrow_c * e.y, narrow_s * c.y - narrow_c * e.y, narrow_s * c.w - narrow_c * e.w,
+                           narrow_s * c.w + narrow_c * e.w};
+    const double high[4] = {narrow_c * c.y - narrow_s * e.y, narrow_c * c.y + narrow_s * e.y, narrow_c * c.w + narrow_s * e.w,
+                            narrow_c * c.w - narrow_s * e.w};
+    for (int part = 0; part < PARTS; part++) {
+        for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
+    }
+    const double turn = 2.0 * n * HALF_TURN, per_turn = 1.0 / turn, inverse = 1.0 / n;
+    for (int term = 0; term < 4; term++) {
+        if (!edge->lit[term]) continue;
+        const double turns = (angles[term] * per_turn + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
+        const double angle = angles[term] - turn * turns, near = angle < 0.0 ? -angle : angle;
+        const double side = turns == 0.0 ? edge->lit[term] : angle < 0.0 ? -1.0 : 1.0;
+        const double rise = turns == 0.0 ? sine[term] : sine[term] * wide_c - cosine[term] * turns * wide_s;
+        const double steep = near < ON_BOUNDARY ? 1.0 : rise * high[term] / low[term] * inverse;
+        response one;
+        transition_of(t, side * rise * breadth, (float)(-0.5 * side * steep), &one);
+        if (term >= 2) by_face(around, t, edge, slot, term - 2, c.x * across / length, &one);
+        for (int part = 0; part < PARTS; part++) {
+            for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] += one.part[part][b];
+        }
+    }
+    if (edge->end_side) by_end(t, edge, s, r, (s.z * r_r + r.z * r_s) / across, raised, field);
+    return length;
+}
+#endif

@@ -1,0 +1,93 @@
+// Paths over an edge (EDGES): both ends as the edge sees them, and delays. Rolled out, the shortest way over an edge is
+// straight, and the change of the place where it meets the edge does not change its length: twin of
+// paths/diffraction/ways.py.
+
+typedef struct {
+    double source_turn[9], source_shift[3];      // from the room to across, out and along the edge, seen by the walls between
+    double receiver_turn[9], receiver_shift[3];
+    double n;                                    // exterior angle over half a turn
+    double wide[2], narrow[2];                   // sine and cosine of n half turns, and of a quarter turn over n
+    double end;                                  // m along the edge, where `end_side` is not 0
+    int lit[4];                                  // of its terms: 1 or -1, 0 for those that are left out
+    int end_side;                                // of the end that the path runs over; 0 for one over the edge itself
+    int face[2];                                 // tables of the 0-face and the n-face; -1 for the same at every angle
+    int unused;
+} edge_view;
+
+#if EDGES
+static triples turned(__global const double* m, triples v)
+{
+    const triples out = {m[0] * v.x + m[1] * v.y + m[2] * v.z, m[3] * v.x + m[4] * v.y + m[5] * v.z,
+                         m[6] * v.x + m[7] * v.y + m[8] * v.z};
+    return out;
+}
+static triples seen_at(__global const double* turn, __global const double* shift, triples place)
+{
+    const triples v = turned(turn, place), out = {v.x + shift[0], v.y + shift[1], v.z + shift[2]};
+    return out;
+}
+
+// One Newton step from `a->delay`, as newton_step of delay.h; directions are not told.
+static reals edge_step(const trajectory* path, __global const edge_view* edge, const listener* receiver, reals time, arrivals* a)
+{
+    locate(path, RETARDED ? time - a->delay : time, a);
+    const triples from = seen_at(edge->source_turn, edge->source_shift, cubics(a->knot, a->u)), to = receiver->position;
+    const triples velocity = turned(edge->source_turn, cubic_rates(a->knot, a->u));
+    const reals s2 = from.x * from.x + from.y * from.y, r2 = to.x * to.x + to.y * to.y;
+    const reals s = inverse_root(s2), r = inverse_root(r2);  // of the distances from the edge
+    reals length, inward, outward, rising, leaving;  // what of the way goes off the edge or towards it, and along it
+    if (edge->end_side) {
+        const reals up = edge->end - from.z, on = to.z - edge->end, first = s2 + up * up, second = r2 + on * on;
+        const reals near = inverse_root(first), far = inverse_root(second);
+        length = first * near + second * far;
+        inward = s2 * s * near, rising = up * near;
+        outward = r2 * r * far, leaving = on * far;
+    } else {
+        const reals across = s2 * s + r2 * r, along = to.z - from.z, squared = across * across + along * along;
+        const reals inverse = inverse_root(squared);
+        length = squared * inverse;
+        inward = outward = across * inverse, rising = leaving = along * inverse;
+    }
+    const reals mach = path->rate * path->slowness *
+                       (rising * velocity.z - inward * s * (from.x * velocity.x + from.y * velocity.y));
+    const triples heading = receiver->velocity;
+    const reals receding = STATIC_RECEIVERS ? (reals)0.0
+                                            : path->slowness * (leaving * heading.z + outward * r * (to.x * heading.x + to.y * heading.y));
+#if RETARDED
+    a->mach_factor = 1.0 / (1.0 - mach);
+    a->rate = (receding - mach) * a->mach_factor;
+    const reals step = (length * path->slowness - a->delay) * a->mach_factor;
+    a->delay += step;
+    return step;
+#else
+    a->mach_factor = 1.0;
+    a->rate = receding - mach;
+    a->delay = length * path->slowness;
+    return 0.0;
+#endif
+}
+
+// As solve_delay of delay.h.
+static void solve_edge_delay(const trajectory* path, __global const edge_view* edge, const listener* receiver, reals time,
+                             double small, arrivals* a)
+{
+    reals step = edge_step(path, edge, receiver, time, a);
+    for (int k = 1; k < 40; k++) {
+        const choices open = step * step >= small;
+        if (!ANY(open)) break;
+        arrivals next;
+        next.delay = a->delay;
+        const reals another = edge_step(path, edge, receiver, time, &next);
+        step = open ? another : step;
+        a->delay = open ? next.delay : a->delay;
+        a->rate = open ? next.rate : a->rate;
+        a->mach_factor = open ? next.mach_factor : a->mach_factor;
+        a->u = open ? next.u : a->u;
+#pragma unroll
+        for (int i = 0; i < NODES_AT_ONCE; i++) a->knot[i] = OF_NODE_LONG(open, i) ? next.knot[i] : a->knot[i];
+    }
+}
+#define SOLVE_DELAY(path, edge, receiver, time, small, a) solve_edge_delay(path, edge, receiver, time, small, a)
+#else
+#define SOLVE_DELAY(path, edge, receiver, time, small, a) solve_delay(path, receiver, time, small, a)
+#endif

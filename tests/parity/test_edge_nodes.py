@@ -1,0 +1,116 @@
+"""Nodes of paths over one edge: the device's against those of the kind of paths itself, in float64 on the host."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from made_responses import POROUS, OffCentre
+from mutants import Mutants
+
+import clsim
+from clsim.paths.path_set import PathSet
+from clsim.render.opencl import node_programs
+from clsim.render.opencl.edge_nodes import EdgeTracks
+from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
+from clsim.render.opencl.host_nodes import HostTracks
+from clsim.render.plan import Plan
+from clsim.render.planning import plan_render
+
+pytestmark = [pytest.mark.usefixtures("device"), pytest.mark.filterwarnings("ignore::clsim.ClsimWarning")]
+RATE = 192e3
+SAMPLES = 9216
+# Either takes gains from every fourth node where that is wrong by -100 dB of a path at most (`SMOOTH_SHARE`); paths add
+# up as the root of the sum of squares.
+TOLERANCE_DB = -100.0
+CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
+SOFT = clsim.Material.from_reflection(-0.8)
+
+
+@cache
+def paths() -> PathSet:
+    """Return what turns round a screen over a porous floor, and round its ends, while both ends move fast; one edge is between two walls.
+
+    The receiver passes boundaries of shadow and of reflection by the screen.
+    """
+    corners = [(-3, -3, 0), (3, -3, 0), (3, 3, 0), (-3, 3, 0), (0, -1, 0.3), (0, 1, 0.3), (0, 1, 1.2), (0, -1, 1.2)]
+    corners += [(0.4, 1.3, 0.3), (0.4, 1.3, 1.2)]
+    triangles = [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7), (5, 8, 9), (5, 9, 6)]
+    room = clsim.MeshRoom(corners, triangles, [POROUS, POROUS, CURTAIN, CURTAIN, SOFT, SOFT])
+    sweep = clsim.Signal.chirp(34e3, 46e3, 0.06, RATE, window="tukey")
+    way = clsim.Trajectory.line((-1.0, 0.5, 0.9), (-0.8, 0.9, 1.1), 0.1)
+    ears = [clsim.Trajectory.line((0.8, -0.2, 1.3), (0.8, 0.2, 1.6), 0.1), clsim.Trajectory.fixed((-0.4, 1.5, 0.8))]
+    scene = clsim.Scene(
+        room, clsim.Air(), [clsim.Source("s", sweep, way, OffCentre(2e-3), aim=(1.0, -0.2, 0.1))],
+        [clsim.Receiver(f"r{i}", ear, clsim.FirstOrder(0.4), aim=(-1.0, 0.1, 0.3),
+                        electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=2e-3))
+         for i, ear in enumerate(ears)],
+    )  # fmt: skip
+    return PathSet(scene, (clsim.find_paths(scene, 1, diffraction=1).families[1],))
+
+
+@cache
+def plan() -> Plan:
+    return plan_render(paths(), RATE, duration=SAMPLES / RATE, convolve_static=False)
+
+
+@cache
+def by_host() -> np.ndarray:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.delitem(node_programs.NODE_PROGRAMS, "edges")
+        engine = OpenclEngine(plan())
+        assert isinstance(engine.maker(0), HostTracks)
+        return engine.render(0, SAMPLES)
+
+
+def difference_db(layout: Layout = CPU_LAYOUT) -> float:
+    """Return by how much what is heard with nodes of the device differs, of the receiver where it does most."""
+    engine = OpenclEngine(plan(), layout)
+    assert isinstance(engine.maker(0), EdgeTracks)
+    try:
+        got = engine.render(0, SAMPLES)
+    except clsim.ClsimError as error:  # the engine itself found that delays are out of bounds
+        assert "lie outside the bounds" in str(error)
+        return np.inf
+    wanted = by_host()
+    if not np.all(np.isfinite(got)):
+        return np.inf
+    return float(20 * np.log10((np.linalg.norm(got - wanted, axis=1) / np.linalg.norm(wanted, axis=1)).max()))
+
+
+def test_the_scene_has_all_that_such_paths_do() -> None:
+    found = paths().families[0]
+    assert set(np.unique(found.end_side)) == {-1, 0, 1}
+    assert set(np.unique(found.lit)) == {-1, 0, 1}
+    before, after = found.walls_of_sides(np.arange(len(found)))
+    assert np.any(before >= 0)
+    assert np.any(after >= 0)
+    assert np.any(found.start > 0.0)  # pieces between boundaries
+
+
+@pytest.mark.parametrize("layout", [CPU_LAYOUT, GPU_LAYOUT])
+def test_device_and_host_make_the_same(layout: Layout) -> None:
+    assert difference_db(layout) < TOLERANCE_DB
+
+
+MUTANTS = {
+    "the other side of a boundary": ("side * rise * breadth", "-side * rise * breadth"),
+    "phases of what is heard": ("2.0 * r_s * r_r / length * raised", "2.0 * r_s * r_r / length"),
+    "continued as before the boundary": ("beyond.part[part][b] - r->part[part][b]", "r->part[part][b]"),
+    "angle to the 0-face": ("HALF_TURN - together,", "HALF_TURN + together,"),
+    "factor of the other face": ("slot, term - 2, cos", "slot, 3 - term, cos"),
+    "the end's side": ("edge->end_side * (inside < 0.0 ? -root : root)", "edge->end_side * (inside > 0.0 ? -root : root)"),
+    "the end's detour": ("off * (off + 2.0 * along) / (near + far)", "off * (off - 2.0 * along) / (near + far)"),
+    "Mach number at the source": ("rising * velocity.z - inward", "rising * velocity.z + inward"),
+    "the receiver's speed": ("leaving * heading.z + outward", "leaving * heading.z - outward"),
+    "direction at the receiver": ("times(-1.0, into_room(edge->receiver_turn", "times(1.0, into_room(edge->receiver_turn"),
+    "direction at the source": ("into_room(edge->source_turn, towards_edge(from, place))", "towards_edge(from, place)"),
+    "walls of the other side": ("wall < 0 ? a->arrival : a->departure", "a->departure"),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_mutants_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    mutants = Mutants("tracks", MUTANTS)
+    mutants.play(monkeypatch)
+    assert difference_db() < TOLERANCE_DB, "none of them is chosen"
+    assert mutants.unseen(lambda: difference_db() < TOLERANCE_DB) == []
