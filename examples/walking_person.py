@@ -3,8 +3,8 @@
 Writes walking_person.png: the echoes of 13 ellipsoids on a walking gait, as a complex envelope, with one image on
 either leg. The lines are ``2 f v / c`` exactly, sound's way there and back included, by no wall: of the chest and of
 both shanks. And walking_person_map.png: ranges and speeds of all parts within 0.12 s. Pulses that leave time for 8 m
-tell speeds but for multiples of 9 cm/s, so the sonar sends noise of 32 to 48 kHz, and what is heard by no wall is compared
-with what was sent, late by every range and stretched by every speed.
+tell speeds but for multiples of 9 cm/s, so the sonar sends noise of 32 to 48 kHz, and what is heard by no wall is
+compared with what was sent, late by every range and stretched by every speed.
 """
 
 import argparse
@@ -49,7 +49,7 @@ def scene_of(signal: clsim.Signal) -> clsim.Scene:
 def range_speed_map(
     heard: np.ndarray, sent: np.ndarray, speeds: np.ndarray, latest: float, c: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ranges (n,), m, and the output (speeds, n) of filters that are matched to every speed, about `LOOK`."""
+    """Return ranges (n,), m, and the magnitude (speeds, n) of filters that are matched to every speed, about `LOOK`."""
     from scipy.signal import hilbert
 
     middle, half = round(LOOK * RATE), round(0.5 * BETWEEN * RATE)
@@ -57,14 +57,16 @@ def range_speed_map(
     envelope = hilbert(sent) * carrier.conj()
     late, size = round(latest * RATE), 2 ** int(np.ceil(np.log2(2 * half + round(latest * RATE))))
     part = np.fft.fft(hilbert(heard)[middle - half : middle + half] * np.hanning(2 * half), size)
+    ranges = np.arange(late) / RATE * c / 2.0
     rows, ago = [], np.arange(-half - late, half)  # samples from the middle at which what is heard now was sent
     for speed in speeds:
         place = (1.0 - 2.0 * speed / c) * ago
         real, imaginary = (np.interp(middle + place, np.arange(len(sent)), x) for x in (envelope.real, envelope.imag))
         copy = (real + 1j * imaginary) * np.exp(2j * np.pi * CARRIER * place / RATE)
         found = np.fft.ifft(part * np.fft.fft(copy[::-1].conj(), size))  # its lag k: sent late + half - 1 - k before
-        rows.append(found[2 * half - 1 : 2 * half - 1 + late])
-    return np.arange(late) / RATE * c / 2.0, np.array(rows)
+        level = np.abs(found[2 * half - 1 : 2 * half - 1 + late])
+        rows.append(np.interp(ranges, (1.0 - 2.0 * speed / c) * ranges, level))  # by the lag of what was sent
+    return ranges, np.array(rows)
 
 
 def draw_map(heard: clsim.Recording, noise: clsim.Signal, truth: clsim.ScattererTruth, path: Path) -> None:
@@ -74,7 +76,7 @@ def draw_map(heard: clsim.Recording, noise: clsim.Signal, truth: clsim.Scatterer
     c, speeds = heard.paths.scene.air.speed_of_sound, np.linspace(-3.0, 0.5, 141)
     sent = noise.read(0, len(heard.pressure[0]))
     ranges, output = range_speed_map(heard.pressure[0], sent, speeds, 0.05, c)
-    level = 20.0 * np.log10(np.abs(output) + 1e-30)
+    level = 20.0 * np.log10(output + 1e-30)
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     axes = figure.subplots()
     image = axes.imshow(
