@@ -42,7 +42,7 @@ kills: .venv/tested
 
 # The site is in out/site: open out/site/index.html.
 docs: .venv/documented
-	$(BIN)/python -m sphinx --builder html --fail-on-warning --quiet docs/site out/site
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --quiet --conf-dir docs/site docs out/site
 
 .venv/documented: .venv/bin/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
