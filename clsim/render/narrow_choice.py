@@ -73,6 +73,10 @@ def chosen_split(emission: Emission, pairs: StaticPairs) -> tuple[Split | None, 
     most = _PLAIN + _WIDE * (high - low) / (0.5 * rate)
     if of_band + of_all > most and not options.narrowband:
         return None, ""
+    if any(of_scene.pair_paths[i].family.device is None for i in mine):
+        # What such nodes leave of the first block of an envelope, which begins before 0 s, is not right.
+        why = "nodes of some of its paths are made on the host"
+        return None, f"source {index}: rendered as a whole, without a narrow part: {why}"
     some, fades = _some(sound), _width_of_fades(tracks, mine, error_db)
     ways = dict.fromkeys(_ways(signal, sound, tracks.max_rate(index), fades))
     designed = [tuple(NarrowBand.designed(*band, rate, error_db) for band in bands) for bands in ways]

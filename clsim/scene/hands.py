@@ -47,8 +47,8 @@ def hand(name: str, trajectory: Trajectory, length: float = 0.19, opening: Array
     length : float
         Of the open hand, m.
     opening : float or array_like (n, 2)
-        1 for an open hand, 0 for a fist; or times, s, with the share at each, joined by monotone cubics and held before
-        and after.
+        1 for an open hand, 0 for a fist; or times, s, with the share at each. From one to the next it goes smoothly,
+        and rests there for a moment.
 
     Returns
     -------
@@ -103,10 +103,10 @@ def _opening(opening: ArrayLike | float) -> tuple[Floats, Floats]:
 
 
 def _between(times: Floats, shares: Floats, instants: Floats) -> Floats:
-    """Return how open a hand is at instants (n,)."""
-    from scipy.interpolate import PchipInterpolator
-
-    return np.asarray(PchipInterpolator(times, shares)(np.clip(instants, times[0], times[-1])))
+    """Return how open a hand is at instants (n,): from one share to the next as ``6 u^5 - 15 u^4 + 10 u^3``."""
+    piece = np.clip(np.searchsorted(times, instants, side="right") - 1, 0, len(times) - 2)
+    u = np.clip((instants - times[piece]) / (times[piece + 1] - times[piece]), 0.0, 1.0)
+    return np.asarray(shares[piece] + (shares[piece + 1] - shares[piece]) * u**3 * (10.0 + u * (6.0 * u - 15.0)))
 
 
 def _bent(finger: str, numbers: tuple[float, ...], share: Floats) -> list[tuple[Floats, Floats]]:

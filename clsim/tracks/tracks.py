@@ -309,10 +309,14 @@ class SceneTracks(Tracks):
         return fastest
 
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
-        """Return the largest peak speed, and by how much all speeds must be scaled for another rate of delays."""
+        """Return the largest peak speed, of scatterers too, and by how much all must be scaled for another rate."""
         v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
-        scale = max_rate * self.scene.air.slowest / (v_s + v_r + max_rate * v_s)
-        return max(v_s, v_r), scale * max(v_s, v_r)
+        v_b = max((s.peak_speeds()[1] for s in self.scene.scatterers), default=0.0)  # seen there and back
+        together = v_s + v_r + 2.0 * v_b + max_rate * v_s
+        if together == 0.0:  # only what is sent back changes
+            return 0.0, 0.0
+        most = max(v_s, v_r, v_b)
+        return most, max_rate * self.scene.air.slowest / together * most
 
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return the bounds of the kind of paths, by the receiver's clock."""

@@ -279,15 +279,11 @@ def test_cross_talk_by_pair(file: Any, paths: PathSet, tmp_path: Path, device: N
         levels = np.array([0.1, 1.0, 0.0])[:, None]
         assert level_db(heard - echoes - levels * direct, heard) < -110.0
     assert clsim.direct_path(found, [0.03]).line_of_sight[0, :, 0].tolist() == [True, True, False]
-    truth = clsim.scatterer_truth(wide, [0.03])  # every scatterer, as seen from every pair
-    table = clsim.find_paths(wide, 0).table([0.03])
+    seen = clsim.Scene(scene.room, scene.air, wide.sources, wide.receivers, scatterers=scene.scatterers)
+    truth = clsim.scatterer_truth(seen, [0.03])  # every scatterer, as seen from every pair
+    table, names = clsim.find_paths(seen, 0).table([0.03]), [s.name for s in seen.scatterers]
     for i in np.flatnonzero(table.order):
-        here = (
-            wide.scatterers.index(next(s for s in wide.scatterers if s.name == table.name_way(i))),
-            0,
-            table.receiver[i],
-            0,
-        )
+        here = names.index(table.name_way(i)), 0, table.receiver[i], 0
         assert truth.delay[here] == pytest.approx(table.delay[i, 0], rel=1e-14)
         np.testing.assert_allclose(truth.bearing[here], table.arrival[i, 0], atol=1e-12)
     assert truth.delay.shape == (3, 1, 3, 1)

@@ -238,6 +238,23 @@ def test_a_point_that_comes_nearer_is_a_moving_mirror(speed: float, shift: float
     assert -rate * 40e3 == pytest.approx(shift, abs=1e-3)
 
 
+def test_a_sweep_off_what_moves_between_ends_that_rest(device: None) -> None:
+    """The speeds that plans tell of are those of scatterers, too; there is no narrow part, which host nodes have no use for."""
+    ends = [clsim.Trajectory.fixed(p) for p in ((1.0, 2.0, 2.0), (1.5, 2.0, 2.0))]
+    way = clsim.Trajectory.line((3.0, 2.0, 2.0), (2.0, 2.0, 2.0), 0.5)
+    sweep = clsim.Signal.chirp(37e3, 43e3, 0.4, RATE, window="hann")
+    paths = clsim.find_paths(scene_of([clsim.Scatterer.point("p", 0.0, way)], *ends, signal=sweep), 0)
+    tracks = clsim.track(paths)
+    speed, other = tracks.fastest(0, 2.0 * 2.0 * 2.0 / C)
+    assert speed == pytest.approx(2.0, rel=0.03)
+    assert other == pytest.approx(4.0, rel=0.03)
+    wide, narrow = (clsim.render(paths, RATE, duration=0.1, narrowband=some) for some in (False, True))
+    np.testing.assert_array_equal(wide.pressure, narrow.pressure)
+    assert any(
+        "without a narrow part: nodes of some of its paths are made on the host" in note for note in narrow.notes
+    )
+
+
 def test_all_stays_within_the_bounds_that_rendering_relies_on(moving: clsim.PathSet) -> None:
     family, tracks = moving.families[1], clsim.track(moving)
     times = np.linspace(0.1, 0.4, 40)
