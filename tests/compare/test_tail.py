@@ -39,7 +39,7 @@ def test_t30_is_pyroomacoustics(which: int) -> None:
     pra = pytest.importorskip("pyroomacoustics", reason="pyroomacoustics is not installed")
     options = {"fs": int(RATE), "max_order": 3, "ray_tracing": True, "air_absorption": False}
     wall = clsim.Material.from_reflection(np.sqrt(1.0 - (absorption := [0.26, 0.2, 0.2][which])))
-    np.random.seed(0)  # noqa: NPY002: theirs draws from it
+    np.random.seed(0)  # noqa: NPY002  theirs draws from it
     if which < 2:
         size = SHOEBOXES[which][0]
         source, ear = np.array([2.5, 3.73, 1.76]), np.array([6.3, 4.87, 1.2])
