@@ -1,11 +1,13 @@
 """What all tests share: seeded random numbers, and the engines."""
 
 import hashlib
+import json
 import os
 import pickle
 import shutil
 import zlib
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,6 +51,29 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[]
             return pickle.loads(file.read_bytes())
 
     return made
+
+
+@pytest.fixture
+def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
+    """Return what passes a figure on, and notes it in the folder CLSIM_MEASURED for the site's page of validation."""
+    folder = os.environ.get("CLSIM_MEASURED")
+
+    def note(claim: str, oracle: str, value: float, allowed: float, unit: str = "dB") -> float:
+        if folder:
+            test = f"{request.node.path.parent.name}/{request.node.path.name}: {request.node.name}"
+            row = {
+                "test": test,
+                "claim": claim,
+                "oracle": oracle,
+                "allowed": f"{allowed:g} {unit}",
+                "measured": f"{value:.1f} {unit}",
+            }
+            file = Path(folder) / f"{hashlib.sha256(f'{test} {claim}'.encode()).hexdigest()[:24]}.json"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps(row), "utf-8")
+        return value
+
+    return note
 
 
 @pytest.fixture(params=["opencl", "reference"])

@@ -128,8 +128,8 @@ PROGRAMS = {
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
             "nodes/edge_view.h", "nodes/edge_field.h", "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS,
-            "nodes/septic.h", "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h", *_MASK, "nodes/activity.h",
-            "nodes/tracks.cl",
+            "nodes/septic.h", "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h", "nodes/cell.h", *_MASK,
+            "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **IMAGES,

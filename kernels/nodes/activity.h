@@ -10,8 +10,6 @@ typedef struct {
     int block_samples, subblock_samples;
 } activity_mask;
 
-static real later(real a, real b) { return a > b ? a : b; }
-static real sooner(real a, real b) { return a < b ? a : b; }
 static int cell_at(const activity_mask* s, real sample)
 {
     const real cell = sample * (1.0f / CELL);
@@ -32,6 +30,18 @@ static int next_active(const activity_mask* s, int block, real shortest, real lo
     const int cell = s->following[cell_at(s, start - longest)];
     const real begin = (real)cell * CELL - start + shortest;
     return cell == s->cells ? NEVER : begin > 0 ? block + (int)(begin * ((real)1 / s->block_samples)) : block;
+}
+
+// First block of a walk, from a given one on, in which something may be heard, as far as its ends say: all times are in
+// blocks, delays in samples. They are `late0` at the first block and `late1` after the last one, and drift so fast at most.
+static int next_heard(const activity_mask* s, int block, int first, int last, int walk, real late0, real late1, real drift)
+{
+    const real before = drift * (real)(block - first), until_end = drift * (real)(walk - (block - first));
+    const real low0 = late0 - before, low1 = late1 - until_end, high0 = late0 + before, high1 = late1 + until_end;
+    const real low = low0 > low1 ? low0 : low1, high = high0 < high1 ? high0 : high1;
+    const int ahead_of = next_active(s, block, low - until_end - 2, high + until_end + 2);
+    if (ahead_of > block) return ahead_of < last ? ahead_of : last;
+    return is_active(s, block, low - drift - 2, high + drift + 2) ? block : block + 1;
 }
 
 // The mask of a block, see mask.h.

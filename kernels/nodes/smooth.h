@@ -37,12 +37,16 @@ static void make_group(smooth_gains* s, path_nodes* nodes, int group, double spe
 static int is_as_expected(const smooth_gains* s, int from, int cell, float largest)
 {
     double d[AMONG];
+#pragma unroll
     for (int i = 0; i < AMONG; i++) d[i] = s->delay[(from + i) * GROUP + 1];
+#pragma unroll
     for (int order = 1; order < AMONG; order++) {
+#pragma unroll
         for (int i = AMONG - 1; i >= order; i--) d[i] -= d[i - 1];
     }
     const double place = cell - from + 0.5, now = s->delay[cell * GROUP + 1 + CELL_BLOCKS / 2];
     double expected = d[AMONG - 1];
+#pragma unroll
     for (int i = AMONG - 2; i >= 0; i--) expected = d[i] + (place - i) * (1.0 / (i + 1)) * expected;
     const float wrong = (float)(now - expected), delay = (float)now;
     return wrong * wrong <= largest * delay * delay;
@@ -94,16 +98,10 @@ static int make_cell(smooth_gains* s, path_nodes* nodes, int at, float largest, 
     return s->smooth;
 }
 
-// The gains' powers in a block of the cell, and its delays; `block` counts from the walk's first.
-static void terms_in_cell(const smooth_gains* s, int block, window* w, gains terms[4][GAIN_VECTORS])
+// The gains' powers in the i-th block of the cell.
+static void gains_in_cell(const smooth_gains* s, int i, gains terms[4][GAIN_VECTORS])
 {
-    const int of_stretch = block - s->stretch * STRETCH;
-    for (int i = 0; i < 4; i++) {
-        w->delay[i] = s->delay[of_stretch + i];
-        w->rate[i] = s->rate[of_stretch + i];
-    }
-    w->strength[1] = w->strength[3] = s->loudest;
-    const float reach = 0.5f / CELL_BLOCKS, y = ((float)(block % CELL_BLOCKS) + 0.5f) * (2.0f * reach) - 0.5f;
+    const float reach = 0.5f / CELL_BLOCKS, y = ((float)i + 0.5f) * (2.0f * reach) - 0.5f;
 #pragma unroll
     for (int v = 0; v < GAIN_VECTORS; v++) {
         const gains p1 = s->power[1][v], p2 = s->power[2][v], p3 = s->power[3][v], p4 = s->power[4][v];
@@ -112,5 +110,17 @@ static void terms_in_cell(const smooth_gains* s, int block, window* w, gains ter
         terms[2][v] = reach * reach * (p2 + y * (3.0f * p3 + y * (6.0f * p4)));
         terms[3][v] = reach * reach * reach * (p3 + y * (4.0f * p4));
     }
+}
+
+// The same, and the block's delays; `block` counts from the walk's first.
+static void terms_in_cell(const smooth_gains* s, int block, window* w, gains terms[4][GAIN_VECTORS])
+{
+    const int of_stretch = block - s->stretch * STRETCH;
+    for (int i = 0; i < 4; i++) {
+        w->delay[i] = s->delay[of_stretch + i];
+        w->rate[i] = s->rate[of_stretch + i];
+    }
+    w->strength[1] = w->strength[3] = s->loudest;
+    gains_in_cell(s, block % CELL_BLOCKS, terms);
 }
 #endif

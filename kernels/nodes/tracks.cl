@@ -49,19 +49,13 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const triple offset = image_offset_of(image_offset, slots, slot);
     __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
-    const surroundings around = {nepers,     lead,        projection, functions, weight, strengths,
-                                 reflection, wall_tables, wall_of,   normal, source_directivity,
-                                 receiver_directivities + directivity_of[receiver_of[slot]],
+    const surroundings around = {nepers, lead, projection, functions, weight, strengths, reflection, wall_tables, wall_of, normal,
+                                 source_directivity, receiver_directivities + directivity_of[receiver_of[slot]],
                                  function_count, angular};
     const double block_time = (double)block_samples / sampling_rate, walk_time = walk_blocks * block_time;
     const double branch_rate = oversampling * sampling_rate, half_block = 0.5 * oversampling * block_samples;
-    __global const double* coarse = coarse_delays + 2 * (first_walk + walk) * (long)slots + slot;
-    double ends[4], slopes[4], predicted[8];
-    for (int i = 0; i < 4; i++) {
-        ends[i] = coarse[2 * i * (long)slots];
-        slopes[i] = coarse[(2 * i + 1) * (long)slots] * (0.5 * walk_time);
-    }
-    septic(ends, slopes, predicted);
+    double ends[4], predicted[8];
+    predict(coarse_delays + 2 * (first_walk + walk) * (long)slots + slot, slots, walk_time, ends, predicted);
     const int from = heard_from[slot], until = heard_until[slot];
 #if SPARSE
     const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
@@ -76,35 +70,39 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     smooth_gains slow;
     slow.stretch = slow.cell = -1;
 #endif
+#if CELL_AT_ONCE
+    const cell_blocks of_cells = {slots, slot, function_count, block_samples, start, block_time, half_block, branch_rate,
+                                  delay_samples, emitted_first, emitted_last, angular_frequency, subblock_share, strengths,
+                                  polynomials, delay};
+#endif
     gains powers[4][GAIN_VECTORS];
     window w;
     int solved = first - 1;  // last node in the window
-    float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
+    float gain_error, left_over = 0.0f;
+    walk_found f = {0.0f, 0.0f, 0.0f, 1e30f, -1e30f};
     for (int block = first; block < last; block++) {
         const int heard = from < (block + 1) * block_samples && until > block * block_samples;
 #if SPARSE
         if (!heard) continue;
-        const double since = (block - first) * block_time, left = walk_time - since;
-        // Delays from here to the end of the walk, and of this block.
-        const double late0 = delay_samples + sampling_rate * ends[1], late1 = delay_samples + sampling_rate * ends[2];
-        const double drift = sampling_rate * max_rate, until_end = drift * left, of_block = drift * block_time;
-        const double low_here = later(late0 - drift * since, late1 - until_end);
-        const double high_here = sooner(late0 + drift * since, late1 + until_end);
-        const int ahead_of = next_active(&mask, block, low_here - until_end - 2.0, high_here + until_end + 2.0);
-        if (ahead_of >= last) break;
-        if (ahead_of > block) {
-            block = ahead_of - 1;
+        const int sounding = next_heard(&mask, block, first, last, walk_blocks, delay_samples + sampling_rate * ends[1],
+                                        delay_samples + sampling_rate * ends[2], sampling_rate * max_rate * block_time);
+        if (sounding > block) {
+            block = sounding - 1;
             continue;
         }
-        if (!is_active(&mask, block, low_here - of_block - 2.0, high_here + of_block + 2.0)) continue;
 #endif
-        float gain_error;
 #if DELAY_TERMS == 4
         if (smooth > 0.0f && make_cell(&slow, &nodes_of_path, (block - first) / CELL_BLOCKS, smooth, speed_of_sound, &around)) {
+            solved = first - 1;
+#if CELL_AT_ONCE
+            if (write_cell(&slow, &of_cells, block, first, last, from, until, &f)) {
+                block += CELL_BLOCKS - 1;
+                continue;
+            }
+#endif
             terms_in_cell(&slow, block - first, &w, powers);
             gain_error = slow.error;
             left_over = slow.left_over;
-            solved = first - 1;
         } else
 #endif
         {
@@ -127,8 +125,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         }
         for (int i = 1; i < 3; i++) {
             const float delay_now = (float)w.delay[i];
-            shortest = delay_now < shortest ? delay_now : shortest;
-            longest = delay_now > longest ? delay_now : longest;
+            f.shortest = delay_now < f.shortest ? delay_now : f.shortest;
+            f.longest = delay_now > f.longest ? delay_now : f.longest;
         }
         __global float* c = polynomials + place_of(block, slot, function_count, slots);
         delay[block * (long)slots + slot] = write_delay(&w, apart, branch_rate, half_block, delay_samples, c);
@@ -141,18 +139,16 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
         activity[block * (long)slots + slot] =
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
-        strength = w.strength[3] > strength ? w.strength[3] : strength;
-        // Of paths over edges, nodes where one is not heard may lie beyond a boundary: the functions are not made for these.
-        const int of_use = EDGES ? from <= (block - GROUP) * block_samples && until >= (block + GROUP) * block_samples : 1;
-        const float left_here = of_use ? left_over : 0.0f;
-        rest = left_here > rest ? left_here : rest;
+        f.strength = w.strength[3] > f.strength ? w.strength[3] : f.strength;
+        const float left_here = left_where_heard(left_over, block * block_samples, GROUP * block_samples, from, until);
+        f.rest = left_here > f.rest ? left_here : f.rest;
         const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
             const float squared = delay_error_squared(&w, angular_frequency, block_time, subblock_share) +
                                   left_out_squared(powers, strengths, subblock_share) + gain_error;
-            error = squared > error ? squared : error;
+            f.error = squared > f.error ? squared : f.error;
         }
     }
-    found[walk * (long)slots + slot] = (float4)(error, strength, shortest, longest);
-    unheld[walk * (long)slots + slot] = rest;
+    found[walk * (long)slots + slot] = (float4)(f.error, f.strength, f.shortest, f.longest);
+    unheld[walk * (long)slots + slot] = f.rest;
 }

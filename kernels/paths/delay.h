@@ -54,7 +54,7 @@ static triples unit(triples v)
 }
 
 // One Newton step from `a->delay`; returns it. All else is that of the emission time before the step.
-static reals newton_step(const trajectory* path, const listener* receiver, reals time, arrivals* a)
+static inline __attribute__((always_inline)) reals newton_step(const trajectory* path, const listener* receiver, reals time, arrivals* a)
 {
     locate(path, RETARDED ? time - a->delay : time, a);
     const triples from = cubics(a->knot, a->u), velocity = cubic_rates(a->knot, a->u);
@@ -103,6 +103,12 @@ static void choose(choices open, triples other, triples* kept)
     kept->z = open ? other.z : kept->z;
 }
 
+// The same, called, where it is taken again and again; the first step, which is mostly enough, is faster when it is not.
+static __attribute__((noinline)) reals another_step(const trajectory* path, const listener* receiver, reals time, arrivals* a)
+{
+    return newton_step(path, receiver, time, a);
+}
+
 // Newton steps until, at each node, one whose square, of the order of the next one, is as small as asked, s^2. What a node
 // comes to does not depend on those beside it.
 static void solve_delay(const trajectory* path, const listener* receiver, reals time, double small, arrivals* a)
@@ -112,7 +118,7 @@ static void solve_delay(const trajectory* path, const listener* receiver, reals 
         const choices open = step * step >= small;
         if (!ANY(open)) break;
         arrivals next = *a;
-        const reals another = newton_step(path, receiver, time, &next);
+        const reals another = another_step(path, receiver, time, &next);
         step = open ? another : step;
         a->delay = open ? next.delay : a->delay;
         a->rate = open ? next.rate : a->rate;

@@ -262,7 +262,7 @@ def hovered(tab: Any, point: Any) -> str:
 @pytest.mark.exhaustive
 def test_the_mouse_finds_paths_behind_walls_and_walls(tab: Any) -> None:
     near = FRAMES[0].corners[0]
-    assert "robot to near, path" in hovered(tab, 0.3 * near[0] + 0.7 * near[1])
+    assert "robot to near, path" in hovered(tab, 0.4 * near[0] + 0.6 * near[1])
     assert "<far> & {{data}}" in hovered(tab, EARS["<far> & {{data}}"])
     assert f": {PLASTER}" in hovered(tab, (7.7, 0.0, 0.3))
 

@@ -1,5 +1,7 @@
 """Envelopes of pairs that never move: one complex impulse response each, against sums over the spectrum."""
 
+from typing import Any
+
 import frozen_sums
 import numpy as np
 import pytest
@@ -39,7 +41,7 @@ def envelope(sound: np.ndarray, every: int) -> np.ndarray:
     return (np.fft.ifft(kept)[: len(sound)] * np.exp(-2j * np.pi * (CARRIER / RATE) * n))[::every]
 
 
-def test_equals_a_sum_over_the_spectrum() -> None:
+def test_equals_a_sum_over_the_spectrum(measured: Any) -> None:
     one, start, count = scene(), 0.0123456, 57600
     made = clsim.render(clsim.find_paths(one, 4), RATE, baseband=BAND, duration=count / RATE, chunk=1)
     assert "2 of 3 pairs never move: impulse responses, convolved" in made.notes
@@ -50,7 +52,15 @@ def test_equals_a_sum_over_the_spectrum() -> None:
             lambda f, place=place: frozen_sums.response(f, SIZE, (A, place), 4, factors, AIR),
         )  # fmt: skip
         # The low-pass is flat within -100 dB and is passed twice; measured -98 dB.
-        assert frozen_sums.error_db(got, envelope(sound, 32)) < -94.0
+        assert (
+            measured(
+                "envelopes of pairs that never move",
+                "the sound's own envelope",
+                frozen_sums.error_db(got, envelope(sound, 32)),
+                -94.0,
+            )
+            < -94.0
+        )
 
 
 @pytest.mark.parametrize("phased", [False, True])

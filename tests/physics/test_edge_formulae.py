@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from edge_fields import mistaken
 from scipy.special import fresnel, wofz
 from wedge_oracle import C, Place, edge_field, half_plane, wedge_series
 
@@ -70,6 +71,30 @@ def test_published_values(source, receiver, wedge, frequency, level, phase) -> N
     ):
         assert decibels(abs(found)) == pytest.approx(level, abs=db)
         assert np.degrees(np.angle(found)) == pytest.approx(phase, abs=degrees)
+
+
+# Mistakes that programs have made: what is wrong, in which function, and how.
+MUTANTS = {
+    "turns of one boundary taken for another's": (
+        wedge_terms, "turns = np.round(angles / (2.0 * n * np.pi))",
+        "turns = np.round(np.where(np.arange(4) % 2, -(2.0 * np.pi - angles), angles) / (2.0 * n * np.pi))",
+    ),
+    "no square of the sine of the angle to the edge": (
+        edge_way, "2.0 * source_r * receiver_r / length", "2.0 * source_r * receiver_r * length / across**2",
+    ),
+    "no half for angles at a wedge": (wedge_terms, "np.tan(0.5 * np.where", "np.tan(np.where"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", [None, *MUTANTS])
+def test_mistakes_are_seen(what: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    if what is not None:
+        monkeypatch.setitem(globals(), MUTANTS[what][0].__name__, mistaken(*MUTANTS[what]))
+    k, errors = wave_number(40e3), []
+    for one, other, degrees in ((place(2, 60, 0), place(1.5, 245, 0.4), 270), (place(2, 10, 0), place(2, 80, 3), 200)):
+        wedge = np.radians(degrees)
+        errors.append(abs(utd(one, other, wedge, k) - edge_field(one, other, wedge, k)))
+    assert (decibels(max(errors) * 3.5) < -75.0) == (what is None)
 
 
 def test_oracles_agree() -> None:
@@ -223,6 +248,25 @@ def test_partners_come_and_go_smoothly(n: float, boundary: int, law) -> None:
         seen, unseen, direct = fields(offset)
         left = 0.3 * offset**2 + 1e-13 if law is utd else 1e-11
         assert abs(seen - unseen) < left * abs(direct), offset
+
+
+@pytest.mark.parametrize("law", [utd, exact])
+@pytest.mark.parametrize("n", [1.5, 2.0])
+def test_on_a_boundary_all_is_the_mean_of_both_sides(n: float, law) -> None:
+    """As upsvensson's EDverify has it, at 100 Hz, source and receiver 1 m from the edge: 1e-5."""
+    came, k = np.radians(60.0), wave_number(100.0)
+
+    def total(went: float) -> complex:
+        source, receiver = (1.0, came, 0.0), (1.0, went, 0.0)
+        seen = lit_angles(n, came, went) >= 0.0
+        found = law(source, receiver, n * np.pi, k)
+        if seen[0] and seen[1]:
+            found += way_field(source, receiver, went - came, k)
+        return found + seen[2] * way_field(source, receiver, went + came, k)
+
+    for boundary in (np.pi + came, np.pi - came):
+        before, on, behind = (total(boundary + step) for step in (-1e-4, 0.0, 1e-4))
+        assert abs(on - 0.5 * (before + behind)) < 1e-5 * abs(on)
 
 
 def test_the_transition_at_its_start_and_far_out() -> None:

@@ -1,6 +1,7 @@
 """Changes that must change nothing: turned and moved scenes, other axes, chunks, company; both engines."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import oracle
@@ -258,19 +259,19 @@ def test_chunks(device: None, rng, chunk: int) -> None:
 
 
 @proven
-def test_gates_are_the_same_in_both_engines(device: None, rng) -> None:
+def test_gates_are_the_same_in_both_engines(device: None, rng, measured: Any) -> None:
     tracks = clsim.Tracks.from_samples(*gates(rng))
     tone = clsim.Signal.tone(40e3, 0.4, RATE, fade=0.004)
     fast, slow = (
         clsim.render_tracks([tone], tracks, RATE, duration=0.3, engine=e).pressure for e in ("opencl", "reference")
     )
-    assert difference_db(fast, slow) < -100.0
+    assert measured("motion in either frame", "the same scene", difference_db(fast, slow), -100.0) < -100.0
     # Nowhere does a gate open or close a sample early or late: that would be an error of the path's own size.
     assert np.abs(fast - slow).max() < 1e-3 * np.abs(slow).max()
 
 
 @proven
-def test_sampled_tracks_are_their_formula(engine: str) -> None:
+def test_sampled_tracks_are_their_formula(engine: str, measured: Any) -> None:
     """Delays and gains given as samples of known functions, against the tone at those delays."""
     times = np.linspace(0.0, 0.25, 251)
     rates = np.array([[3.0], [5.0], [2.0]])
@@ -289,4 +290,12 @@ def test_sampled_tracks_are_their_formula(engine: str) -> None:
     late = some / RATE - delay(some / RATE)
     exact = np.sum(gain(some / RATE) * np.sin(2 * np.pi * 40e3 * late), axis=0)
     # Spline of step h: 5/384 h^4 f'''' = 4e-12 s, 1e-6 rad at 40 kHz; the gain's 4e-9. The filter's -90 dB remain.
-    assert oracle.error_db(pressure[some], exact) < -85.0
+    assert (
+        measured(
+            "any delays, rendered",
+            "each path's delay and gain in float64",
+            oracle.error_db(pressure[some], exact),
+            -85.0,
+        )
+        < -85.0
+    )

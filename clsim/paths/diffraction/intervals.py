@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.paths.diffraction.between import FaceLegs
 from clsim.paths.diffraction.visibility import CONTRACTED, CONTRACTIONS, FAR, EdgeVisibility
 from clsim.paths.specular.intervals import Intervals, find_intervals, merged
 
@@ -46,7 +47,8 @@ class EdgeSearch:
 
         Notes
         -----
-        The side of the receiver is looked at while that of the source is there: most candidates are gone by then.
+        The side of the receiver is looked at while that of the source is there: most candidates are gone by then. The
+        way between two edges comes last, on the host: mostly nothing stands there.
         """
         row, receiver = np.arange(len(candidates.edge)), candidates.receiver
         begin, end, evaluations = self.query.first[receiver], self.query.last[receiver], 0
@@ -54,7 +56,15 @@ class EdgeSearch:
             found = self._find(candidates, side, row, (begin, end))
             row, begin, end = row[found.path], found.begin, found.end
             evaluations += found.evaluations
-        return merged(row, begin, end, evaluations)
+        legs = FaceLegs(EdgeVisibility(self.edges, candidates), self.query.walls)
+        hindered = legs.hindered(row)
+        if not hindered.any():
+            return merged(row, begin, end, evaluations)
+        asked, spans = row[hindered], (begin[hindered], end[hindered])
+        found = find_intervals(self.query, asked.astype(np.int32)[:, None], receiver[asked], legs.evaluate, spans)
+        parts = (row, asked[found.path]), (begin, found.begin), (end, found.end)
+        row, begin, end = (np.concatenate([free[~hindered], rest]) for free, rest in parts)
+        return merged(row, begin, end, evaluations + found.evaluations)
 
     def _find(self, candidates: EdgeCandidates, side: int, row: Rows, spans: tuple[Floats, Floats]) -> Intervals:
         """Return when one side of some candidates is there within spans of time."""

@@ -158,7 +158,7 @@ class EdgeVisibility:
         """
         which = sequence[:, 0].astype(np.int64)
         asked, stance = self.candidates, self.stance(query, which, time, half)
-        both = [self._slides(stance, edge, asked.end[which], query.walls.size) for edge in (0, 1)]
+        both = [self.slides(stance, edge, asked.end[which], query.walls.size) for edge in (0, 1)]
         moves, most = both[side], np.maximum(stance.reach, np.maximum(*both))
         least = self._margins(stance, which).min(axis=0)
         ratio, valid = moves_within(np.abs(least), most), least >= 0.0
@@ -192,13 +192,13 @@ class EdgeVisibility:
         sure &= ~double | np.all(np.abs(others) > other_turn[:, None], axis=1)
         apex = stance.ways[0].apex
         inside = np.where(end == 0, apex, self.edges.length[one] - apex)
-        over_end = self._slides(stance, 0, np.full(len(end), -1), query.walls.size)
+        over_end = self.slides(stance, 0, np.full(len(end), -1), query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
         last = np.where(end < 0, 0, np.where(inside >= 0.0, 1, -1))
         second = np.where(double[:, None], np.where(others >= 0.0, 1, -1), 0)
         return np.column_stack([np.where(angles >= 0.0, 1, -1), last, second]).astype(np.int8), sure
 
-    def _slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
+    def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
         """Return how far the place on the first or second edge may move along it, (n,) m."""
         across, reach = stance.distances[edge] + stance.across[edge], stance.reach
         room = across - 2.0 * reach

@@ -300,12 +300,17 @@ class MeshRoom:
         )  # fmt: skip
 
     def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
-        """Return the panels that `with_sheets` would make sheets of: names, and thicknesses, m.
+        """Return the panels that `with_sheets` would make sheets of.
 
         Parameters
         ----------
         thinner_than : float
             Their thickness at most, m.
+
+        Returns
+        -------
+        list of (str, float)
+            Their names and thicknesses, m.
         """
         return panels_below(self.vertices, self.triangles, self.labels or (), thinner_than)
 

@@ -1,0 +1,249 @@
+"""Writes docs/scene_file.md: every table and key of a scene file, from the models that read it and the constructors they call.
+
+``python docs/site/scene_file.py``; a test compares the page with what this makes.
+"""
+
+import ast
+import inspect
+import re
+import textwrap
+import types
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+
+from clsim.render.options import RenderOptions
+from clsim.scene.ends import Receiver
+from clsim.scene.fluctuation import Fluctuation
+from clsim.scene_file.explain import kinds, tables_of
+from clsim.scene_file.scene import SceneModel, _Common
+
+PAGE = Path(__file__).parents[1] / "scene_file.md"
+UNIT = re.compile(
+    r"(?<![\w^`])(m/s|m²|Hz|dB/m|dB|Pa/V|V/Pa|Pa|rad|ppm|°C|°|kg/m³|N s/m⁴|samples|MiB|m|s|V)(?=[;.,]|$| of|\))"
+)
+HEAD = """# Scene files
+
+Every table and key, with what it holds, its unit and its default. Files that are named are relative to the scene file. `clsim new`
+writes a commented file to begin with, `clsim check` says what a file would compute, and `clsim schema` gives a JSON schema for editors.
+Texts are in quotes, numbers may be written as `40e3`, lists in brackets; unknown keys are errors.
+
+"""
+# Of keys that no constructor has: they choose one, or are written otherwise.
+TEXTS = {
+    "kind": "Which of the kinds this table is.",
+    "format": "Of the file; 1.",
+    "room": "What the sound is in.",
+    "air": "What it travels through.",
+    "sources": "What sounds: a `[[sources]]` each.",
+    "receivers": "What hears: a `[[receivers]]` each; one with `positions` is an array.",
+    "scatterers": "What moves and scatters: a `[[scatterers]]` each.",
+    "paths": "Which paths are looked for.",
+    "render": "How sound is made of them.",
+    "path": "A file, relative to the scene file.",
+    "phases_path": "A second file, with the phases in degrees.",
+    "materials": "A material, or materials by the names of groups and `default`.",
+    "walls": "A material, or materials by wall: `x_min` to `z_max` and `default`.",
+    "obstacles": "What stands in the room: a `[[room.obstacles]]` each, a mesh or a plan.",
+    "default": "Of walls that are not named.",
+    "roughness": "Standard deviation of the surface's height, m.",
+    "sheets_below": "Shells thinner than this are taken as sheets, m; 0 for none.",
+    "reflection": "The same factor at all frequencies: a number, or `[real, imaginary]`.",
+    "named": "Of the built-in materials: `clsim materials` lists them.",
+    "pulse": "What is repeated: a signal of its own.",
+    "positions": "Where they are: a grid or a file.",
+    "pillars": "Outlines of pillars: lists of corners, m.",
+    "speed_of_sound": "m/s, or `\"iso9613\"`; by temperature, humidity and pressure where left out.",
+    "interpolator": "The filter that delays.",
+    "baseband": "Complex envelopes about a carrier instead of sound.",
+    "phases": "One per magnitude, rad.",
+    "aim": "A fixed direction in which the axis points; for trajectories without orientations of their own.",
+    "flush": "Whether it sits in a wall, or the direction off the wall that it sits in.",
+    "rear": "Beyond the last angle of the table: as there, mirrored, or nothing.",
+    "side": "Which side of a table of -180° to 180° counts.",
+    "outside": "`\"hold\"`: outside its frequencies as at the nearest; an error where left out.",
+    "relative_to_axis": "Whether values are divided by that on the axis.",
+    "sequence": "Which sequence of chips.",
+    "magnitudes": "One per frequency, Pa/V of sources and V/Pa of receivers.",
+}  # fmt: skip
+# Of keys of small tables that no constructor tells of by their names, by the table.
+SMALL = {
+    "_Segment": {"start": "Name of the joint at which it begins.", "end": "Name of the joint at which it ends.", "radius": "Of its cross-section, m."},
+    "_Direct": {"source": "Name of the source.", "receiver": "Name of the receiver.", "level_db": "Of the direct sound, dB."},
+    "_Scattering": {"frequencies": "Increasing, Hz.", "values": "Scattering coefficients there, 0 to 1."},
+}  # fmt: skip
+
+
+def type_of(annotation: Any) -> str:
+    """Return what a key may hold, in words."""
+    if get_origin(annotation) is Annotated:
+        return type_of(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        parts = [part for part in get_args(annotation) if part is not type(None)]
+        return " or ".join(dict.fromkeys(type_of(part) for part in parts))
+    if get_origin(annotation) is Literal:
+        return " or ".join(f'`"{word}"`' if isinstance(word, str) else str(word) for word in get_args(annotation))
+    if get_origin(annotation) is list:
+        inner = type_of(get_args(annotation)[0])
+        return "list of tables" if "table" in inner else f"list of {inner}s" if " " not in inner else f"list ({inner})"
+    if get_origin(annotation) is dict or tables_of(annotation):
+        return "table"
+    return {float: "number", int: "whole number", str: "text", bool: "true or false"}.get(annotation, "value")
+
+
+def default_of(field: Any) -> str:
+    """Return a key's default as the file has it; a dash where there is none, nothing where it must be given."""
+    if field.is_required():
+        return "must be given"
+    value = field.get_default(call_default_factory=True)
+    if value is None or value is PydanticUndefined:
+        return "–"
+    if isinstance(value, BaseModel):
+        kind = getattr(value, "kind", "")
+        return f'`{{ kind = "{kind}" }}`' if kind else "`{}`"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def constructors(model: type[BaseModel]) -> Iterator[Callable[..., Any]]:
+    """Yield what a model's methods call by name: the constructors whose arguments its keys are."""
+    methods = [
+        (name, found) for base in model.__mro__ for name, found in vars(base).items() if inspect.isfunction(found)
+    ]
+    for name, method in methods:
+        if name not in ("build", "parts") or not method.__module__.startswith("clsim."):
+            continue
+        tree = ast.parse(textwrap.dedent(inspect.getsource(method)))
+        for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call | ast.Attribute)):
+            target = ast.unparse(call.func if isinstance(call, ast.Call) else call)
+            if re.fullmatch(r"[A-Za-z_][\w.]*", target) and target.split(".")[0] in method.__globals__:
+                found: Any = method.__globals__[target.split(".")[0]]
+                for part in target.split(".")[1:]:
+                    found = getattr(found, part, None)
+                if callable(found) and str(getattr(found, "__module__", "")).startswith("clsim."):
+                    yield found
+
+
+def described(function: Any) -> dict[str, str]:
+    """Return what a docstring tells of each parameter, in a line."""
+    text = inspect.cleandoc(function.__doc__ or "")
+    found: dict[str, str] = {}
+    names: list[str] = []
+    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", text, re.MULTILINE | re.DOTALL)
+    for line in (section[1] if section else "").splitlines():
+        if line and not line[0].isspace():
+            names = [name.strip().lstrip("*") for name in line.partition(" : ")[0].split(",")]
+            found |= dict.fromkeys(names, "")
+        elif line.strip():
+            found |= {name: f"{found[name]} {line.strip()}".strip() for name in names}
+    return found
+
+
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """Return what each key of a table means."""
+    told: dict[str, str] = dict(SMALL.get(model.__name__, {}))
+    owners = [*constructors(model), *((RenderOptions,) if model.__name__ == "_Render" else ())]
+    if model.__name__ == "_Paths":
+        from clsim.paths.find_paths import find_paths
+
+        owners.append(find_paths)
+    if issubclass(model, _Common):
+        owners.append(Receiver)
+    if model.__name__ == "_Fluctuation":
+        owners.append(Fluctuation)
+    if model is SceneModel:
+        from clsim.scene.scene import Scene
+
+        owners.append(Scene)
+    for owner in owners:
+        told = described(owner) | told
+    own = {name: TEXTS[name] for name in model.model_fields if name in TEXTS}
+    for name, field in model.model_fields.items():
+        if name not in own and name not in told and tables_of(field.annotation):
+            told[name] = (
+                f"A table: see {' and '.join(dict.fromkeys(title(t) for _, t in tables_of(field.annotation)))}."
+            )
+    return told | {name: text for name, text in own.items() if name not in told or name in TEXTS}
+
+
+def title(model: type[BaseModel]) -> str:
+    """Return what a table is called: words of the model's name, and its kind."""
+    words = re.sub(r"Model$", "", model.__name__.strip("_"))
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", words).lower()
+    return f'{words}, `kind = "{kinds(model)[0]}"`' if kinds(model) else words
+
+
+def all_tables() -> dict[type[BaseModel], str]:
+    """Return every table of a scene file, with where it first stands."""
+    found: dict[type[BaseModel], str] = {SceneModel: ""}
+    waiting = [SceneModel]
+    while waiting:
+        model = waiting.pop(0)
+        for name, field in model.model_fields.items():
+            for _, table in tables_of(field.annotation):
+                if table not in found:
+                    many = get_origin(field.annotation) is list or "list[" in str(field.annotation)[:40]
+                    found[table] = f"{found[model]}.{name}".strip(".") + ("[]" if many else "")
+                    waiting.append(table)
+    return found
+
+
+def example_of(name: str, field: Any) -> str:
+    """Return a line of TOML in which the key stands, with its default or a value of its type."""
+    if tables_of(field.annotation):
+        inner = tables_of(field.annotation)[0][1]
+        kind = f'kind = "{kinds(inner)[0]}", ' if kinds(inner) else ""
+        return f"`{name} = {{ {kind}… }}`" if get_origin(field.annotation) is not list else f"`[[{name}]]`"
+    value = default_of(field)
+    if value.startswith("`") and value not in ("`[]`",):
+        return f"`{name} = {value.strip('`')}`"
+    return f"`{name} = {EXAMPLES.get(name) or _sample(field.annotation)}`"
+
+
+EXAMPLES = {
+    "name": '"robot"', "path": '"room.obj"', "size": "[8.0, 6.0, 3.0]", "outline": "[[0, 0], [8, 0], [8, 5], [0, 5]]", "height": "3.0",
+    "frequency": "40e3", "duration": "2.0", "sampling_rate": "192e3", "position": "[1.0, 1.0, 2.5]", "center": "[4.0, 3.0, 1.5]",
+    "radius": "0.5", "period": "1.0", "start": "30e3", "stop": "50e3", "max_gap": "0.5", "repair": '["gaps"]', "topic": '"/robot/odom"',
+    "aim": "[0.0, 0.0, -1.0]", "wind": "[0.3, 0.0, 0.0]", "heights": "[0.0, 3.0]", "max_order": "3", "carrier": "40e3", "bandwidth": "3e3",
+    "frequencies": "[30e3, 50e3]", "coefficients": "[0.1, 0.2]", "factors": "[0.9, [0.8, 0.1]]", "impedances": "[[3.0, -1.0], [2.5, -0.5]]",
+    "named": '"plywood"', "target_strength_db": "-20.0", "semi_axes": "[0.02, 0.05, 0.09]", "band": "[30e3, 50e3]", "bits": "8",
+    "adc_bits": "12", "adc_full_scale": "1.0", "self_noise_db": "20.0", "ambient_noise_db": "30.0", "count": "10", "seed": "1",
+    "flow_resistivity": "20e3", "thickness": "0.05", "density": "1800.0", "sound_speed": "2500.0", "magnitudes": "[0.5, 1.0]",
+}  # fmt: skip
+
+
+def _sample(annotation: Any) -> str:
+    kind = type_of(annotation)
+    word = re.search(r'`("[^`]*")`', kind)
+    if word:
+        return word[1]
+    if kind.startswith("list"):
+        return "[0.0, 1.0, 2.0]"
+    return {"number": "1.0", "whole number": "1", "text": '"…"', "true or false": "true"}.get(
+        kind.split(" or ")[0], "…"
+    )
+
+
+def page() -> str:
+    """Return the page."""
+    parts = [HEAD]
+    for model, where in all_tables().items():
+        parts.append(f"## `{where or 'the file'}`: {title(model)}\n\n" if where else "## The file itself\n\n")
+        parts.append("| key | what | type | unit | default | example |\n|---|---|---|---|---|---|\n")
+        told = meanings(model)
+        for name, field in model.model_fields.items():
+            text = re.sub(r"\s+", " ", told.get(name, field.description or "")).replace("|", "or").replace("<", "&lt;")
+            text = re.sub(r"``([^`]*)``", r"`\1`", text)
+            unit = UNIT.search(text)
+            shown = [f"`{name}`", text, type_of(field.annotation), unit[1] if unit else "", default_of(field)]
+            parts.append("| " + " | ".join([*shown, example_of(name, field)]) + " |\n")
+        parts.append("\n")
+    return "".join(parts).rstrip() + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), "utf-8")
