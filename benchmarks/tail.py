@@ -25,8 +25,8 @@ def scene(kind: str, seconds: float) -> clsim.Scene:
     grid = np.stack(np.meshgrid(np.arange(8), np.arange(8)), axis=-1).reshape(-1, 2) * 0.05
     ways = {
         "one, still": [clsim.Trajectory.fixed(EAR)],
-        "one, moving": [clsim.Trajectory.line(EAR, EAR + [1.5, 0.0, 0.0], seconds + 3.0)],
-        "64, still": [clsim.Trajectory.fixed(EAR + [x, y, 0.0]) for x, y in grid],
+        "one, moving": [clsim.Trajectory.line(EAR, EAR + np.array([1.5, 0.0, 0.0]), seconds + 3.0)],
+        "64, still": [clsim.Trajectory.fixed(EAR + np.array([x, y, 0.0])) for x, y in grid],
     }[kind]
     wall = clsim.Material.from_absorption([125.0, 1e3, 8e3], [0.05, 0.09, 0.15], scattering=0.2)
     ends = [clsim.Receiver(f"r{i}", way) for i, way in enumerate(ways)]
