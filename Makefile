@@ -11,12 +11,16 @@ demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
 	@echo "The spectrogram is in out/demo/ceiling_spectrogram.png, the sound in out/demo/ceiling.wav, the path table in out/demo/paths.npz"
 
+# Tests run several at a time: threads of linear algebra would only wait for each other.
+test test-exhaustive: export OPENBLAS_NUM_THREADS = 1
+
 # What runs at every change. What is long and seldom fails is in `test-exhaustive`, of which this has a few of each kind.
 test: .venv/tested
 	$(BIN)/python -m pytest
 
+# Many of these wait for processes that they start: three at a time.
 test-exhaustive: .venv/tested
-	$(BIN)/python -m pytest -m exhaustive
+	$(BIN)/python -m pytest -m exhaustive -n 3
 
 test-all: test test-exhaustive
 

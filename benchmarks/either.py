@@ -31,7 +31,11 @@ ARRAYS = {  # new name of an array that is written: old one
 KEYS = {"convolve_static": "convolve_at_rest", "prune_below_db": "quietest_db"}
 VALUES = {("kind", "first-order"): ("kind", "cardioid")}
 ADDED: dict[str, Any] = {
-    "responses": "band"
+    "responses": "band",
+    "tail": "off",
+    "tail_directions": 64,
+    "tail_error_db": 0.25,
+    "tail_seed": 0,
 }  # key of a completed scene that only one version has: value at which it says nothing new
 GROUND_TRUTH = "ground_truth" if hasattr(clsim, "direct_path") else "truth"
 DIRECTIVITY_HOMES = ("clsim", "clsim.scene.directivity", "clsim.scene.directivity.patterns")

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr
+from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.paths.coverage import check_band_coverage
 from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
 from clsim.paths.path_set import PathSet
+from clsim.tail.design import ULTRASOUND
+from clsim.tail.frozen import frozen_tails
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
 LEADS = ("cut", "keep")
+TAILS = ("off", "auto")
 _WIDEST = 0.95  # of half the sampling rate
 _NARROWEST = 1e-3  # of the sampling rate
 _LOWEST = 2e-4  # of the sampling rate, other than 0
@@ -53,6 +56,8 @@ class ImpulseResponses:
         Delay of the earliest path, s, as in the path table; nan where none is heard.
     cut_db : ndarray (sources, receivers)
         Share of each response's energy that lay before time 0 and was cut, dB; -inf for none.
+    notes : tuple of str
+        What tails were added.
     """
 
     samples: Floats
@@ -63,6 +68,7 @@ class ImpulseResponses:
     scene: Scene
     first_arrivals: Floats
     cut_db: Floats
+    notes: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -94,7 +100,7 @@ class ImpulseResponses:
                 f"what rings before time 0 is cut: at most {self.cut_db[s, r]:.0f} dB of a response's energy, that of "
                 f"{rows[0][s]} at {rows[1][r]}"
             )
-        return lines
+        return [*lines, *self.notes]
 
 
 def impulse_responses(
@@ -104,6 +110,8 @@ def impulse_responses(
     band: tuple[float, float] | None = None,
     *,
     lead: str = "cut",
+    tail: str = "off",
+    tail_seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> ImpulseResponses:
     """Return the impulse response of every source and receiver at an instant.
@@ -122,6 +130,11 @@ def impulse_responses(
     lead : {"cut", "keep"}
         What becomes of what rings before time 0, where a receiver is so close that an arrival does: it is cut, so that
         sample 0 is time 0, or kept, and sample `ImpulseResponses.lead` is time 0.
+    tail : {"off", "auto"}
+        Whether what images leave is added as a diffuse tail by rays, as long as it is heard: with "auto" in closed
+        rooms, for bands that begin below 40 kHz.
+    tail_seed : int
+        Of the rays and of the tails' noise.
     progress : callable, optional
         Called now and then with the share of the work that is done, 0 to 1.
 
@@ -169,6 +182,8 @@ def impulse_responses(
         scene, range(len(scene.sources)), max(kept.low, kept.high * 1e-3), kept.high, "the band of the responses"
     )
     as_choice("lead", lead, LEADS)
+    with_tail = as_choice("tail", tail, TAILS) == "auto" and kept.low < ULTRASOUND
+    seed = as_count("tail_seed", tail_seed)
     heard = _heard_pairs(paths, time)
     if not heard:
         raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
@@ -182,14 +197,31 @@ def impulse_responses(
             found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
             progress((i + 1) / len(heard))
+    notes = _add_tails(paths, time, rate, kept, seed, found) if with_tail else ()
     samples, before = _on_one_axis(shape, found)
     made = ImpulseResponses(
         read_only(samples), rate, before, time, (kept.low, kept.high), scene, read_only(first_arrivals),
-        read_only(cut_db),
+        read_only(cut_db), notes,
     )  # fmt: skip
     if cut_db.max() > _LOUD_LEAD_DB:
         warn(f'lead="cut": {made.describe()[1]}; lead="keep" keeps it')
     return made
+
+
+def _add_tails(
+    paths: PathSet, time: float, rate: float, band: ResponseBand, seed: int,
+    found: dict[tuple[int, int], ImpulseResponse],
+) -> tuple[str, ...]:  # fmt: skip
+    """Add every source's tail to what was found of pairs at a time, s; return what it is, a line each."""
+    told = []
+    for source in sorted({source for source, _ in found}):
+        tails, what = frozen_tails(paths, source, time, rate, band, seed)
+        for receiver, one in enumerate(tails):
+            before = [found[source, receiver]] if (source, receiver) in found else []
+            found[source, receiver] = summed([*before, one])
+        left = f"without it {what.left_db:.1f} dB of the energy is missing"
+        told.append(f"source {source}: diffuse tail of {what.describe()}; {left}")
+    return tuple(told)
 
 
 def _earliest(pair: PairPaths, now: Floats) -> float:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.commands.arguments import add_scene
+from clsim.render.tails import left_by_images
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import plan_scene
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from clsim.paths.path_set import PathSet
     from clsim.scene_file.scene import SceneFile
+    from clsim.workflow.pipeline import PlannedScene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +34,7 @@ def execute(options: argparse.Namespace) -> int:
         print(*file.scene.room.edges().describe(), *_thin(file), sep="\n", flush=True)
     planned = plan_scene(file, progress)
     passing = [] if file.scene.room.is_convex and not file.scene.bodies else [_comings_and_goings(planned.paths)]
-    for line in [*passing, *planned.plan.describe()]:
+    for line in [*passing, *planned.plan.describe(), *_left_by_images(planned)]:
         print(line)
     scene = file.scene
     for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
@@ -40,6 +42,13 @@ def execute(options: argparse.Namespace) -> int:
             print(f"{field}.trajectory: {note}")
     print("the scene file is valid")
     return 0
+
+
+def _left_by_images(planned: PlannedScene) -> list[str]:
+    """Return what images leave to a tail, unless the plan has it."""
+    asked = planned.plan.options
+    left = left_by_images(planned.paths, asked.sampling_rate) if asked.tail == "off" else None
+    return [] if left is None else [f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter"]
 
 
 def _thin(file: SceneFile) -> list[str]:

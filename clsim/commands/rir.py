@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from clsim.commands.arguments import add_force, add_scene, as_path
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
-from clsim.impulse_responses import as_response_band, impulse_responses
+from clsim.impulse_responses import TAILS, as_response_band, impulse_responses
 from clsim.output.response_files import response_names, write_response_sounds, write_responses
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
@@ -19,7 +19,14 @@ if TYPE_CHECKING:
 
     from clsim.scene.scene import Scene
 
-_FIELDS = {"at": "--at", "band": "--band", "band[0]": "--band", "band[1]": "--band", "path": "--output"}
+_FIELDS = {
+    "at": "--at",
+    "band": "--band",
+    "band[0]": "--band",
+    "band[1]": "--band",
+    "path": "--output",
+    "tail": "--tail",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--lead", choices=("cut", "keep"), default="cut",
         help="what rings before time 0: cut, so that sample 0 is time 0 (default), or kept",
     )  # fmt: skip
+    parser.add_argument(
+        "--tail", choices=TAILS, default="off",
+        help="what images leave as a diffuse tail: off (default), or auto, in closed rooms and below 40 kHz",
+    )  # fmt: skip
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -59,7 +70,7 @@ def execute(options: argparse.Namespace) -> int:
         paths = find_scene_paths(file, progress)
         with progress("impulse responses", 1.0) as advance:
             found = impulse_responses(
-                paths, rate, options.at, options.band, lead=options.lead, progress=shares(advance)
+                paths, rate, options.at, options.band, lead=options.lead, tail=options.tail, progress=shares(advance)
             )
         made = [target.ready() for target in targets]
         if kind == "wav":

@@ -1,7 +1,8 @@
-"""Interpolation over the sphere."""
+"""Points spread over the sphere, and interpolation over it."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,36 @@ if TYPE_CHECKING:
 _SAME = 1e-5  # rad, between directions that count as one
 _SAME_CIRCLE = 1e-4  # rad, between circles of a grid that count as one
 _NEIGHBOURS = 4
+
+
+def fibonacci_sphere(count: int) -> Floats:
+    """Return unit vectors spread evenly over the sphere.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+
+    Returns
+    -------
+    ndarray (count, 3)
+        Without a unit.
+
+    Notes
+    -----
+    The spiral of the golden ratio, through parts of equal area: R. Swinbank, R. J. Purser, "Fibonacci grids: a novel
+    approach to global modelling", Q. J. R. Meteorol. Soc. 132, 2006, section 3.
+
+    Examples
+    --------
+    >>> fibonacci_sphere(4)[:, 2].tolist()
+    [0.75, 0.25, -0.25, -0.75]
+    """
+    i = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * i / count
+    angle = math.pi * (1.0 + math.sqrt(5.0)) * i
+    across = np.sqrt(1.0 - z * z)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
 
 
 def merged(directions: Floats, values: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:

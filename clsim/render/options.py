@@ -21,10 +21,11 @@ Motion = Literal["retarded", "quasi-static"]
 Amplitude = Literal["wave-equation", "static", "convective"]
 Responses = Literal["band", "centre"]
 Engine = Literal["opencl", "reference"]
+TailChoice = Literal["off", "auto"]
 
 _BANDLIMITED = Bandlimited()
 _OF_TRACKS = {"of_tracks": True}  # metadata of options that `track` and `pruned` carry out
-_WORDS = {"motion": Motion, "amplitude": Amplitude, "responses": Responses, "engine": Engine}
+_WORDS = {"motion": Motion, "amplitude": Amplitude, "responses": Responses, "engine": Engine, "tail": TailChoice}
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -77,6 +78,15 @@ class RenderOptions:
         Whether what a source emits in narrow bands is rendered as complex envelopes at low rates, several times
         faster, and only the rest of it (onsets, ends) at the recording's; where the scene allows it, with the OpenCL
         engine and a `Bandlimited` interpolator. Left out: where an estimate says that it pays.
+    tail : {"off", "auto"}
+        Whether what images leave, higher orders and all that walls scatter, is rendered as a diffuse tail by rays:
+        with "auto" for sources whose signal reaches below 40 kHz, in closed rooms, where more than -60 dB is left.
+    tail_directions : int
+        Directions from which tails arrive, 16 to 1024.
+    tail_error_db : float
+        Standard error of a tail's energies in windows of 20 ms, 0.02 to 3 dB, for which rays are traced.
+    tail_seed : int
+        Of the rays and of the tails' noise.
 
     Raises
     ------
@@ -109,6 +119,10 @@ class RenderOptions:
     chunk: int | None = None
     convolve_static: bool = True
     narrowband: bool | None = None
+    tail: TailChoice = "off"
+    tail_directions: int = 64
+    tail_error_db: float = 0.25
+    tail_seed: int = 0
 
     def __post_init__(self) -> None:
         rate = as_number("sampling_rate", self.sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
@@ -125,12 +139,17 @@ class RenderOptions:
                 "response_error_db", self.response_error_db, at_least=-120.0, at_most=-20.0, unit="dB"
             ),
             "convolve_static": as_flag("convolve_static", self.convolve_static),
+            "tail_directions": as_count("tail_directions", self.tail_directions, at_least=16, at_most=1024),
+            "tail_error_db": as_number("tail_error_db", self.tail_error_db, at_least=0.02, at_most=3.0, unit="dB"),
+            "tail_seed": as_count("tail_seed", self.tail_seed),
         }
         if self.narrowband is not None:
             checked["narrowband"] = as_flag("narrowband", self.narrowband)
         if self.baseband is not None:
             if self.narrowband:
                 raise InputError("narrowband", "must not be True in baseband, which is narrow as a whole")
+            if self.tail != "off":
+                raise InputError("tail", f"must be 'off' in baseband, but is {self.tail!r}")
             checked["baseband"] = as_baseband(self.baseband, rate)
             if not isinstance(self.interpolator, Bandlimited):
                 raise InputError("interpolator", f"must be Bandlimited in baseband, but is {self.interpolator!r:.80}")

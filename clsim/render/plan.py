@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clsim.render.source_filters import SourceFilters
     from clsim.render.static_pairs import StaticPairs
     from clsim.scene.ends import Receiver
+    from clsim.tail.design import SourceTail
     from clsim.tracks.tracks import Tracks
 
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
@@ -61,6 +62,10 @@ class Plan:
         What of the sources' signals is rendered as complex envelope, and not by their filters.
     not_narrow : tuple of str
         Why some have none although it would pay, a sentence each.
+    tails : tuple of SourceTail or None
+        What images leave of each source; empty without tails.
+    no_tail : tuple of str
+        Why some have none, a sentence each.
     contributions : tuple of Contribution
         What adds to the pressure at the receivers, in this order.
     builders : sequence of callable
@@ -79,6 +84,8 @@ class Plan:
     left_out: str
     narrow_parts: tuple[NarrowPart, ...]
     not_narrow: tuple[str, ...]
+    tails: tuple[SourceTail | None, ...]
+    no_tail: tuple[str, ...]
     builders: InitVar[Sequence[Callable[[Plan], Contribution | None]]]
     contributions: tuple[Contribution, ...] = field(init=False)
 
@@ -267,6 +274,7 @@ class Plan:
             f"delays change by at most {self.max_rate:.3g} s/s",
             *([self.left_out] if self.left_out else []),
             *self.not_narrow,
+            *self.no_tail,
         ]
         if self.baseband is not None:
             lines[1] += f"; complex envelopes of {self.baseband.bandwidth:g} Hz about {self.baseband.carrier:g} Hz"

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from clsim.errors import InputError
 from clsim.numerics.upsampling import Upsampler
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
+from clsim.render.diffuse_tail import diffuse_tail
 from clsim.render.envelope import design_envelope
 from clsim.render.narrow_band import NarrowFilters, design_split
 from clsim.render.narrow_choice import chosen_split
@@ -22,6 +23,7 @@ from clsim.render.plan import BLOCKS, SEGMENT, NarrowPart, Plan, max_rate
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.render.static_convolution import static_convolution
 from clsim.render.static_pairs import StaticPairs, find_static_pairs
+from clsim.render.tails import NO_TAILS, FoundTails, find_tails
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 from clsim.tracks.pruning import pruned
 from clsim.tracks.sampled import Draw
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import SceneTracks, Tracks
 
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
-BUILDERS: list[Callable[[Plan], Contribution | None]] = [path_sum, narrow_parts, static_convolution]
+BUILDERS: list[Callable[[Plan], Contribution | None]] = [path_sum, narrow_parts, static_convolution, diffuse_tail]
 
 _PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
 _LONG_CHUNK = 48  # segments, beyond which a chunk gains nothing
@@ -72,15 +74,16 @@ def plan_render(paths: PathSet, options: RenderOptions) -> Plan:
     return plan_paths(paths, options)
 
 
-def plan_paths(paths: PathSet, options: RenderOptions) -> Plan:
-    """Return the plan of rendering a scene's paths; see `plan_render`."""
+def plan_paths(paths: PathSet, options: RenderOptions, progress: Callable[[float], None] | None = None) -> Plan:
+    """Return the plan of rendering a scene's paths; see `plan_render`. Rays tell their progress, from 0 to 1."""
     scene = paths.scene
     if options.baseband is not None:
         check_ends(scene)
     ringing = _check_receivers(scene, options.sampling_rate)
     tracks, left_out = _tracks(paths, options)
     emissions = [(source.emitted, source.start) for source in scene.sources]
-    return plan_tracks(emissions, tracks, options, ringing=ringing, left_out=left_out)
+    tails = find_tails(paths, options, progress)
+    return plan_tracks(emissions, tracks, options, ringing=ringing, left_out=left_out, tails=tails)
 
 
 def plan_tracks(
@@ -90,14 +93,17 @@ def plan_tracks(
     *,
     ringing: float = 0.0,
     left_out: str = "",
+    tails: FoundTails = NO_TAILS,
 ) -> Plan:
     """Return the plan of rendering signals, each from its start (s) on, along tracks.
 
-    Receivers ring on for a while, s, and `left_out` tells what of the scene is not in the tracks.
+    Receivers ring on for a while, s, `left_out` tells what of the scene is not in the tracks, tails what images leave.
     """
+    if options.tail != "off" and tracks.of_scene is None:
+        raise InputError("tail", f"must be 'off' for tracks without a room, but is {options.tail!r}")
     rate = options.sampling_rate
     heard_at = rate if options.baseband is None else options.baseband[2] or rate
-    samples = _samples(emissions, tracks, heard_at, options.duration, ringing)
+    samples = _samples(emissions, tracks, heard_at, options.duration, ringing, tails.duration)
     pairs = find_static_pairs(tracks, options)
     filters, narrow, not_narrow = _source_filters(emissions, tracks, pairs, options, samples / heard_at)
     segment, blocks = _blocks(tracks, options, heard_at)
@@ -105,7 +111,7 @@ def plan_tracks(
     parts = tuple(_narrow_part(carrier, narrow, tracks, pairs, options, samples) for carrier in _carriers(narrow))
     return Plan(
         options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, left_out, parts, not_narrow,
-        BUILDERS,
+        tails.of_sources, tails.told, BUILDERS,
     )  # fmt: skip
 
 
@@ -148,14 +154,19 @@ def _tracks(paths: PathSet, options: RenderOptions) -> tuple[SceneTracks, str]:
 
 
 def _samples(
-    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, rate: float, duration: float | None, ringing: float
+    emissions: Sequence[tuple[Signal, float]],
+    tracks: Tracks,
+    rate: float,
+    duration: float | None,
+    ringing: float,
+    tail: float,
 ) -> int:
-    """Return the length: as asked, or until all that was emitted has been heard."""
+    """Return the length: as asked, or until all that was emitted has been heard, with tails that last so long, s."""
     last = tracks.last_time()
     if duration is None:
         end = max(start + signal.duration for signal, start in emissions)
         known = end if math.isinf(last) else min(end, last)
-        duration = min(last, end + tracks.longest_delay(known, known) + ringing)
+        duration = min(last, end + max(tracks.longest_delay(known, known), tail) + ringing)
     elif duration > last * (1 + 1e-12) + 0.5 / rate:
         raise InputError(
             "duration",
@@ -221,7 +232,8 @@ def _narrow_part(
     count, segment = samples_needed(samples, upsampler), segment_of(blocks)
     chunk = _chunk(tracks, within, count, carrier[1], segment)
     plan = Plan(
-        within, tracks, StaticPairs(others), filters, carrier[1], count, chunk, segment, blocks, "", (), (), [path_sum]
+        within, tracks, StaticPairs(others), filters, carrier[1], count, chunk, segment, blocks, "", (), (), (), (),
+        [path_sum],
     )  # fmt: skip
     return NarrowPart(plan, tuple(mine), upsampler)
 

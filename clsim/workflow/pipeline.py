@@ -14,7 +14,8 @@ from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
 from clsim.paths.scattering.truth import scatterer_truth
-from clsim.render.planning import plan_render
+from clsim.render.options import RenderOptions
+from clsim.render.planning import plan_paths
 from clsim.scene_file.scene import completed_scene, referenced_files
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
@@ -98,7 +99,10 @@ def plan_scene(file: SceneFile, progress: Progress = no_progress) -> PlannedScen
     """
     paths = find_scene_paths(file, progress)
     with _errors_within("render"):
-        return PlannedScene(file, paths, plan_render(paths, **file.render))
+        options = RenderOptions(**file.render)
+        what = "planning" if options.tail == "off" else "tracing rays"
+        with progress(what, 1.0) as advance:
+            return PlannedScene(file, paths, plan_paths(paths, options, shares(advance)))
 
 
 def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathSet:

@@ -10,8 +10,6 @@ typedef struct {
     int block_samples, subblock_samples;
 } activity_mask;
 
-static real later(real a, real b) { return a > b ? a : b; }
-static real sooner(real a, real b) { return a < b ? a : b; }
 static int cell_at(const activity_mask* s, real sample)
 {
     const real cell = sample * (1.0f / CELL);

@@ -113,9 +113,10 @@ static double4 sines(double4 angle, double4* cosines)
     return ((of_turn < -0.5) | (of_turn > 1.5)) ? -sine : sine;
 }
 
-// The field over that of free air of the length of the shortest way, which is returned, m; ends are along the edge's axes.
+// The field over that of free air of the length of the shortest way, which is returned, m, and where it meets the edge; ends
+// are along the edge's axes.
 static double edge_field(const surroundings* around, const edge_tables* t, __global const edge_view* edge, int slot, triple s,
-                         triple r, double raised, response* field)
+                         triple r, double raised, double* place, response* field)
 {
     const double r_s = off_edge(s), r_r = off_edge(r), across = r_s + r_r, along = s.z - r.z, n = edge->n;
     const double length = sqrt(across * across + along * along), breadth = sqrt(2.0 * r_s * r_r / length * raised);
@@ -150,7 +151,9 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
             for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] += one.part[part][b];
         }
     }
-    if (edge->end_side) by_end(t, edge, s, r, (s.z * r_r + r.z * r_s) / across, raised, field);
+    const double apex = (s.z * r_r + r.z * r_s) / across;
+    if (edge->end_side) by_end(t, edge, s, r, apex, raised, field);
+    *place = edge->end_side ? edge->end : apex;
     return length;
 }
 #endif

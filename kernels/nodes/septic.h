@@ -18,6 +18,18 @@ static void septic(const double* value, const double* slope, double* c)
     c[7] = (2.0 * u1 - d1) / 256.0 - 11.0 / 6912.0 * d3 + u3 / 1152.0;
 }
 
+// Delays over a walk as a septic on [-1, 1], from `coarse` ones (see coarse_delays.cl) at both of its ends and one beside
+// each, which are told in `ends`.
+static void predict(__global const double* coarse, long slots, double walk_time, double* ends, double* predicted)
+{
+    double slopes[4];
+    for (int i = 0; i < 4; i++) {
+        ends[i] = coarse[2 * i * slots];
+        slopes[i] = coarse[(2 * i + 1) * slots] * (0.5 * walk_time);
+    }
+    septic(ends, slopes, predicted);
+}
+
 #if DELAY_TERMS == 8
 // Write the delay of the block between the middle two nodes, in samples less the whole delay, which is returned.
 static int write_septic(const double* delay, const double* rate, double sampling_rate, double half_block,

@@ -74,9 +74,9 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     __global const edge_view* edge = s->edge;
     const triple from = place_by_edge(edge->source_turn, edge->source_shift, cubic(a->knot[beside], OF_NODE(a->u, beside)));
     const triple to = triple_of(&s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].ear.position, beside);
-    const double place = edge->end_side ? edge->end : (from.z * off_edge(to) + to.z * off_edge(from)) / (off_edge(from) + off_edge(to));
+    double place;
     response field[1];
-    const double length = edge_field(around, &s->tables, edge, s->slot, from, to, OF_NODE(a->mach_factor, beside), field);
+    const double length = edge_field(around, &s->tables, edge, s->slot, from, to, OF_NODE(a->mach_factor, beside), &place, field);
     const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, beside),
                           into_room(edge->source_turn, towards_edge(from, place)),
                           times(-1.0, into_room(edge->receiver_turn, towards_edge(to, place))), a->knot[beside], OF_NODE(a->u, beside)};
@@ -96,4 +96,14 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     for (int k = 0; k < 3; k++) frame[k] = triple_of(s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].frame + k, beside);
 #endif
     return path_gains(&here, around, s->slots, s->slot, frame, field, gain, unheld);
+}
+
+// What no function holds of a path heard from sample `from` to `until`, at nodes up to `near` from a sample. Nodes of paths
+// over edges where these are not heard may lie beyond a boundary, and the functions are not made for such: they do not count.
+static float left_where_heard(float left_over, int sample, int near, int from, int until)
+{
+#if EDGES
+    if (from > sample - near || until < sample + near) return 0.0f;
+#endif
+    return left_over;
 }

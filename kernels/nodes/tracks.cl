@@ -49,19 +49,13 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const triple offset = image_offset_of(image_offset, slots, slot);
     __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
-    const surroundings around = {nepers,     lead,        projection, functions, weight, strengths,
-                                 reflection, wall_tables, wall_of,   normal, source_directivity,
-                                 receiver_directivities + directivity_of[receiver_of[slot]],
+    const surroundings around = {nepers, lead, projection, functions, weight, strengths, reflection, wall_tables, wall_of, normal,
+                                 source_directivity, receiver_directivities + directivity_of[receiver_of[slot]],
                                  function_count, angular};
     const double block_time = (double)block_samples / sampling_rate, walk_time = walk_blocks * block_time;
     const double branch_rate = oversampling * sampling_rate, half_block = 0.5 * oversampling * block_samples;
-    __global const double* coarse = coarse_delays + 2 * (first_walk + walk) * (long)slots + slot;
-    double ends[4], slopes[4], predicted[8];
-    for (int i = 0; i < 4; i++) {
-        ends[i] = coarse[2 * i * (long)slots];
-        slopes[i] = coarse[(2 * i + 1) * (long)slots] * (0.5 * walk_time);
-    }
-    septic(ends, slopes, predicted);
+    double ends[4], predicted[8];
+    predict(coarse_delays + 2 * (first_walk + walk) * (long)slots + slot, slots, walk_time, ends, predicted);
     const int from = heard_from[slot], until = heard_until[slot];
 #if SPARSE
     const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
@@ -146,9 +140,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
         f.strength = w.strength[3] > f.strength ? w.strength[3] : f.strength;
-        // Of paths over edges, nodes where one is not heard may lie beyond a boundary: the functions are not made for these.
-        const int of_use = EDGES ? from <= (block - GROUP) * block_samples && until >= (block + GROUP) * block_samples : 1;
-        const float left_here = of_use ? left_over : 0.0f;
+        const float left_here = left_where_heard(left_over, block * block_samples, GROUP * block_samples, from, until);
         f.rest = left_here > f.rest ? left_here : f.rest;
         const double time = start + (double)(block + 2) * block_time;
         if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {

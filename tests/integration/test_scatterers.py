@@ -1,11 +1,11 @@
 """What everything else makes of scatterers: tables, pages, files, engines, baseband, resumed runs, walls in the way."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from failing import Failing
 
 import clsim
 from clsim.cli import main
@@ -13,7 +13,6 @@ from clsim.output.table import read_table, write_table
 from clsim.paths.path_set import PathSet
 from clsim.paths.view import viewed
 from clsim.render import planning
-from clsim.render.contributions import Stateless
 from clsim.render.static_pairs import find_static_pairs
 from clsim.scene_file.scene import completed_scene
 from clsim.study.content import computed
@@ -189,27 +188,6 @@ def test_without_scatterers_nothing_is_looked_for(paths: PathSet) -> None:
     assert len(found.families) == 1
     assert found.digest() == clsim.find_paths(scene, 1).digest()
     assert paths.families[0].digest() == found.families[0].digest()
-
-
-@dataclass(frozen=True)
-class Failing(Stateless):
-    """Adds nothing, and fails at a sample."""
-
-    at: int
-    name: str = "failing"
-
-    def describe(self) -> list[str]:
-        return []
-
-    def digest(self) -> str:
-        return ""
-
-    def begin(self) -> "Failing":
-        return self
-
-    def add(self, pressure: np.ndarray, start: int) -> None:
-        if start == self.at:
-            raise clsim.DeviceError("the device is lost")
 
 
 def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None) -> None:

@@ -94,7 +94,10 @@ def run_commands(text: str) -> None:
             continue
         assert words[0] == "clsim", f"a command of another program: {line}"
         if words[1] == "run":
-            words += [*(["--duration", "0.05"] if "examples/circle.toml" in words else []), *([] if "--resume" in words else ["--force"])]
+            words += [
+                *(["--duration", "0.05"] if "examples/circle.toml" in words else []),
+                *([] if "--resume" in words else ["--force"]),
+            ]
         if words[1] == "study":
             words = ["clsim", "check", "examples/time_of_flight_scene.toml"]  # itself a test: the whole takes a minute
         try:

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from exhaustive import exhaustive, few
 from made_responses import POROUS, OffCentre
 from mutants import Mutants
 
@@ -87,7 +88,7 @@ def test_the_scene_has_all_that_such_paths_do() -> None:
     assert np.any(found.start > 0.0)  # pieces between boundaries
 
 
-@pytest.mark.parametrize("layout", [CPU_LAYOUT, GPU_LAYOUT])
+@pytest.mark.parametrize("layout", few([CPU_LAYOUT, GPU_LAYOUT]))
 def test_device_and_host_make_the_same(layout: Layout) -> None:
     assert difference_db(layout) < TOLERANCE_DB
 
@@ -109,8 +110,9 @@ MUTANTS = {
 
 
 @pytest.mark.slow
-def test_mutants_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    mutants = Mutants("tracks", MUTANTS)
+@pytest.mark.parametrize("names", [["walls of the other side"], exhaustive(MUTANTS)], ids=["one", "all"])
+def test_mutants_are_caught(names, monkeypatch: pytest.MonkeyPatch) -> None:
+    mutants = Mutants("tracks", {name: MUTANTS[name] for name in names})
     mutants.play(monkeypatch)
     assert difference_db() < TOLERANCE_DB, "none of them is chosen"
     assert mutants.unseen(lambda: difference_db() < TOLERANCE_DB) == []

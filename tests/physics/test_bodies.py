@@ -150,13 +150,13 @@ def fermat(
             for _ in range(60):
                 step = np.linalg.norm(place(point, time + flight) - where) / C - flight
                 flight += step
-                if abs(step) < 1e-17:
+                if abs(step) < 1e-15:
                     break
             time += flight
             where = place(point, time)
         return C * time
 
-    found = minimize(arrival, start, method="BFGS", options={"gtol": 1e-7})
+    found = minimize(arrival, start, method="BFGS", options={"gtol": 1e-6})
     return float(found.fun) / C
 
 
@@ -235,20 +235,20 @@ def door_answer(scene: clsim.Scene, times: Any) -> tuple[Any, Any]:
 
     def way(emission: Any, u: Any) -> tuple[Any, Any, Any]:
         hit = emission
-        for _ in range(30):
+        for _ in range(9):
             place = door.placed(u[:, None] * [0.0, 1.0, 0.0], hit)
             hit = emission + np.linalg.norm(place - x, axis=1) / C
         return hit + np.linalg.norm(place - y, axis=1) / C, hit, place
 
     def earliest(emission: Any) -> Any:
         u, h = np.full(len(emission), 0.5), 1e-3
-        for _ in range(6):
+        for _ in range(4):
             early, here, late = (way(emission, u + s * h)[0] for s in (-1, 0, 1))
             u = u - 0.5 * h * (late - early) / (late - 2.0 * here + early)
         return u
 
     emission, heard = times - 0.006, np.full(len(times), np.inf)
-    for _ in range(12):
+    for _ in range(6):
         u = earliest(emission)
         heard, hit, place = way(emission, u)
         emission = emission + times - heard
@@ -265,7 +265,7 @@ def door_answer(scene: clsim.Scene, times: Any) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("kind", ["tone", "chirp"])
-def test_what_a_door_sends_back_is_exact(kind: str, engine: str) -> None:
+def test_what_a_door_sends_back_is_exact(kind: str, engine: str, once: Any) -> None:
     """At 1 rad/s, at default settings: within -80 dB of the answer that changes with time."""
     if kind == "tone":
         signal = clsim.Signal.tone(40e3, duration=0.1, sampling_rate=192e3, fade=0.01)
@@ -277,8 +277,8 @@ def test_what_a_door_sends_back_is_exact(kind: str, engine: str) -> None:
     paths = clsim.find_paths(scene, 1, direct=False)
     assert (len(paths.families[-1]), paths.object_names[-1]) == (1, "door")
     heard = clsim.render(paths, sampling_rate=192e3, engine=engine).samples[0]
-    some = np.arange(int(0.025 * 192e3), int(0.085 * 192e3), 7)
-    delay, gain = door_answer(scene, some / 192e3)
+    some = np.arange(int(0.025 * 192e3), int(0.085 * 192e3), 29)
+    delay, gain = once("what a door sends back", lambda: door_answer(scene, some / 192e3))
     expected = gain * emitted(some / 192e3 - delay)
     assert np.linalg.norm(heard[some] - expected) < 1e-4 * np.linalg.norm(expected)
 

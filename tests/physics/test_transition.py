@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from exhaustive import few
+from exhaustive import exhaustive, few
 from made_meshes import l_room
 
 import clsim
@@ -115,6 +115,7 @@ def test_engines_agree_while_paths_come_and_go(transition: float) -> None:
     assert 20 * np.log10(np.linalg.norm(got - wanted) / np.linalg.norm(wanted)) < -98.0
 
 
+@pytest.mark.parametrize("engine", ["opencl", exhaustive("reference")], indirect=True)
 def test_no_step_is_larger_than_the_transition_allows(engine: str) -> None:
     # With one path at a time: what the envelope of a path can do in a sample is the slope of its raised cosine, gain
     # times pi / 2 per transition, besides what its motion does.

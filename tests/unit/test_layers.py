@@ -27,6 +27,7 @@ LAYERS = [
     ("opencl",),
     ("paths",),
     ("tracks",),
+    ("tail",),
     ("recording", "impulse_responses"),
     ("room_measures", "score"),
     ("render",),

@@ -12,10 +12,12 @@ iteration: paths are stationary, so that each round squares what is left but for
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from clsim.paths.moving.mirrors import dot
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,6 +29,11 @@ if TYPE_CHECKING:
 
 _ROUNDS = 20
 _CONVERGED = 1e-14  # s
+_APART = 4  # times from one at which events are looked for to the next: between them it is known about when they are
+_LEAST = 6 * _APART  # times, for that
+_LONGEST_GAP = 0.05  # s between these
+_FEW_ROUNDS = 3  # from there on
+_FOUND = 1e-11  # s; what the next step leaves of this is its share of the mirrors' Mach numbers
 _BEYOND = 0.5  # of a leg, by which events of paths that are not there may lie off it
 
 
@@ -120,37 +127,104 @@ def find_events(
     Events
         Also of paths that are not there: what would be seen if mirrors had no edges.
 
+    Notes
+    -----
+    Where times are many and near to each other, events are looked for at every fourth of them first: quintic splines
+    through these are where the others begin, and change no more than how many rounds that takes.
+
     References
     ----------
     A. Einstein, Annalen der Physik 17 (1905), section 8: reflection by a moving mirror, of which this is the form for
     events; for sound D. Censor, J. Acoust. Soc. Am. 76 (1984), with mirrors that leave the air at rest.
     """
-    shape = (len(walls), np.shape(times)[-1])
-    now = np.broadcast_to(np.asarray(times, dtype=np.float64), shape)
-    wind = np.array(medium.wind or (0.0, 0.0, 0.0))
-    ends = _Ends(motion, now, wind, retarded)
-    heard_at = np.broadcast_to(motion[1].position(np.asarray(times)), (*shape, 3))
-    count, c = walls.shape[1], medium.speed_of_sound
-    event, place = [np.zeros(shape)] * count, [heard_at] * count
-    emission, first = np.zeros(shape), True
-    for _ in range(rounds):
-        rest = first or not retarded
-        at = [e if retarded else np.zeros(shape) for e in event]
-        planes = [
-            _in_air(mirrors.planes(walls[:, k], now, at[k], None if rest else place[k]), wind) for k in range(count)
-        ]
-        seen = _images(planes, ends, emission, c)
-        apart = heard_at - seen.place[-1]
-        distance = np.linalg.norm(apart, axis=-1)
-        onwards = apart / np.maximum(distance, 1e-300)[..., None]
-        beyond = seen.late - np.sum(onwards * seen.moved, axis=-1) / c
-        step = -(seen.time[-1] + distance / c) / (1.0 + beyond)
-        emission = emission + step
-        event, place, share = _traced(planes, seen, heard_at, wind)
-        if not first and np.abs(step).max(initial=0.0) <= _CONVERGED:
-            break
-        first = False
-    return _told(mirrors, walls, planes, ends, (emission, event, place, share), (distance, onwards, beyond), c)
+    moments = np.asarray(times, dtype=np.float64)
+    search = _Search(mirrors, motion, medium, retarded)
+    few = _few(moments) if retarded else None
+    if few is None:
+        return search.solved(walls, moments, None, rounds)[0]
+    coarse = search.solved(walls, moments[few], None, rounds)[0]
+    found, left = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
+    rows = np.flatnonzero(left > _FOUND)
+    if not len(rows):
+        return found
+    again = search.solved(walls[rows], moments, None, rounds)[0]
+    for name in (f.name for f in fields(Events)):
+        getattr(found, name)[rows] = getattr(again, name)
+    return found
+
+
+def _few(times: Floats) -> NDArray[np.int64] | None:
+    """Return which of many times (T,) near to each other events are first looked for at; None where they are not."""
+    if times.ndim != 1 or len(times) < _LEAST or np.any(np.diff(times) <= 0.0):
+        return None
+    few = np.arange(0, len(times), _APART)
+    few[-1] = len(times) - 1
+    return few if np.diff(times[few]).max() <= _LONGEST_GAP else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """About when sound is emitted (P, T), and when (P, T, N), s, and where (P, T, N, 3), m, it is reflected."""
+
+    emission: Floats
+    event: Floats
+    place: Floats
+
+    @staticmethod
+    def between(coarse: Events, times: Floats, few: NDArray[np.int64]) -> _Known:
+        """Return what quintic splines through the events at few of the times (T,) say at all of them."""
+        from scipy.interpolate import make_interp_spline
+
+        shares = make_interp_spline(times[few], np.eye(len(few)), k=5)(times)
+        when, where = (np.moveaxis(x, 1, -1) @ shares.T for x in (coarse.time, coarse.place))
+        when, where = np.moveaxis(when, -1, 1), np.moveaxis(where, -1, 1)
+        return _Known(when[..., 0], when[..., 1:-1], where[..., 1:-1, :])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """What events are looked for among."""
+
+    mirrors: Mirrors
+    motion: tuple[Motion, Motion]
+    medium: UniformAir
+    retarded: bool
+
+    def solved(
+        self, walls: NDArray[np.signedinteger[Any]], times: Floats, known: _Known | None, rounds: int
+    ) -> tuple[Events, Floats]:
+        """Return the events of paths, and the last steps (P,) of their times of emission, s."""
+        shape, retarded = (len(walls), times.shape[-1]), self.retarded
+        now, receiver = np.broadcast_to(times, shape), self.motion[1]
+        wind, c, count = np.array(self.medium.wind or (0.0, 0.0, 0.0)), self.medium.speed_of_sound, walls.shape[1]
+        ends = _Ends(self.motion, now, wind, retarded)
+        heard_at = np.broadcast_to(receiver.position(times), (*shape, 3))
+        event, place = [np.zeros(shape)] * count, [heard_at] * count
+        emission, first = np.zeros(shape), known is None
+        if known is not None:
+            emission = known.emission
+            event, place = ([x[:, :, k] for k in range(count)] for x in (known.event, known.place))
+        for _ in range(rounds):
+            rest = first or not retarded
+            at = [e if retarded else np.zeros(shape) for e in event]
+            planes = [
+                _in_air(self.mirrors.planes(walls[:, k], now, at[k], None if rest else place[k]), wind)
+                for k in range(count)
+            ]
+            seen = _images(planes, ends, emission, c)
+            apart = heard_at - seen.place[-1]
+            distance = np.linalg.norm(apart, axis=-1)
+            onwards = apart / np.maximum(distance, 1e-300)[..., None]
+            beyond = seen.late - dot(onwards, seen.moved) / c
+            step = -(seen.time[-1] + distance / c) / (1.0 + beyond)
+            emission = emission + step
+            event, place, share = _traced(planes, seen, heard_at, wind)
+            largest = np.abs(step).max(axis=1, initial=0.0)
+            if not first and largest.max(initial=0.0) <= (_CONVERGED if known is None else _FOUND):
+                break
+            first = False
+        found = (emission, event, place, share), (distance, onwards, beyond)
+        return _told(self.mirrors, walls, planes, ends, *found, c), largest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,8 +242,6 @@ class _Images:
 
 def _in_air(planes: Planes, wind: Floats) -> Planes:
     """Return mirrors as they are in the air's frame, which is that of the room at the times from which is counted."""
-    from dataclasses import replace
-
     return replace(planes, speed=planes.speed - planes.normal @ wind) if wind.any() else planes
 
 
@@ -182,7 +254,7 @@ def _images(planes: list[Planes], ends: _Ends, emission: Floats, c: float) -> _I
         mach = plane.speed / c
         twice = 2.0 / (1.0 - mach**2)
         height = plane.height(times[-1], places[-1]) * twice
-        rise = (np.sum(plane.normal * moved, axis=-1) - plane.speed * (1.0 + late)) * twice
+        rise = (dot(plane.normal, moved) - plane.speed * (1.0 + late)) * twice
         places.append(places[-1] - height[..., None] * plane.normal)
         times.append(times[-1] - height * mach / c)
         moved, late = moved - rise[..., None] * plane.normal, late - rise * mach / c
@@ -228,16 +300,16 @@ def _told(
         if not ends.retarded:
             speed = mirrors.planes(walls[:, k], now, np.zeros(shape), place[k]).speed
             slowness = before / (c + before @ wind)[..., None] - turned / (c + turned @ wind)[..., None]
-            growth += np.sum(slowness * planes[k].normal, axis=-1) * speed
+            growth += dot(slowness, planes[k].normal) * speed
         turned = before
     at, velocity = ends.emitted(emission)
     leaving = velocity if ends.retarded else np.broadcast_to(source.velocity(now), (*shape, 3))
-    mach = np.sum(turned * leaving, axis=-1) / (c + turned @ wind)
+    mach = dot(turned, leaving) / (c + turned @ wind)
     if ends.retarded:
-        away = np.sum(onwards * (heading - wind), axis=-1) / c
+        away = dot(onwards, heading - wind) / c
         rate = (beyond + away) / (1.0 + beyond)
     else:
-        rate = growth - mach + np.sum(onwards * heading, axis=-1) / (c + onwards @ wind)
+        rate = growth - mach + dot(onwards, heading) / (c + onwards @ wind)
     heard_at = np.broadcast_to(receiver.position(now), (*shape, 3))
     return Events(
         -emission, rate, distance, 1.0 + beyond, carried, mach, turned, -onwards,
@@ -250,6 +322,6 @@ def _told(
 def _reflected(plane: Planes, direction: Floats, c: float) -> Floats:
     """Return the directions (P, T, 3) in which sound comes to a mirror that leaves it in given ones."""
     mach = plane.speed / c
-    rise = 2.0 * (np.sum(plane.normal * direction, axis=-1) - mach) / (1.0 - mach**2)
+    rise = 2.0 * (dot(plane.normal, direction) - mach) / (1.0 - mach**2)
     before = direction - rise[..., None] * plane.normal
     return np.asarray(before / (1.0 - rise * mach)[..., None])

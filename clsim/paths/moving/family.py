@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from clsim.paths.moving.events import Events
     from clsim.paths.response import SceneResponse
 
-_AT_A_TIME = 6144  # nodes that are looked at together: what is worked on stays in the cache
+_AT_A_TIME = 16384  # nodes that are looked at together: what is worked on stays in the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)

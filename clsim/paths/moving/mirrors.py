@@ -23,6 +23,11 @@ ROOM = -1  # owner of the walls of the room
 _FARTHEST = 2.0  # radii of a body from its origin, beyond which its velocity is not continued
 
 
+def dot(a: Floats, b: Floats) -> Floats:
+    """Return the products (...) of vectors (..., 3)."""
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Planes:
     """Flat mirrors, each as it is about one event, of any shape (...).
@@ -45,7 +50,7 @@ class Planes:
 
     def height(self, time: Floats, place: Floats) -> Floats:
         """Return how far events at times (...), s, and places (..., 3), m, are in front of them, m."""
-        return np.asarray(np.sum(self.normal * place, axis=-1) - self.speed * time - self.offset)
+        return np.asarray(dot(self.normal, place) - self.speed * time - self.offset)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +136,6 @@ class Mirrors:
             far = np.linalg.norm(arm, axis=-1, keepdims=True)
             arm = arm * np.minimum(_FARTHEST * body.radius / np.maximum(far, 1e-300), 1.0)
             moved = motion.velocity(time) + cross_product(motion.angular_velocity(time), arm)
-            speed = np.sum(normal * moved, axis=-1)
+            speed = dot(normal, moved)
         out[0][mine], out[2][mine] = normal, speed
-        out[1][mine] = self.offset[walls][:, None] + np.sum(normal * origin, axis=-1) - speed * event
+        out[1][mine] = self.offset[walls][:, None] + dot(normal, origin) - speed * event

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import unique_rows
+from clsim.numerics.sphere import fibonacci_sphere
 from clsim.packages import check_packages
 from clsim.paths.specular.beam_tree import Candidates
 from clsim.scene.motion.instants import Instants
@@ -76,7 +77,7 @@ class ShotRays:
         """Yield the sequences of every order that rays have met, for all receivers."""
         everyone = np.arange(len(self._receivers.radius))
         met: list[list[NDArray[np.int32]]] = [[] for _ in range(max_order)]
-        directions = _directions(max(_LEAST_RAYS, RAYS // len(self._positions)))
+        directions = fibonacci_sphere(max(_LEAST_RAYS, RAYS // len(self._positions)))
         for i, position in enumerate(self._positions):
             for first in range(0, len(directions), _AT_ONCE):
                 bounces = self._bounce(position, directions[first : first + _AT_ONCE], max_order)
@@ -157,12 +158,3 @@ def _positions(source: Motion) -> Floats:
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
     stops = np.linspace(0.0, travelled[-1], max(2, min(math.ceil(travelled[-1] / _STEP), _MOST) + 1))
     return np.asarray(places[np.unique(np.searchsorted(travelled, stops).clip(max=len(places) - 1))])
-
-
-def _directions(count: int) -> Floats:
-    """Return unit vectors spread evenly over the sphere (a Fibonacci lattice), (count, 3)."""
-    i = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * i / count
-    angle = math.pi * (1.0 + math.sqrt(5.0)) * i
-    across = np.sqrt(1.0 - z * z)
-    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)

@@ -23,7 +23,8 @@ _MIDDLE_PHASE = 4.0  # rad, of the middle of the table of the transition functio
 # An edge as both ends are seen by it, as in nodes/edge_view.h.
 EDGE_VIEW = np.dtype(
     [("source_turn", "f8", 9), ("source_shift", "f8", 3), ("receiver_turn", "f8", 9), ("receiver_shift", "f8", 3),
-     ("n", "f8"), ("wide", "f8", 2), ("narrow", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("unused", "i4")]
+     ("n", "f8"), ("wide", "f8", 2), ("narrow", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"),
+     ("face", "i4", 2), ("unused", "i4")]
 )  # fmt: skip
 
 

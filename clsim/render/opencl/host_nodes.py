@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.threads import side_by_side
 from clsim.opencl.launch import upload
 from clsim.render.opencl.block_polynomials import SMOOTH_SHARE, between, block_error, block_polynomials
+from clsim.render.opencl.threads import side_by_side
 from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:

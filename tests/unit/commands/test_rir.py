@@ -190,3 +190,15 @@ def test_unwritable_and_missing(tmp_path: Path, scene: Path, capsys) -> None:
     assert all(line.startswith("clsim: error: ") for line in printed.err.splitlines())
     with pytest.raises(clsim.InputError, match=r"^path: must end in \.npz or \.sofa"):
         write_responses(None, tmp_path / "a.txt")  # type: ignore[arg-type]
+
+
+def test_a_tail_is_added_and_told(scene: Path, tmp_path: Path, capsys, wanted) -> None:
+    out = tmp_path / "tail.npz"
+    assert main(["rir", str(scene), "-o", str(out), *ASKED, "--tail", "auto"]) == 0
+    told = capsys.readouterr().out.splitlines()[-1]
+    assert re.match(r"source 0: diffuse tail of .*; without it -\d.\d dB of the energy is missing", told)
+    with np.load(out) as made:
+        samples = made["samples"]
+    count = wanted.samples.shape[2]
+    assert samples.shape[2] > 2 * count
+    assert 0.0 < np.sum(samples[:, :, count:] ** 2) < np.sum(wanted.samples**2)

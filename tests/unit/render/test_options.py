@@ -64,6 +64,11 @@ def test_all_are_checked_and_converted_once() -> None:
         ({"chunk": 0}, "chunk: must be at least 1, but is 0"),
         ({"convolve_static": 1}, "convolve_static: must be True or False, but is 1"),
         ({"narrowband": "yes"}, "narrowband: must be True or False, but is 'yes'"),
+        ({"tail": "on"}, 'tail: must be one of "off", "auto", but is \'on\''),
+        ({"tail": "auto", "baseband": (4e3, 1e3)}, "tail: must be 'off' in baseband, but is 'auto'"),
+        ({"tail_directions": 4}, "tail_directions: must be from 16 to 1024, but is 4"),
+        ({"tail_error_db": 0.0}, "tail_error_db: must be at least 0.02 dB, but is 0 dB"),
+        ({"tail_seed": -1}, "tail_seed: must be at least 0, but is -1"),
         ({"narrowband": True, "baseband": (4e3, 1e3)}, "narrowband: must not be True in baseband"),
     ],
 )

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def thread_count() -> int:
-    """Return how many threads of this process can run at the same time."""
+    """Return how many threads of this process can run at the same time, as the operating system tells."""
     affinity = getattr(os, "sched_getaffinity", None)  # not told by every operating system
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 

@@ -1,0 +1,95 @@
+"""Which sources have a diffuse tail, and what it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
+from clsim.tail.zones import Zones
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from clsim.paths.path_set import PathSet
+    from clsim.render.options import RenderOptions
+
+_FEW = 256  # rays at a time, for a figure in passing
+_FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
+
+
+@dataclass(frozen=True, slots=True)
+class FoundTails:
+    """The tails of a scene's sources.
+
+    Attributes
+    ----------
+    of_sources : tuple of SourceTail or None
+        By source; empty if none was asked for.
+    told : tuple of str
+        Why some have none.
+    """
+
+    of_sources: tuple[SourceTail | None, ...] = ()
+    told: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """The longest of them, s."""
+        return max((tail.duration for tail in self.of_sources if tail is not None), default=0.0)
+
+
+NO_TAILS = FoundTails()
+
+
+def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float], None] | None = None) -> FoundTails:
+    """Return the tails that options ask for.
+
+    Raises
+    ------
+    InputError
+        If the room is open, or a mesh needs a package that is missing.
+    """
+    if options.tail == "off":
+        return NO_TAILS
+    scene = paths.scene
+    found: list[SourceTail | None] = []
+    told: list[str] = []
+    until = max(source.end for source in scene.sources) if options.duration is None else options.duration
+    receivers = Zones.along(scene.receivers, scene.room, np.inf if options.duration is None else until, beams=False)
+    asked = TailOptions(searched_order(paths), options.tail_directions, options.tail_error_db, options.tail_seed)
+    for i, source in enumerate(scene.sources):
+        low, high = source.emitted.band()
+        if low >= ULTRASOUND:
+            told.append(
+                f"source {i}: no tail, for its band begins at {low:.0f} Hz and tails end at {ULTRASOUND:.0f} Hz"
+            )
+            found.append(None)
+            continue
+        own = Zones.along([source], scene.room, until, beams=True)
+        tail = find_tail(scene, i, (low, min(high, 0.5 * options.sampling_rate)), (own, receivers), asked, progress)
+        faint = tail.left_db < _FAINT_DB
+        told += [f"source {i}: no tail, for images leave {tail.left_db:.0f} dB of the energy"] if faint else []
+        found.append(None if faint else tail)
+    return FoundTails(tuple(found), tuple(told))
+
+
+def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
+    """Return the energy that images leave at 0 s, relative to all, of the source where it is most, dB, by a few rays.
+
+    None in open rooms, or where a package is missing that traces rays in a mesh.
+    """
+    scene, most = paths.scene, -np.inf
+    if scene.room.volume is None or not (scene.room.is_convex or find_spec("embreex")):
+        return None
+    receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
+    asked = TailOptions(searched_order(paths), directions=1, error_db=np.inf, rays=_FEW)
+    for i, source in enumerate(scene.sources):
+        low, high = source.emitted.band()
+        own = Zones.frozen([source], scene.room, 0.0, beams=True)
+        found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), asked)
+        most = max(most, found.left_db)
+    return float(most)

@@ -1,0 +1,1 @@
+"""Diffuse tails: energy by rays, and what sounds of it."""

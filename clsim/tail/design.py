@@ -1,0 +1,277 @@
+"""The tail of a source: how much energy arrives when, in which band and from where, beyond what images hold."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.numerics.sphere import fibonacci_sphere
+from clsim.paths.family import SPECULAR
+from clsim.paths.response import covered
+from clsim.scene.directivity.patterns import Omni
+from clsim.tail.bands import band_centres
+from clsim.tail.histogram import Listener, volume_within
+from clsim.tail.rays import FLOOR, Tracer
+from clsim.tail.reflections import WallEnergies
+from clsim.tail.room_rays import room_rays
+from clsim.tail.smoothing import smoothed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.path_set import PathSet
+    from clsim.scene.scene import Scene
+    from clsim.tail.zones import Zones
+
+ULTRASOUND = 40e3  # Hz, from which on images hold what is heard
+DEPARTURES = 32  # directions of departure that are told apart
+_STEP = 1e-3  # s, bins of time
+_MOST_RAYS = 131_072  # from one place
+_LEAST_RUNS = 4
+_WINDOW = 0.02  # s, in which energies are compared between runs
+_DEPTH = 1e-4  # of the loudest window's energy, down to which they are
+
+
+@dataclass(frozen=True, eq=False)
+class TailEnergy:
+    """Energy of a tail from one zone to another.
+
+    Attributes
+    ----------
+    energy : ndarray (T, M, B)
+        By bin of time, direction of arrival and band: of the received over that of what was emitted, Pa² s / (Pa² s).
+    departed : ndarray (Q,)
+        Shares of it by direction of departure.
+    images : ndarray (T, B)
+        What images hold beside it, likewise.
+    """
+
+    energy: NDArray[np.float32]
+    departed: Floats
+    images: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class SourceTail:
+    """The tail of one source at all receivers.
+
+    Attributes
+    ----------
+    centres : ndarray (B,)
+        Of the bands, Hz.
+    time_step : float
+        Of the bins of time, s.
+    zones, receiver_zones : Zones
+        Of the source, and of all receivers.
+    pairs : dict
+        `TailEnergy` by index of the source's zone and of the receivers'.
+    arrivals, departures : ndarray (M, 3), (Q, 3)
+        Directions.
+    rays : int
+        That were traced for each zone of the source, at most.
+    error_db : float
+        Standard error of energies in windows of 20 ms, dB.
+    seed : int
+        Of rays and noise.
+    """
+
+    centres: Floats
+    time_step: float
+    zones: Zones
+    receiver_zones: Zones
+    pairs: dict[tuple[int, int], TailEnergy]
+    arrivals: Floats
+    departures: Floats
+    rays: int
+    error_db: float
+    seed: int
+
+    @property
+    def duration(self) -> float:
+        """Time in s after which nothing is left that is heard."""
+        return max(len(pair.energy) for pair in self.pairs.values()) * self.time_step
+
+    @property
+    def left_db(self) -> float:
+        """Energy of the tail over that of tail and images together, in the band where it is most, dB; -inf for none."""
+        shares = []
+        for pair in self.pairs.values():
+            tail, images = pair.energy.sum(axis=(0, 1), dtype=np.float64), pair.images.sum(axis=0)
+            shares.append(float((tail / np.maximum(tail + images, 1e-300)).max()))
+        return 10.0 * math.log10(max(shares)) if max(shares) > 0.0 else -math.inf
+
+    def digest(self) -> str:
+        """Return a text that changes with any of it."""
+        found = hashlib.sha256(repr((self.time_step, self.seed, sorted(self.pairs))).encode())
+        for key in sorted(self.pairs):
+            pair = self.pairs[key]
+            for part in (pair.energy, pair.departed, self.centres, self.zones.poses, self.receiver_zones.poses):
+                found.update(np.ascontiguousarray(part).tobytes())
+        return found.hexdigest()
+
+    def describe(self) -> str:
+        """Return what it is, in a line."""
+        return (
+            f"{self.duration:.3g} s in {len(self.centres)} bands from {self.centres[0]:.4g} to {self.centres[-1]:.4g} "
+            f"Hz, {len(self.arrivals)} directions, {len(self.zones)} x {len(self.receiver_zones)} zones; "
+            f"{self.rays} rays, energies in 20 ms within {self.error_db:.2f} dB"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TailOptions:
+    """How a tail is found.
+
+    Attributes
+    ----------
+    max_order : int
+        Of the images beside it.
+    directions : int
+        From which it arrives.
+    error_db : float
+        Standard error of its energies that is asked for, dB.
+    seed : int
+        Of rays and noise.
+    rays : int
+        That are traced at a time, four times at least.
+    """
+
+    max_order: int
+    directions: int = 64
+    error_db: float = 0.25
+    seed: int = 0
+    rays: int = 2048
+
+
+def find_tail(
+    scene: Scene,
+    source: int,
+    band: tuple[float, float],
+    zones: tuple[Zones, Zones],
+    options: TailOptions,
+    progress: Callable[[float], None] | None = None,
+) -> SourceTail:
+    """Return the tail of a source by rays.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene, in a closed room.
+    source : int
+        Whose tail.
+    band : (low, high)
+        Of the signal, Hz.
+    zones : pair of Zones
+        Of the source and of the receivers.
+    options : TailOptions
+        Order of images, directions, error, seed.
+    progress : callable, optional
+        Called now and then with the share of the work that is done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the room is open, or a mesh needs embreex.
+    """
+    of_source, of_receivers = zones
+    centres = band_centres(*band)
+    c, walls = scene.air.speed_of_sound, room_rays(scene.room)
+    energies, departures = WallEnergies.of(scene, centres), fibonacci_sphere(DEPARTURES)
+    arrivals = fibonacci_sphere(options.directions)
+    volumes = [volume_within(scene.room, centre, of_receivers.radius) for centre in of_receivers.centres]
+    pairs: dict[tuple[int, int], TailEnergy] = {}
+    most_rays, error_db = 0, 0.0
+    for i, place in enumerate(of_source.centres):
+        emitted = _emitted(scene, source, of_source.turns[i], centres)
+        tracer = Tracer(walls, scene.room.faces.normals, energies, place, emitted, departures, options.max_order)
+        rng = np.random.default_rng([options.seed, source, i])
+        until = tracer.longest_way(c, rng)
+        shape = math.ceil(until / (_STEP * c)), len(centres)
+        listeners = [
+            Listener(centre, of_receivers.radius, volume, arrivals, departures, _STEP * c, shape)
+            for centre, volume in zip(of_receivers.centres, volumes, strict=True)
+        ]
+        runs, error = _converged(tracer, until, listeners, rng, options)
+        most_rays, error_db = max(most_rays, runs * options.rays), max(error_db, error)
+        pairs |= {(i, j): _settled(listener, runs) for j, listener in enumerate(listeners)}
+        if progress is not None:
+            progress((i + 1) / len(of_source))
+    return SourceTail(
+        centres, _STEP, of_source, of_receivers, pairs, arrivals, departures, most_rays, error_db, options.seed
+    )
+
+
+def searched_order(paths: PathSet) -> int:
+    """Return the highest order of images among paths."""
+    only_mirrored = np.all((paths.interactions == SPECULAR) | (paths.interactions < 0), axis=1)
+    return int(paths.order[only_mirrored].max(initial=0))
+
+
+def _emitted(scene: Scene, source: int, turn: Floats, centres: Floats) -> Callable[[Floats], Floats]:
+    """Return what gives the energy (n, B) that a source sends in directions (n, 3), turned by a quaternion."""
+    from clsim.numerics.quaternions import rotate
+
+    directivity, c = scene.sources[source].directivity, scene.air.speed_of_sound
+
+    def emitted(directions: Floats) -> Floats:
+        if isinstance(directivity, Omni):
+            return np.ones((len(directions), len(centres)))
+        own = np.stack([directions @ rotate(turn, axis) for axis in np.eye(3)], axis=1)
+        gain = directivity.gain_towards(own[:, None, :], covered(centres, directivity), c)
+        return np.broadcast_to(np.square(np.abs(gain)), (len(directions), len(centres)))
+
+    return emitted
+
+
+def _converged(
+    tracer: Tracer, until: float, listeners: list[Listener], rng: np.random.Generator, options: TailOptions
+) -> tuple[int, float]:
+    """Trace until energies are known within an error, dB, or rays are very many; return runs and the error reached."""
+    windows: list[Floats] = []
+    before = np.zeros(1)
+    runs, error = 0, math.inf
+    while runs < _LEAST_RUNS or (error > options.error_db and runs * options.rays < _MOST_RAYS):
+        for _ in range(max(_LEAST_RUNS, runs // 2)):
+            tracer.run(options.rays, until, listeners, rng)
+            now = np.stack([_windowed(listener.tail.sum(axis=1)) for listener in listeners])
+            windows.append(now - before)
+            before = now
+            runs += 1
+        error = _error_db(np.array(windows))
+    return runs, error
+
+
+def _windowed(energy: Floats) -> Floats:
+    """Return energies (T, B) summed in windows of 20 ms."""
+    length = round(_WINDOW / _STEP)
+    padded = np.pad(energy, ((0, -len(energy) % length), (0, 0)))
+    return np.asarray(padded.reshape(-1, length, energy.shape[1]).sum(axis=1))
+
+
+def _error_db(runs: Floats) -> float:
+    """Return the standard error of the mean of runs (R, zones, windows, B), in the mean over what is loud, dB."""
+    mean, spread = runs.mean(axis=0), runs.std(axis=0, ddof=1) / math.sqrt(len(runs))
+    loud = mean > _DEPTH * mean.max(axis=1, initial=0.0, keepdims=True)
+    if not loud.any():
+        return 0.0
+    relative = np.sqrt(np.mean(np.square(spread[loud] / mean[loud])))
+    return float(10.0 / math.log(10.0) * relative)
+
+
+def _settled(listener: Listener, runs: int) -> TailEnergy:
+    """Return the mean of runs, smoothed and as long as it is heard."""
+    tail, images = listener.tail / runs, listener.images / runs
+    total = tail.sum(axis=(0, 1)) + images.sum(axis=0)
+    left = np.cumsum(tail.sum(axis=1)[::-1], axis=0)[::-1]
+    loud = np.flatnonzero((left > FLOOR * total).any(axis=1))
+    last = int(loud[-1]) + 1 if len(loud) else 1
+    departed = listener.departed.sum(axis=1)
+    departed = departed / departed.sum() if departed.any() else np.full(len(departed), 1.0 / len(departed))
+    return TailEnergy(smoothed(tail[:last]).astype(np.float32), departed, images)

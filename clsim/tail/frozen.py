@@ -1,0 +1,63 @@
+"""Tails of a scene that is frozen at an instant, as impulse responses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.numerics.nufft import band_taper
+from clsim.paths.impulse_response import ImpulseResponse
+from clsim.tail.design import TailOptions, find_tail, searched_order
+from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves
+from clsim.tail.zones import Zones
+
+if TYPE_CHECKING:
+    from clsim.paths.impulse_response import ResponseBand
+    from clsim.paths.path_set import PathSet
+    from clsim.tail.design import SourceTail
+    from clsim.tail.noise import Responses
+
+
+def frozen_tails(
+    paths: PathSet, source: int, at: float, sampling_rate: float, band: ResponseBand, seed: int
+) -> tuple[list[ImpulseResponse], SourceTail]:
+    """Return the tail of a source at every receiver at a time, s, within a band, and what it is made of.
+
+    Raises
+    ------
+    InputError
+        If the room is open, or a mesh needs a package that is missing.
+    """
+    scene = paths.scene
+    receivers = Zones.frozen(scene.receivers, scene.room, at, beams=False)
+    zones = Zones.frozen([scene.sources[source]], scene.room, at, beams=True), receivers
+    tail = find_tail(scene, source, (band.low, band.high), zones, TailOptions(searched_order(paths), seed=seed))
+    places = np.concatenate([r.trajectory.position(np.array([at])) for r in scene.receivers])
+    nearest = np.linalg.norm(places[:, None] - receivers.centres, axis=2).argmin(axis=1)
+    found: dict[int, ImpulseResponse] = {}
+    for zone in np.unique(nearest):
+        here = np.flatnonzero(nearest == zone)
+        gains = gains_of(scene, here.tolist(), tail, at)
+        key = 0, int(zone)
+        if len(here) == 1:
+            made = at_one_place(tail, key, source, sampling_rate, np.square(gains[0]), moves=False)
+        else:
+            late = -(places[here] - receivers.centres[zone]) @ tail.arrivals.T / scene.air.speed_of_sound
+            waves = plane_waves(tail, key, source, sampling_rate, moves=False)
+            made = combined(waves, late, gains, tail.centres, sampling_rate)
+        found |= dict(zip(here.tolist(), _cut(made, sampling_rate, band), strict=True))
+    return [found[r] for r in range(len(places))], tail
+
+
+def _cut(made: Responses, rate: float, band: ResponseBand) -> list[ImpulseResponse]:
+    """Return responses cut to a band; what rings before time 0 is not kept."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    ringing = int(band.ringing * rate)
+    count = made.taps.shape[1] + ringing
+    size = next_fast_len(count + ringing, real=True)
+    frequencies = np.arange(size // 2 + 1, dtype=np.float64) * (rate / size)
+    taper = band_taper(frequencies, band.low, band.high, band.below, band.above)
+    taps = irfft(rfft(made.taps.astype(np.float64), size) * taper, size)
+    return [ImpulseResponse(0, row[made.lead : count]) for row in np.asarray(taps)]

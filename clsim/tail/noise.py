@@ -1,0 +1,190 @@
+"""Noise that decays as the energies of a tail: the responses of its streams."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.numerics.quaternions import rotate
+from clsim.paths.response import covered
+from clsim.scene.directivity.patterns import Omni
+from clsim.tail.bands import band_shares
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.scene import Scene
+    from clsim.tail.design import SourceTail
+
+_SHAPED = 7  # of seeds: what the numbers are for
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Responses of streams, K of them.
+
+    Attributes
+    ----------
+    taps : ndarray (K, L)
+        Received over emitted pressure.
+    lead : int
+        Samples of them before that of time 0.
+    departure : ndarray (K,) int
+        In which direction each leaves the source, of the tail's.
+    output : ndarray (K,) int
+        To which of what is heard each adds.
+    """
+
+    taps: NDArray[np.float32]
+    lead: int
+    departure: NDArray[np.int64]
+    output: NDArray[np.int64]
+
+
+def plane_waves(tail: SourceTail, pair: tuple[int, int], source: int, rate: float, *, moves: bool) -> Responses:
+    """Return the responses of a zone's streams, one for each direction of arrival, at the middle of the zone.
+
+    Parameters
+    ----------
+    tail : SourceTail
+        The tail.
+    pair : (int, int)
+        Zones of source and receiver.
+    source : int
+        Index.
+    rate : float
+        Sampling rate, Hz.
+    moves : bool
+        Whether the source does: then each stream leaves it in one direction.
+    """
+    energy = tail.pairs[pair]
+    rng = np.random.default_rng([tail.seed, source, *pair, _SHAPED])
+    streams = np.arange(energy.energy.shape[1])
+    departure = _departures(energy.departed, len(streams), rng) if moves else np.zeros_like(streams)
+    return Responses(_shaped(energy.energy, tail, rate, rng), 0, departure, streams)
+
+
+def at_one_place(
+    tail: SourceTail, pair: tuple[int, int], source: int, rate: float, weights: Floats, *, moves: bool
+) -> Responses:
+    """Return the responses at a zone's middle, where nothing but one end that stands still hears it.
+
+    Parameters
+    ----------
+    tail : SourceTail
+        The tail.
+    pair : (int, int)
+        Zones of source and receiver.
+    source : int
+        Index.
+    rate : float
+        Sampling rate, Hz.
+    weights : ndarray (M, B)
+        The receiver's gain of energy by direction of arrival and band.
+    moves : bool
+        Whether the source does: then there is a stream for each direction of departure.
+
+    Notes
+    -----
+    Sums of independent noise are noise: where no delay changes, directions of arrival need not be told apart.
+    """
+    energy = tail.pairs[pair]
+    rng = np.random.default_rng([tail.seed, source, *pair, _SHAPED])
+    total = np.einsum("tmb,mb->tb", energy.energy, weights)[:, None, :]
+    if moves:
+        total = total * energy.departed[:, None]
+    streams = np.arange(total.shape[1])
+    return Responses(_shaped(total, tail, rate, rng), 0, streams, np.zeros_like(streams))
+
+
+def combined(waves: Responses, delays: Floats, gains: Floats, centres: Floats, rate: float) -> Responses:
+    """Return what plane waves add up to at places that stand still.
+
+    Parameters
+    ----------
+    waves : Responses
+        Of M directions.
+    delays : ndarray (R, M)
+        By which each reaches each place later than the middle of the zone, s.
+    gains : ndarray (R, M, B)
+        Of receivers there, of pressure, at the centres of bands.
+    centres : ndarray (B,)
+        Of the bands, Hz.
+    rate : float
+        Sampling rate, Hz.
+    """
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    lead = math.ceil(float(np.abs(delays).max(initial=0.0)) * rate) + 32
+    count = waves.taps.shape[1] + 2 * lead
+    size = next_fast_len(count, real=True)
+    spectra = rfft(waves.taps, size)
+    frequencies = np.arange(size // 2 + 1) * (rate / size)
+    shares = band_shares(frequencies, centres)
+    taps = np.empty((len(delays), count), np.float32)
+    for place, (delay, gain) in enumerate(zip(delays, gains, strict=True)):
+        total = np.zeros(len(frequencies), np.complex128)
+        for spectrum, late, by_band in zip(spectra, delay, gain, strict=True):
+            turn = np.exp(-2j * np.pi * frequencies * (late + lead / rate))
+            total += spectrum * turn if np.all(by_band == 1.0) else spectrum * turn * (by_band @ shares)
+        taps[place] = irfft(total, size)[:count]
+    places = np.arange(len(delays))
+    return Responses(taps, waves.lead + lead, np.zeros_like(places), places)
+
+
+def receiver_gains(scene: Scene, receiver: int, directions: Floats, times: Floats, frequencies: Floats) -> Floats:
+    """Return the gain of pressure (T, M, F) of a receiver at times (T,), s, for sound from directions (M, 3)."""
+    end, shape = scene.receivers[receiver], (len(times), len(directions), len(frequencies))
+    if isinstance(end.directivity, Omni):
+        return np.ones(shape)
+    turns = end.orientation(times)
+    turns = turns[:1] if np.all(turns == turns[:1]) else turns
+    own = np.stack([rotate(turns, axis) @ directions.T for axis in np.eye(3)], axis=-1)
+    met = covered(frequencies, end.directivity)
+    gain: Any = end.directivity.gain_towards(own[:, :, None, :], met, scene.air.speed_of_sound)
+    return np.broadcast_to(np.abs(gain), shape)
+
+
+def _departures(shares: Floats, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return a departure for each of so many streams: as many of each as its share of the energy says."""
+    ends = np.cumsum(shares)
+    drawn = np.searchsorted(ends / ends[-1], (np.arange(count) + 0.5) / count)
+    return np.asarray(rng.permutation(np.minimum(drawn, len(shares) - 1)))
+
+
+def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return noise (K, L) whose energy in bands and bins of time is that of energies (T, K, B).
+
+    A bin of n samples of variance v has the energy n v at every frequency.
+    """
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    times, streams, bands = energy.shape
+    length = math.ceil(times * tail.time_step * rate)
+    size = next_fast_len(length, real=True)
+    shares = band_shares(np.arange(size // 2 + 1) * (rate / size), tail.centres).astype(np.float32)
+    at = np.clip((np.arange(length) + 0.5) / (tail.time_step * rate) - 0.5, 0.0, times - 1.0)
+    before = np.minimum(at.astype(np.int64), max(times - 2, 0))
+    after, part = np.minimum(before + 1, times - 1), (at - before).astype(np.float32)
+    level = np.sqrt(energy / (tail.time_step * rate)).astype(np.float32)
+    taps = np.zeros((streams, length), np.float32)
+    for k in range(streams):
+        spectrum = rfft(rng.standard_normal(size, np.float32))
+        noise = irfft(spectrum * shares, size)[:, :length]
+        for b in range(bands):
+            envelope = level[before, k, b]
+            envelope += part * (level[after, k, b] - envelope)
+            taps[k] += noise[b] * envelope
+    return taps
+
+
+def gains_of(scene: Scene, receivers: Sequence[int], tail: SourceTail, time: float) -> Floats:
+    """Return the gains (R, M, B) of receivers at a time, s, by direction of arrival and band."""
+    now = np.array([time])
+    return np.concatenate([receiver_gains(scene, r, tail.arrivals, now, tail.centres) for r in receivers])
