@@ -98,7 +98,7 @@ MUTANTS = {
     "phases of what is heard": ("2.0 * r_s * r_r / length * raised", "2.0 * r_s * r_r / length"),
     "continued as before the boundary": ("beyond.part[part][b] - r->part[part][b]", "r->part[part][b]"),
     "angle to the 0-face": ("HALF_TURN - together,", "HALF_TURN + together,"),
-    "factor of the other face": ("slot, term - 2, cos", "slot, 3 - term, cos"),
+    "factor of the other face": ("slot, term - 2, c.x", "slot, 3 - term, c.x"),
     "the end's side": ("edge->end_side * (inside < 0.0 ? -root : root)", "edge->end_side * (inside > 0.0 ? -root : root)"),
     "the end's detour": ("off * (off + 2.0 * along) / (near + far)", "off * (off - 2.0 * along) / (near + far)"),
     "Mach number at the source": ("rising * velocity.z - inward", "rising * velocity.z + inward"),
