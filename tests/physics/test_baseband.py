@@ -150,3 +150,13 @@ def test_the_sampling_rate_can_be_told(engine: str) -> None:
     )
     assert (slow.sampling_rate, fast.sampling_rate) == (6e3, 24e3)
     assert apart_db(slow.pressure[0], fast.pressure[0][::4]) < -80.0
+
+
+def test_the_image_of_the_carrier_is_left_out_where_it_stands_beside_the_band(engine: str) -> None:
+    """At 96 kHz the image of 40 kHz, 80 kHz below, is at 16 kHz: within envelopes at 48 kHz."""
+    tone = clsim.Signal.tone(CARRIER, 0.04, 96e3, fade=0.01)
+    paths = clsim.find_paths(free_field(tone, clsim.Trajectory.fixed((12.0, 10.0, 10.0))), 0)
+    made = clsim.render(paths, 96e3, baseband=(CARRIER, 8e3, 48e3), engine=engine, duration=0.06)
+    spectrum = np.abs(np.fft.fft(made.pressure[0]))
+    frequency = np.abs(np.fft.fftfreq(len(spectrum), 1.0 / made.sampling_rate))
+    assert spectrum[frequency > 4e3].max() < 1e-4 * spectrum.max()
