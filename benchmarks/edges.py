@@ -41,7 +41,7 @@ def main() -> None:
     often = np.tile(np.arange(len(specular)), max(1, round(len(edge) / len(specular))))
     kinds = {"reflections": specular.part(np.sort(often)), "edges": edge}
     for family in kinds.values():  # so that kernels are built
-        rendered(family, 0.1)
+        rendered(family, options.render)
     for name in ("reflections", "edges", "edges", "reflections"):
         heard, planning, seconds = rendered(kinds[name], options.render)
         print(

@@ -76,14 +76,15 @@ def draw(paths: clsim.PathSet, pressure: np.ndarray, chirp: np.ndarray, file: Pa
         found = np.abs(hilbert(oaconvolve(pressure[r].astype(float), chirp[::-1])[len(chirp) - 1 :]))
         image = found[: count * step].reshape(count, step)[:, : round(LONGEST * RATE)]
         level = 20.0 * np.log10(np.maximum(image[:, ::4].T, 1e-9))
-        axes.imshow(
-            level, origin="lower", aspect="auto", cmap="magma", vmin=level.max() - 50.0, vmax=level.max(),
+        shown = axes.imshow(
+            level - level.max(), origin="lower", aspect="auto", cmap="magma", vmin=-50.0, vmax=0.0,
             extent=(0.0, count * PERIOD, 0.0, LONGEST * 1e3),
         )  # fmt: skip
         mine = np.flatnonzero((table.receiver == r) & table.direct)
         for p in mine:
             axes.plot(emitted, table.delay[p] * 1e3, color="#4dd0e1", linewidth=1.2, linestyle="--")
         axes.set(title=f"{table.receiver_names[r]}; dashed: true delay of the direct sound", ylim=(0.0, LONGEST * 1e3))
+    figure.colorbar(shown, ax=figure.axes, pad=0.01, aspect=40, label="level (dB of the receiver's highest)")
     figure.supxlabel("time of the chirp (s)")
     figure.supylabel("delay (ms)")
     figure.savefig(file, dpi=120)

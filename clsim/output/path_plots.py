@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
 
 from clsim.pictures.plots import DIRECT, RANGE_DB, new_figure, save_figure
 
@@ -21,8 +21,12 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.path_table import PathTable
 
-# Of many paths the first orders matter most: dark, and the last light but still seen on white.
-_ORDERS = LinearSegmentedColormap.from_list("orders", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 64)))
+
+def _colours(last: int) -> tuple[ListedColormap, BoundaryNorm]:
+    """Return the colours of orders 0 to `last`, the direct path's first: of the others dark, and the last light."""
+    rest = matplotlib.colormaps["viridis"](np.linspace(0.15, 0.88, max(last, 1)))
+    colours = ListedColormap([to_rgba(DIRECT), *map(tuple, rest)][: last + 1])
+    return colours, BoundaryNorm(np.arange(last + 2) - 0.5, last + 1)
 
 
 def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os.PathLike[str]) -> None:
@@ -53,7 +57,7 @@ def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os
         )  # fmt: skip
         axes.set(xlim=(0.0, None), ylim=(floor, top + 4.0))
         if direct.any():
-            axes.legend(loc="upper right")
+            figure.legend(loc="outside lower right")
     left_out = len(heard) - len(rows)
     note = f" ({left_out} more than {RANGE_DB:.0f} dB below the loudest not shown)" if left_out else ""
     axes.set(
@@ -83,17 +87,17 @@ def history_picture(table: PathTable, receiver: int, path: str | os.PathLike[str
     rows = rows[(level > top - RANGE_DB).any(axis=1)]
     figure, axes = new_figure(5.5)
     last = int(table.order[rows].max(initial=0))
-    norm = BoundaryNorm(np.arange(last + 2) - 0.5, _ORDERS.N)
+    colours, norm = _colours(last)
     for p in rows[np.argsort(-table.order[rows], kind="stable")]:
         direct = bool(table.direct[p])
         axes.plot(
-            table.times, table.delay[p] * 1e3, color=DIRECT if direct else _ORDERS(norm(table.order[p])),
+            table.times, table.delay[p] * 1e3, color=colours(norm(table.order[p])),
             linewidth=2.4 if direct else 1.2 if table.order[p] < 2 else 0.6, zorder=3 if direct else 2,
         )  # fmt: skip
     if last > 0:
         figure.colorbar(
-            ScalarMappable(norm, _ORDERS), ax=axes, ticks=np.arange(0, last + 1), pad=0.015, aspect=30
-        ).set_label("order (reflections); the direct path is red", fontsize=12)
+            ScalarMappable(norm, colours), ax=axes, ticks=np.arange(0, last + 1), pad=0.015, aspect=30
+        ).set_label("order (reflections)", fontsize=12)
     axes.set(
         xlabel="time (s)", ylabel="delay (ms)", xlim=(table.times[0], table.times[-1]),
         title=title or f"{table.receiver_names[receiver]}: {len(rows)} intervals in which a path is heard",
@@ -105,10 +109,10 @@ def _stems(figure: Figure, axes: Axes, delay: Floats, level: Floats, order: NDAr
     """Draw a stem per path, low orders in front, with a key of the orders."""
     draw = np.argsort(-order, kind="stable")
     last = int(order.max())
-    norm = BoundaryNorm(np.arange(last + 2) - 0.5, _ORDERS.N)
+    colours, norm = _colours(last)
     delay, level, order = delay[draw], level[draw], order[draw]
-    axes.vlines(delay, floor, level, colors=_ORDERS(norm(order)), linewidth=0.7, alpha=0.6)
-    dots = axes.scatter(delay, level, c=order, cmap=_ORDERS, norm=norm, s=16, zorder=3)
+    axes.vlines(delay, floor, level, colors=colours(norm(order)), linewidth=0.7, alpha=0.6)
+    dots = axes.scatter(delay, level, c=order, cmap=colours, norm=norm, s=16, zorder=3)
     if last > 0:
         ticks = np.arange(0, last + 1, max(1, -(-last // 12)))
         figure.colorbar(dots, ticks=ticks, pad=0.015, aspect=30).set_label("order (reflections)", fontsize=12)

@@ -28,6 +28,7 @@ _REFERENCES = {"Pa": ("20 µPa", 0.0), "V": ("1 V", -93.9794)}  # levels come re
 DIRECT = "#c1272d"
 _REFLECTED = "#1f77b4"
 _OVERLAYS = ("#ffffff", "#4dd0e1", "#a5e887", "#8ab4ff", "#ffe680")  # seen on magma, black below them
+_MILLI = 0.1  # below which an envelope is told in thousandths
 
 
 def spectrogram_picture(
@@ -156,9 +157,11 @@ def envelope_picture(
     """
     figure, axes = new_figure(4.5)
     times = np.arange(len(pressure)) / sampling_rate * 1e3
-    axes.plot(times, _magnitude(pressure), color="black", linewidth=1.0, zorder=3)
-    if beside is not None:
-        axes.fill_between(times, _magnitude(beside[1]), color="#c6c6c6", linewidth=0.0, zorder=1, label=beside[0])
+    sound, other = _magnitude(pressure), None if beside is None else _magnitude(beside[1])
+    milli = 1e3 if float(sound.max(initial=0.0)) < _MILLI else 1.0
+    axes.plot(times, milli * sound, color="black", linewidth=1.0, zorder=3)
+    if beside is not None and other is not None:
+        axes.fill_between(times, milli * other, color="#c6c6c6", linewidth=0.0, zorder=1, label=beside[0])
     seen = set()
     for time, label, direct in arrivals:
         axes.axvline(
@@ -166,9 +169,10 @@ def envelope_picture(
             linestyle="-" if direct else "--", label=label if label not in seen else None,
         )  # fmt: skip
         seen.add(label)
-    axes.set(xlabel="time (ms)", ylabel=f"envelope ({unit})", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
+    axes.set(xlabel="time (ms)", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
+    axes.set_ylabel(f"envelope ({'m' * (milli > 1.0)}{unit})")
     if arrivals or beside:
-        axes.legend(loc="upper right", framealpha=0.9)
+        figure.legend(loc="outside lower center", ncols=4)
     save_figure(figure, path)
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 NODE = 32  # samples between places where motion is looked at
 _HIGHEST = 0.42  # of the sampling rate, above which what is between samples fades
+_SPARE = 1.2  # of the end of the band that holds 99 % of the energy, up to which it is exact
 _ROUNDS = 3  # of looking for the time of emission: each leaves the Mach number of the error
 
 
@@ -44,7 +45,8 @@ class SourceSignals:
         self._exponent = MACH_EXPONENT[plan.options.amplitude]
         self._rate = plan.sampling_rate
         self.moves = not is_static(self._end, turning=tail.zones.beams)
-        self.between = Between.up_to(min(self._filters.band, _HIGHEST * self._rate), self._rate)
+        highest = min(_SPARE * self._end.emitted.band()[1], _HIGHEST * self._rate)
+        self.between = Between.up_to(highest, self._rate)
         self._sent_before: dict[tuple[int, int], tuple[int, NDArray[Any]]] = {}
 
     def sounds(self, zone: int, first: int, last: int) -> bool:

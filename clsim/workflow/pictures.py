@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from clsim.workflow.pipeline import PlannedScene
     from clsim.workflow.result_folder import ResultFolder
 
+_SHORT, _SWEEPS = 0.05, 8.0  # s, and band times duration, of pulses that are short sweeps
+_LEAST_WINDOW = 32  # samples
+_PURE, _MOST_CURVES = 0.02, 6  # band of a tone as a share of its frequency; lines of theory that are still told apart
 _MOST_INSTANTS = 3000  # of lines in a picture, more than it has columns
 
 
@@ -79,9 +82,43 @@ def _draw(kind: str, planned: PlannedScene, times: Floats, sound: Readable, r: i
     elif kind == "echogram":
         echogram_picture(planned.path_table(times[:1], r), r, 0, path)
     elif plan.carrier is None:
-        spectrogram_picture(sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[r])
+        spectrogram_picture(
+            sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[r], segment=_sweep_window(plan),
+            overlay=_theory(planned, times, r),
+        )  # fmt: skip
     else:
         envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, path, title=title)
+
+
+def _sweep_window(plan: Plan) -> int | None:
+    """Return the window in which a short sweep goes as far as the window resolves; None for other signals."""
+    windows = []
+    for filters in plan.source_filters:
+        pulse = filters.signal.pulse
+        low, high = pulse.band()
+        if pulse.duration > _SHORT or (high - low) * pulse.duration < _SWEEPS:
+            return None
+        windows.append(2.0 * np.sqrt(pulse.duration / (high - low)) * plan.sampling_rate)
+    return max(_LEAST_WINDOW, 2 ** round(np.log2(max(windows)))) if windows else None
+
+
+def _theory(planned: PlannedScene, times: Floats, r: int) -> list[tuple[Floats, Floats, str]]:
+    """Return frequencies over time of direct sound and first reflections, of a single tone heard by few paths."""
+    sources = planned.plan.source_filters
+    if len(sources) != 1:
+        return []
+    low, high = sources[0].signal.band()
+    centre = sources[0].signal.centre_frequency
+    if high - low > _PURE * centre:
+        return []
+    drawn = np.linspace(0, len(times) - 1, min(len(times), _MOST_INSTANTS)).round().astype(int)
+    table = planned.path_table(times[drawn])
+    sounds = np.nan_to_num(np.abs(table.gain)).max(axis=1) > 0.0
+    mine = np.flatnonzero((table.receiver == r) & (table.order <= 1) & sounds)
+    if len(mine) > _MOST_CURVES:
+        return []
+    shifted = centre * np.where(table.heard, table.doppler_factor, np.nan)
+    return [(table.times, shifted[p], table.name_way(p)) for p in mine]
 
 
 def _shown_band(plan: Plan) -> tuple[float, float]:

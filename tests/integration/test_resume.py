@@ -190,6 +190,7 @@ def test_a_bad_scene_with_force_loses_nothing(unfinished: Path, capsys) -> None:
     path.write_text(LONG.replace("reflection", "reflektion"), "utf-8")
     assert main(command(path, unfinished / "out", "wav", "--force")) == 2
     assert done(unfinished / "out") > 0
+    assert 'did you mean "reflection"?' in capsys.readouterr().err
     path.write_text(LONG, "utf-8")
     assert main(command(path, unfinished / "out", "hdf5", "--resume")) == 2
     assert "; " not in capsys.readouterr().err  # what to do is told once

@@ -110,7 +110,7 @@ MUTANTS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [["walls of the other side"], exhaustive(MUTANTS)], ids=["one", "all"])
+@pytest.mark.parametrize("names", [["walls of the other side"], exhaustive(list(MUTANTS))], ids=["one", "all"])
 def test_mutants_are_caught(names, monkeypatch: pytest.MonkeyPatch) -> None:
     mutants = Mutants("tracks", {name: MUTANTS[name] for name in names})
     mutants.play(monkeypatch)

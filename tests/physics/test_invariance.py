@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import oracle
 import pytest
+from exhaustive import exhaustive
 from proven import proven
 from scipy.spatial.transform import Rotation
 
@@ -130,6 +131,7 @@ def test_images_that_turn(engine: str, rng) -> None:
     assert difference_db(heard(scene, engine, paths), heard(plain, engine, here)) < SAME_DB
 
 
+@pytest.mark.parametrize("engine", ["opencl", exhaustive("reference")], indirect=True)
 @pytest.mark.parametrize(
     ("axes", "mirrored"),
     [((1, 2, 0), (False, False, False)), ((0, 2, 1), (True, False, True))],

@@ -61,8 +61,11 @@ class _Status:
 
     def __call__(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
         free = np.ones(times.shape, dtype=bool)
-        shared = isinstance(self._family, SpecularPaths) or bool(np.all(times == times[:1]))
-        for some in [np.arange(len(rows))] if shared else [np.array([i]) for i in range(len(rows))]:
+        shared = np.zeros(len(rows), dtype=np.int64)
+        if not isinstance(self._family, SpecularPaths):  # those looked at at the same times are so together
+            shared = np.unique(times[:, [0, -1]], axis=0, return_inverse=True)[1].ravel()
+        for group in range(int(shared.max(initial=-1)) + 1):
+            some = np.flatnonzero(shared == group)
             free[some] = self._free(*polylines(self._family, self._mirrors, rows[some], times[some]))
         return free
 

@@ -138,3 +138,19 @@ def test_paths_of_another_scene_are_refused(scene: clsim.Scene) -> None:
         clsim.PathSet(scene, ())
     with pytest.raises(clsim.InputError, match=r"image_matrix.*one row per path"):
         replace(paths.families[0], image_matrix=paths.families[0].image_matrix[:3])
+
+
+def test_corners_of_paths_in_a_shoebox_are_in_it() -> None:
+    """Walls at right angles are met in an order of their own, in which corners stand."""
+    tone = clsim.Signal.tone(40e3, 0.01, 192e3)
+    ends = (clsim.Trajectory.fixed(place) for place in ((1.0, 1.0, 1.2), (3.3, 2.1, 0.7)))
+    scene = clsim.Scene(
+        clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.9)), clsim.Air(speed_of_sound=343.0),
+        [clsim.Source("s", tone, next(ends))], [clsim.Receiver("r", next(ends))],
+    )  # fmt: skip
+    paths = clsim.find_paths(scene, 4)
+    corners = paths.vertices(0.005)
+    assert np.nanmin(corners) > -1e-12
+    assert np.nanmax(corners - [4.0, 3.0, 2.5]) < 1e-12
+    way = np.nansum(np.linalg.norm(np.diff(corners, axis=1), axis=2), axis=1)
+    assert way == pytest.approx(343.0 * paths.table(np.zeros(1)).delay[:, 0], rel=1e-12)

@@ -1,0 +1,72 @@
+"""What a diffuse tail costs: processor time over that of images of order 6, in one run.
+
+A hall of some 2 s of reverberation at 48 kHz, one source: one receiver that stands still, one that moves, and an array of
+64 that share a zone. Rays and responses are made once a run, whatever its length, and stand apart.
+"""
+
+import argparse
+import time
+
+import numpy as np
+from scipy.signal import firwin
+
+import clsim
+from clsim.render.diffuse_tail import diffuse_tail
+
+RATE, SIZE, SOURCE, EAR = 48e3, (12.0, 9.0, 5.0), (2.0, 2.0, 1.5), np.array([7.0, 5.0, 1.5])
+
+
+def scene(kind: str, seconds: float) -> clsim.Scene:
+    """Return the hall with receivers of a kind."""
+    noise = np.random.default_rng(0).standard_normal(round(seconds * RATE))
+    signal = clsim.Signal.from_array(
+        0.1 * np.convolve(noise, firwin(255, [100.0, 8e3], pass_zero=False, fs=RATE)), RATE
+    )
+    grid = np.stack(np.meshgrid(np.arange(8), np.arange(8)), axis=-1).reshape(-1, 2) * 0.05
+    ways = {
+        "one, still": [clsim.Trajectory.fixed(EAR)],
+        "one, moving": [clsim.Trajectory.line(EAR, EAR + np.array([1.5, 0.0, 0.0]), seconds + 3.0)],
+        "64, still": [clsim.Trajectory.fixed(EAR + np.array([x, y, 0.0])) for x, y in grid],
+    }[kind]
+    wall = clsim.Material.from_absorption([125.0, 1e3, 8e3], [0.05, 0.09, 0.15], scattering=0.2)
+    ends = [clsim.Receiver(f"r{i}", way) for i, way in enumerate(ways)]
+    source = clsim.Source("s", signal, clsim.Trajectory.fixed(SOURCE))
+    return clsim.Scene(clsim.Shoebox(SIZE, wall), clsim.Air(), [source], ends)
+
+
+def spent(adding: object, plan: clsim.Plan) -> tuple[float, float]:
+    """Return processor times of the first chunk and of all others, s."""
+    times = []
+    for start in range(0, plan.samples, plan.chunk):
+        pressure = np.zeros((plan.receiver_count, min(plan.chunk, plan.samples - start)), np.float32)
+        begun = time.process_time()
+        adding.add(pressure, start)  # type: ignore[attr-defined]
+        times.append(time.process_time() - begun)
+    return times[0], sum(times[1:])
+
+
+def main() -> None:
+    """Print a line for each kind of receivers."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    seconds = parser.parse_args().seconds
+    for kind in ("one, still", "one, moving", "64, still"):
+        paths = clsim.find_paths(scene(kind, seconds), 6)
+        begun = time.process_time()
+        plain = clsim.plan_render(paths, RATE, duration=seconds, chunk=4 * 18432)
+        planned = time.process_time()
+        plan = clsim.plan_render(paths, RATE, duration=seconds, chunk=4 * 18432, tail="auto")
+        rays = (time.process_time() - planned) - (planned - begun)
+        images = [spent(c.begin(), plain) for c in plain.contributions]
+        first, others = spent(diffuse_tail(plan).begin(), plan)
+        of_images = sum(late for _, late in images)
+        print(
+            f"{kind:12} images {of_images:6.2f} s, tail {others:6.2f} s: {others / of_images:5.2f} times; "
+            f"rays {rays:5.2f} s and responses {first - sum(one for one, _ in images):5.2f} s once "
+            f"(a tail of {plan.tails[0].duration:.2f} s)",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
