@@ -42,7 +42,7 @@ def main() -> None:
         path = folder / f"walking_talker_{tail}.wav"
         soundfile.write(path, 0.9 * recording.samples[0] / loudest, int(RATE), subtype="PCM_16")
         print(path)
-    response = clsim.impulse_responses(paths, RATE, band=(90.0, 11e3), lead="keep", tail="auto")
+    response = clsim.impulse_responses(paths, RATE, band=(90.0, 11e3), lead="keep", tail="auto")  # minutes of rays
     draw(heard, response, folder / "walking_talker.png")
     print(*(note for note in heard["auto"].notes if "tail" in note), folder / "walking_talker.png", sep="\n")
 
@@ -77,9 +77,12 @@ def draw(heard: dict[str, clsim.Recording], response: clsim.ImpulseResponses, pa
         level = 10.0 * np.log10(np.mean(heard["auto"].samples[0] ** 2) / RATE)
         axis.specgram(samples, NFFT=512, noverlap=384, Fs=RATE, vmin=level - 50.0, vmax=level + 15.0)
         axis.set(title=f'tail="{tail}"', xlabel="time (s)", ylabel="frequency (Hz)", ylim=(0.0, 6000.0))
+        axis.set(xlim=(0.0, heard["auto"].samples.shape[1] / RATE), facecolor="#440154")  # silence
     measures = clsim.room_measures(response)
     axes[2].semilogx(measures.frequencies, measures.t30[0, 0], "o-", label="T30 of images and tail")
     axes[2].semilogx(measures.frequencies, measures.eyring, "--", label="Eyring with air")
+    axes[2].set_xticks(measures.frequencies, [f"{f:g}" for f in measures.frequencies])
+    axes[2].minorticks_off()
     axes[2].set(xlabel="octave (Hz)", ylabel="s", title="reverberation", ylim=(0.0, None))
     axes[2].legend()
     figure.savefig(path, dpi=110)
