@@ -73,6 +73,25 @@ class Signal:
             return self
         return Signal(self.waveform.pulse, self.waveform.pulse_rate)
 
+    def steady_frequency(self, first: int, last: int) -> float | None:
+        """Return the frequency of a tone where its level is constant.
+
+        Parameters
+        ----------
+        first, last : int
+            First sample, and the one after the last.
+
+        Returns
+        -------
+        float or None
+            Hz; None unless all of these samples are one tone at full level.
+        """
+        tone = self.waveform
+        if not isinstance(tone, Tone):
+            return None
+        fade = math.ceil(tone.fade * self.sampling_rate)
+        return tone.frequency if fade <= first and last <= self.count - 1 - fade else None
+
     def read(self, start: int, stop: int) -> Floats:
         """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut.
 
