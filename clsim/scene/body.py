@@ -118,7 +118,7 @@ class Body:
         >>> hinge = Trajectory.swing((2, 0, 0), (0, 0, 1), [0.0, 1.5], [0.0, 2.0])
         >>> door = Body.box("door", (0.9, 0.0, 2.0), wood, hinge, centre=(0.5, 0.0, 1.0))
         >>> door.faces, door.radius.__round__(3)
-        (('door',), 2.215)
+        (('door',), 2.214)
         """
         lengths = as_floats("size", size, (3,), within=LARGEST_ROOM, unit="m")
         thin = np.flatnonzero(lengths == 0.0)

@@ -68,7 +68,7 @@ def test_a_store_is_a_class_and_its_name(tmp_path: Path, monkeypatch: pytest.Mon
     scene.write_text(SCENE, "utf-8")
     assert main(["run", str(scene), "-o", str(tmp_path / "wav"), "--no-plots"]) == 0
     assert main(["run", str(scene), "-o", str(tmp_path / "npy"), "--store", "columns"]) == 2
-    assert "invalid choice: 'columns'" in capsys.readouterr().err
+    assert '--store: must be one of "wav", "zarr", "hdf5", but is' in capsys.readouterr().err
     monkeypatch.setitem(stores.STORES, "columns", Columns)
     assert main(["run", str(scene), "-o", str(tmp_path / "npy"), "--store", "columns", "--no-plots"]) == 0
     for row, name in zip(np.load(tmp_path / "npy" / "sound.npy").T, ("left", "right"), strict=True):
