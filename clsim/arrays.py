@@ -277,8 +277,8 @@ def _shown(value: Any) -> str:
         return str(value.tolist()) if value.size <= _FEW else f"<{value.dtype} {value.shape}>"
     if isinstance(value, tuple | list | dict):
         plain = len(value) <= _FEW and not any(is_dataclass(v) or isinstance(v, np.ndarray) for v in value)
-        kind = type(next(iter(value), None)).__name__
-        return repr(value) if plain and not isinstance(value, dict) else f"<{len(value)} {kind}>"
+        kinds = " and ".join(dict.fromkeys(type(v).__name__ for v in value))  # of a mapping's names
+        return repr(value) if plain and not isinstance(value, dict) else f"<{len(value)} {kinds}>"
     if is_dataclass(value) and not isinstance(value, type):
         name, whole = getattr(value, "name", ""), repr(value)
         head = repr(name) if isinstance(name, str) and name else "…"

@@ -95,7 +95,7 @@ def draw_map(found: object, file: Path) -> None:
     """Draw the median error of every receiver on the ceiling, for some members."""
     from matplotlib.colors import LogNorm
 
-    figure = Figure(figsize=(11.0, 4.3), layout="constrained")
+    figure = Figure(figsize=(11.0, 3.45), layout="constrained")
     FigureCanvasAgg(figure)
     shown = None
     for axes, (order, speed) in zip(figure.subplots(1, 3, sharey=True), ((1, 0.0), (4, 0.0), (4, 2.0)), strict=True):
@@ -106,7 +106,7 @@ def draw_map(found: object, file: Path) -> None:
         axes.plot([3.0, 3.0 + 0.48 * speed], [2.0, 2.0], "o-", color="white", markeredgecolor="black", markersize=6)
         axes.set(title=f"up to {order} reflection{'s' * (order > 1)}, {speed:g} m/s", xlabel="x (m)")
     figure.axes[0].set_ylabel("y (m)")
-    figure.colorbar(shown, ax=figure.axes, label="median |error| (mm)", extend="both")
+    figure.colorbar(shown, ax=figure.axes, label="median |error| (mm)", extend="both", pad=0.01)
     figure.suptitle("Distance by time of flight, 100 receivers on the ceiling; the robot's way is white")
     figure.savefig(file, dpi=100)
 

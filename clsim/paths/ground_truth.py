@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import as_choice, as_floats, texts
+from clsim.packages import check_packages
 from clsim.paths.arrivals import MOTIONS, slices_of
-from clsim.paths.labelled import labelled_dataset
+from clsim.paths.labelled import categories, labelled_dataset, labelled_frame
 from clsim.paths.specular.family import SpecularPaths
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
+
+_OVER_TIME = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +51,29 @@ class DirectPath:
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
 
+    def to_dataframe(self) -> Any:
+        """Return it as a pandas DataFrame, a row per source, receiver and time.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns ``times``, ``source``, ``receiver`` and a column for each field; texts as categories, as in
+            `PathTable.to_dataframe`; ``attrs["units"]`` tells the units.
+
+        Raises
+        ------
+        InputError
+            If pandas is missing.
+        """
+        check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
+        source, receiver, at = (index.ravel() for index in np.indices(self.delay.shape))
+        columns = {
+            "times": self.times[at],
+            "source": categories(self.source_names, source),
+            "receiver": categories(self.receiver_names, receiver),
+        }
+        return labelled_frame(columns | {name: getattr(self, name).ravel() for name in _OVER_TIME})
+
     def to_xarray(self) -> Any:
         """Return it with named dimensions ``source``, ``receiver`` and ``times``, coordinates and units.
 
@@ -62,13 +88,12 @@ class DirectPath:
             If xarray is missing.
         """
         over = ("source", "receiver", "times")
-        names = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
         coordinates = {
             "source": ("source", texts(self.source_names)),
             "receiver": ("receiver", texts(self.receiver_names)),
             "times": ("times", self.times),
         }
-        return labelled_dataset({name: (over, getattr(self, name)) for name in names}, coordinates)
+        return labelled_dataset({name: (over, getattr(self, name)) for name in _OVER_TIME}, coordinates)
 
 
 def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> DirectPath:

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from clsim.arrays import texts
 from clsim.packages import check_packages
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
 _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 _ATTRIBUTES: dict[str, dict[str, str]] = {
@@ -22,6 +30,14 @@ _ATTRIBUTES: dict[str, dict[str, str]] = {
     "objects": {"long_name": "what the path meets, from the source's side"},
     "interactions": {"long_name": "0 specular reflection, 1 diffraction, 2 scattering"},
 }
+
+
+def categories(values: Sequence[str], which: NDArray[np.integer[Any]]) -> Any:
+    """Return a categorical column of pandas: the texts of `values` in the rows `which`."""
+    import pandas
+
+    kinds, code = np.unique(texts(values), return_inverse=True)
+    return pandas.Categorical.from_codes(code[which], kinds)
 
 
 def labelled_frame(columns: dict[str, Any]) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from clsim.arrays import short_repr, texts
 from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
-from clsim.paths.labelled import labelled_dataset, labelled_frame
+from clsim.paths.labelled import categories, labelled_dataset, labelled_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -110,14 +110,7 @@ class PathTable:
             If pandas is missing.
         """
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
-        import pandas
-
-        def words(values: Sequence[str], which: Any) -> Any:
-            """Return a categorical column of the texts of `values` in the rows `which`."""
-            kinds, code = np.unique(texts(values), return_inverse=True)
-            return pandas.Categorical.from_codes(code[which], kinds)
-
-        return labelled_frame(long_columns(self, range(len(self.source)), words))
+        return labelled_frame(long_columns(self, range(len(self.source)), categories))
 
     def to_xarray(self) -> Any:
         """Return it as an xarray Dataset with dimensions ``path``, ``times`` and ``axis``, coordinates and units.

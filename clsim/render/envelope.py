@@ -169,8 +169,8 @@ def design_envelope(emission: Emission) -> EnvelopeFilters:
     baseband = Baseband(*options.baseband)
     half, removed_db = half_band(emission.source, signal, emission.spectrum(), baseband, emission.max_rate)
     carrier, _, rate = baseband
-    # What would be folded onto what is held, or is the image of the carrier, which at the signal's rate may stand
-    # nearer; as near as a quarter of the band beyond the band it stays, where it disturbs nothing that is held.
+    # What would be folded onto what is held, or is the image of the carrier, which the signal's rate may bring nearer:
+    # where it all but touches the band it stays, beside what is held.
     image = min(2.0 * carrier, max(signal.sampling_rate - 2.0 * carrier, 2.5 * half))
     stop = min(rate or 0.0, image) - half
     low_pass = low_pass_between(half, stop, signal.sampling_rate, -options.interpolator.error_db + _MARGIN_DB)

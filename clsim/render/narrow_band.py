@@ -111,6 +111,10 @@ class Split:
         window = math.ceil(max(LEVEL_TIME * signal.sampling_rate, self.reach) / CELL) * CELL
         before, after = begin // window - 1, -(-end // window) + 1
         offset = before * window
+        if self._leaves_nothing(
+            signal.steady_frequency(min(offset, begin - self.reach), max(after * window, end + self.reach))
+        ):
+            return np.zeros(last - first)
         whole, left = signal.read(offset, after * window), np.zeros(end - begin)
         single = whole.astype(np.float32)  # rounds at -140 dB
         places, passed = filtered(lambda a, b: single[a - offset : b - offset], self._band_pass(signal), begin, end)
@@ -124,6 +128,17 @@ class Split:
         cells = left.reshape(-1, CELL)
         cells[np.abs(cells).max(axis=1) <= self.silence * of_cell] = 0.0
         return left[first - begin : last - begin]
+
+    def _leaves_nothing(self, tone: float | None) -> bool:
+        """Return whether nothing is left of a steady tone, by its frequency in Hz.
+
+        Its level is 3 dB below its amplitude; what the band-pass leaves of it and of its image is 6 dB below silence.
+        """
+        return (
+            tone is not None
+            and len(self.bands) == 1
+            and abs(tone - self.bands[0].baseband.carrier) <= self.bands[0].flat
+        )
 
     def rest_of(self, sound: ShortTimeSpectra) -> ShortTimeSpectra:
         """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""

@@ -24,7 +24,7 @@ from clsim.render.source_filters import Emission, SourceFilters, design_source_f
 from clsim.render.static_convolution import static_convolution
 from clsim.render.static_pairs import StaticPairs, find_static_pairs
 from clsim.render.tails import NO_TAILS, FoundTails, find_tails
-from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
+from clsim.scene.signal.occupied_bandwidth import spectra
 from clsim.tracks.pruning import pruned
 from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
@@ -190,10 +190,10 @@ def _source_filters(
     with threadpool_limits(1, "blas"):
         for i, (emitted, start) in enumerate(emissions):
             signal = emitted.at_rate(options.sampling_rate)
-            sound = ShortTimeSpectra.of(signal)
+            sound, spectrum = spectra(signal)
             emission = Emission(
-                i, signal, start, sound, tracks, options, until, pairs.holds(tracks, i),
-                cache(signal.energy_spectrum), cache(partial(Draw.of, tracks, i, until)),
+                i, signal, start, sound, tracks, options, until, pairs.holds(tracks, i), spectrum,
+                cache(partial(Draw.of, tracks, i, until)),
             )  # fmt: skip
             split, why = chosen_split(emission, pairs)
             told += [why] if why else []

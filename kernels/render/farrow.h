@@ -1,6 +1,7 @@
-// The fractional delay as a Farrow bank: Horner's scheme in mu over the branch signals. A single function of frequency has
-// ROWS of them, known to the compiler; where signals pause several functions are summed together (ROWS == 0), and
-// `first_row` says where those of each begin: a jump to code for as many costs less than a loop.
+// The fractional delay as a Farrow bank: Horner's scheme in mu over the branch signals; `first_row` says where those of
+// each function of frequency begin. Where signals pause, each path takes all functions one after the other, and a jump to
+// code for as many rows costs less than a loop; else a single function is summed over many paths, and on CPUs a loop takes
+// no longer, and less time to build. GPUs, which wait for what they read, have rows one after the other in code.
 
 // Add one path's share of one function; `branches` points at the subblock's first sample in the first of its `rows` rows.
 static void add_function(__global const float* branches, int stride, const int rows, const vec* sample, const vec* mu,
@@ -10,9 +11,6 @@ static void add_function(__global const float* branches, int stride, const int r
     vec value[VECTORS];
 #pragma unroll
     for (int j = 0; j < VECTORS; j++) value[j] = LOAD(row + (worker * VECTORS + j) * LANES);
-#if ROWS
-#pragma unroll
-#endif
     for (int q = 1; q < rows; q++) {
         row -= stride;
 #pragma unroll
@@ -50,9 +48,7 @@ static void add_path(__global const float* branches, int stride, __global const 
 #define GAIN(k) paths->gain[k][p], paths->slope[k][p], 0.0f, 0.0f
 #endif
 #define ADD(k, rows) add_function(row + first_row[k] * (long)stride, stride, rows, sample, mu, GAIN(k), worker, sum[k])
-#if ROWS
-    ADD(0, ROWS);
-#else
+#if SPARSE || LANES == 1
     for (int k = 0; k < functions; k++) {
         switch (first_row[k + 1] - first_row[k]) {
         case 2: ADD(k, 2); break;
@@ -65,5 +61,7 @@ static void add_path(__global const float* branches, int stride, __global const 
         default: ADD(k, first_row[k + 1] - first_row[k]);
         }
     }
+#else
+    ADD(0, first_row[1] - first_row[0]);
 #endif
 }

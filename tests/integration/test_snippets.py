@@ -1,119 +1,13 @@
 """Every snippet of README and of docs runs as it stands, page by page, in a process of its own."""
 
-import multiprocessing
-import os
-import re
-import shlex
-import shutil
-import traceback
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-
-import clsim
-
-ROOT = Path(clsim.__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-# A comment, `<!-- not run: why -->`, stands before what needs files or machines that a test has not.
-FENCE = re.compile(r"(?<!-->\n)^```(python|sh|toml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-# What commands need that a test cannot give: a cluster, root's rights, another machine, the network.
-ELSEWHERE = re.compile(
-    r"^(make|pip|python -m (pip|pytest)|sudo|apt|dask|tail|ls|clinfo|export|git|cd)\b|--scheduler|docker|ssh"
-)
-
-
-def snippets(page: Path) -> list[tuple[str, str]]:
-    """Return kind and text of each of a page's snippets."""
-    return FENCE.findall(page.read_text("utf-8"))
-
-
-def small_scene() -> clsim.Scene:
-    """Return what pages call ``scene``: a robot that walks and pulses, four receivers."""
-    pulse = clsim.Signal.chirp(20e3, 45e3, 5e-3, 192e3, window="tukey")
-    walk = clsim.Trajectory.line((2.0, 2.0, 1.2), (2.4, 2.6, 1.2), 0.3)
-    robot = clsim.Source("robot", clsim.Signal.pulses(pulse, 0.05, 4), walk)
-    places = {"ceiling": (1.0, 1.0, 2.4), "b": (5.0, 1.0, 2.3), "c": (5.0, 4.0, 2.4), "d": (1.0, 4.0, 2.2)}
-    ears = [clsim.Receiver(name, clsim.Trajectory.fixed(place)) for name, place in places.items()]
-    return clsim.Scene(clsim.Shoebox((6.0, 5.0, 2.5), clsim.Material.from_reflection(0.8)), clsim.Air(), [robot], ears)
-
-
-def prelude() -> dict[str, Any]:
-    """Return the names that pages take for granted, and write the files that they name."""
-    scene = small_scene()
-    paths = clsim.find_paths(scene, 1)
-    recording = clsim.render(paths, 192e3)
-    t = np.linspace(0.0, 0.3, 31)
-    tone = clsim.Signal.tone(40e3, 0.3, 192e3, fade=0.01)
-    box = clsim.Shoebox((2.0, 0.4, 1.5), clsim.Material.from_reflection(0.8)).as_mesh()
-    faces = [f"v {x} {y} {z}" for x, y, z in box.vertices] + [f"f {a} {b} {c}" for a, b, c in box.triangles + 1]
-    for name in ("hall.obj", "shelf.obj", "room.obj"):
-        Path(name).write_text("\n".join(faces), "utf-8")
-    np.savetxt(
-        "walk.txt", np.column_stack([t, *scene.sources[0].trajectory.position(t).T, np.tile((0, 0, 0, 1), (31, 1))])
-    )
-    shutil.copytree(ROOT / "examples", "examples")
-    rows = "\n".join(f"{angle},0,-1" for angle in range(0, 190, 10))
-    for name in ("beam.csv", "phase.csv"):
-        Path(name).write_text(f"angle,20000,60000\n{rows}\n", "utf-8")
-    return {
-        "clsim": clsim, "np": np, "scene": scene, "paths": paths, "recording": recording, "trajectory": scene.sources[0].trajectory,
-        "signal": tone, "voltage": tone, "times": t, "at": 0.1, "frequency": 40e3, "speed_of_sound": 343.0,
-        "delays": np.full((1, 31), 0.01), "gains": np.ones((1, 31)), "direction": np.array([1.0, 0.0, 0.0]),
-        "angles_degrees": np.linspace(0.0, 180.0, 19), "frequencies": np.array([20e3, 60e3]), "values": np.ones((19, 2)),
-        "magnitudes_db": np.zeros((19, 2)), "phases_degrees": np.zeros((19, 2)),
-        "anchors": np.array([(1, 1, 2.4), (5, 1, 2.3), (5, 4, 2.4), (1, 4, 2.2)], dtype=float),
-        "x": np.linspace(1, 5, 5), "y": np.linspace(1, 4, 4),
-    }  # fmt: skip
-
-
-def run_page(page: str, folder: str, told: Any) -> None:
-    """Run a page's snippets one after the other; tell what went wrong, nothing if nothing did."""
-    os.chdir(folder)
-    os.environ["MPLBACKEND"] = "agg"
-    try:
-        names = prelude()
-        for kind, text in snippets(Path(page)):
-            if kind == "python":
-                exec(compile(text, page, "exec"), names)
-            elif kind == "sh":
-                run_commands(text)
-        told.put("")
-    except BaseException:
-        told.put(traceback.format_exc()[-1500:])
-
-
-def run_commands(text: str) -> None:
-    """Run each `clsim …` line of a snippet."""
-    from clsim.cli import main
-
-    for line in text.replace("\\\n", " ").splitlines():
-        words = shlex.split(line, comments=True)
-        if not words or ELSEWHERE.search(line):
-            continue
-        assert words[0] == "clsim", f"a command of another program: {line}"
-        if words[1] == "run":
-            words += [
-                *(["--duration", "0.05"] if "examples/circle.toml" in words else []),
-                *([] if "--resume" in words else ["--force"]),
-            ]
-        if words[1] == "study":
-            words = ["clsim", "check", "examples/time_of_flight_scene.toml"]  # itself a test: the whole takes a minute
-        try:
-            status = main(words[1:])
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        assert status == 0, line
+from exhaustive import few
+from snippets import PAGES, problem_of, run_page, snippets
 
 
 @pytest.mark.usefixtures("device")
-@pytest.mark.parametrize("page", [page for page in PAGES if snippets(page)], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", few([page for page in PAGES if snippets(page)]), ids=lambda page: page.name)
 def test_the_snippets_of_a_page_run(page: Path, tmp_path: Path) -> None:
-    context = multiprocessing.get_context("spawn")
-    told = context.Queue()
-    process = context.Process(target=run_page, args=(str(page), str(tmp_path), told))
-    process.start()
-    problem = told.get(timeout=300)
-    process.join()
-    assert problem == ""
+    assert problem_of(run_page, page, tmp_path) == ""

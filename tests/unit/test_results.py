@@ -134,6 +134,12 @@ def test_paths_and_ground_truth_have_named_dimensions(recording: clsim.Recording
     np.testing.assert_array_equal(truth.delay.sel(source="robot", receiver="right"), direct[0])
     assert [truth[name].attrs["units"] for name in ("times", "delay", "radial_speed")] == ["s", "s", "m/s"]
     assert truth.line_of_sight.all()
+    rows = clsim.direct_path(paths, TIMES).to_dataframe()
+    assert rows.columns.tolist() == ["times", "source", "receiver", *truth.data_vars]
+    assert rows.attrs["units"]["delay"] == "s"
+    for name in truth.data_vars:
+        np.testing.assert_array_equal(rows[name][rows.receiver == "right"], truth[name].sel(receiver="right")[0])
+    np.testing.assert_array_equal(rows.times[rows.receiver == "right"], TIMES)
 
 
 def test_pictures(recording: clsim.Recording, pyplot: Any) -> None:
@@ -195,6 +201,7 @@ def test_pages_and_sound_in_notebooks(recording: clsim.Recording) -> None:
     ("package", "extra", "use"),
     [
         ("pandas", "tables", lambda r: r.paths.to_dataframe(TIMES)),
+        ("pandas", "tables", lambda r: clsim.direct_path(r.paths, TIMES).to_dataframe()),
         ("xarray", "tables", lambda r: r.paths.to_xarray(TIMES)),
         ("xarray", "tables", lambda r: r.to_xarray()),
         ("xarray", "tables", lambda r: clsim.direct_path(r.paths, TIMES).to_xarray()),

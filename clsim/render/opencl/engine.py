@@ -341,10 +341,9 @@ class Run:
         subblocks = (end - begin) // subblock
         size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._batch.pairs))
         together = _TOGETHER if sparse and self._functions > 1 else 1
+        constants = {**layout, "FUNCTIONS": together, "DELAY_TERMS": self._plan.delay_terms}
+        kernel = engine._compiler.kernel("render", constants)
         for k in range(0, self._functions, together):
-            rows = len(filters.banks[k].taps) if together == 1 else 0
-            constants = {**layout, "FUNCTIONS": together, "ROWS": rows, "DELAY_TERMS": self._plan.delay_terms}
-            kernel = engine._compiler.kernel("render", constants)
             kernel(
                 engine._queue, (size, (layout["WORKERS"], 1)), **self._branch_arguments(begin),
                 **self._block_arguments(nodes, first_block), first_row=filters.rows, functions=self._functions,

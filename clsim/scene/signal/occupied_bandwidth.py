@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.scene.signal.signal import SEGMENT_LENGTH
+
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -34,11 +39,6 @@ class ShortTimeSpectra:
     frequencies: Floats
     energy: Floats
     weights: Floats
-
-    @classmethod
-    def of(cls, signal: Signal) -> ShortTimeSpectra:
-        """Return those of a signal; of silence there is no window."""
-        return cls(*signal.short_time_spectra())
 
     def near(self, points: Floats, low: float, high: float) -> Floats:
         """Return the energy (W, n) near rising frequencies (n,), Hz, those of bins within `low` and `high`."""
@@ -84,6 +84,19 @@ class ShortTimeSpectra:
     def swiftness(self) -> float:
         """Return the largest root mean square frequency of any window, Hz: that by which an error of delay is heard."""
         return math.sqrt(float((self.energy @ self.frequencies**2).max(initial=0.0)))
+
+
+def spectra(signal: Signal) -> tuple[ShortTimeSpectra, Callable[[], tuple[Floats, Floats]]]:
+    """Return a signal's short-time spectra, of silence without a window, and what returns its energy spectrum.
+
+    That is frequencies (n,), Hz, and energy (n,) as of `Signal.energy_spectrum`. Where both have windows of the same
+    length they are worked out together; else it is worked out when it is first asked for.
+    """
+    frequencies, energy, weights, whole = signal.short_time_spectra()
+    found = ShortTimeSpectra(frequencies, energy, weights)
+    if len(whole) == SEGMENT_LENGTH // 2 + 1:
+        return found, lambda: (frequencies, whole)
+    return found, cache(signal.energy_spectrum)
 
 
 def shares(spectrum: tuple[Floats, Floats], share: float) -> tuple[float, float]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_SPECTRUM_LENGTH = 8192  # samples of a segment
+SEGMENT_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
 _WINDOW = 0.04  # s, of a short-time spectrum
 _QUIET_WINDOW = 1e-6  # energy of a window relative to the loudest, below which it is taken relative to this level
@@ -72,6 +72,25 @@ class Signal:
         if not isinstance(self.waveform, Pulses):
             return self
         return Signal(self.waveform.pulse, self.waveform.pulse_rate)
+
+    def steady_frequency(self, first: int, last: int) -> float | None:
+        """Return the frequency of a tone where its level is constant.
+
+        Parameters
+        ----------
+        first, last : int
+            First sample, and the one after the last.
+
+        Returns
+        -------
+        float or None
+            Hz; None unless all of these samples are one tone at full level.
+        """
+        tone = self.waveform
+        if not isinstance(tone, Tone):
+            return None
+        fade = math.ceil(tone.fade * self.sampling_rate)
+        return tone.frequency if fade <= first and last <= self.count - 1 - fade else None
 
     def read(self, start: int, stop: int) -> Floats:
         """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut.
@@ -127,7 +146,7 @@ class Signal:
         frequencies, energy : ndarray (n,)
             Hz, and Pa² times samples.
         """
-        length, hop = _SPECTRUM_LENGTH, _SPECTRUM_LENGTH // 2
+        length, hop = SEGMENT_LENGTH, SEGMENT_LENGTH // 2
         picked, weight = _picked_segments(self.count, hop)
         window = _hann(length)
         energy = np.zeros(hop + 1)
@@ -137,8 +156,8 @@ class Signal:
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         return frequencies, energy / length
 
-    def short_time_spectra(self) -> tuple[Floats, Floats, Floats]:
-        """Return frequencies (F,) in Hz, the energy (W, F) at each in windows of some 40 ms, and their weights (W,).
+    def short_time_spectra(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the energy (W, F) in windows of some 40 ms at frequencies (F,), Hz, with weights (W,), and in all.
 
         Hann windows with half overlap, picked as by `energy_spectrum`; silent ones are left out. Energies are relative
         to that of the window or its neighbour on either side, whichever is most, so that the end of a sound is seen
@@ -146,17 +165,19 @@ class Signal:
 
         Returns
         -------
-        frequencies, energy, weights : ndarray (F,), (W, F), (W,)
-            Hz, Pa² times samples, and windows for which each stands.
+        frequencies, energy, weights, whole : ndarray (F,), (W, F), (W,), (F,)
+            Hz, energies relative to such a level, windows for which each stands, and the energy of all of the signal in
+            Pa² times samples, which is that of `energy_spectrum` to the last bit where its segments are as long.
         """
         length = 2 ** int(np.clip(round(math.log2(_WINDOW * self.sampling_rate)), 6, 14))
         hop, window = length // 2, _hann(length)
-        found, levels, weights = [], [], []
+        found, levels, weights, whole = [], [], [], np.zeros(hop + 1)
         for k, share in zip(*_picked_segments(self.count, hop), strict=True):
             around = self.read((int(k) - 1) * hop, (int(k) + 1) * hop + length)
             if not np.any(around[hop:-hop]):
                 continue
             spectrum = np.abs(np.fft.rfft(around[hop:-hop] * window)) ** 2
+            whole += share * spectrum
             spectrum[1:-1] *= 2.0
             found.append(spectrum)
             weights.append(share)
@@ -165,9 +186,9 @@ class Signal:
             )
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         if not found:
-            return frequencies, np.zeros((0, hop + 1)), np.zeros(0)
+            return frequencies, np.zeros((0, hop + 1)), np.zeros(0), whole
         level = np.maximum(levels, _QUIET_WINDOW * max(levels))
-        return frequencies, np.array(found) / level[:, None], np.array(weights)
+        return frequencies, np.array(found) / level[:, None], np.array(weights), whole / length
 
     def band(self) -> tuple[float, float]:
         """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz.

@@ -44,20 +44,28 @@ def test_what_is_warmed_up_is_there_when_it_is_needed(device: None, capsys: pyte
     assert "no OpenCL device is or is called 'no such device'" in capsys.readouterr().err
 
 
-def test_other_numbers_of_functions_and_branches_need_no_other_sum_where_signals_pause(device: None) -> None:
+CHIRP = clsim.Signal.chirp(30e3, 50e3, 0.002, RATE, window="tukey")
+SIGNALS = {
+    "with pauses": clsim.Signal.pulses(CHIRP, 0.03, 3),
+    "without": clsim.Signal.chirp(20e3, 80e3, 0.1, RATE, window="tukey"),
+}
+
+
+@pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
+def test_other_numbers_of_functions_and_branches_need_no_other_sum(device: None, signal: clsim.Signal) -> None:
     def of_sum() -> set[tuple[str, tuple[str, ...]]]:
         texts = {kernel_source("render"), kernel_source("branches")}
         return {key for key in built() if key[0] in texts}
 
-    chirp = clsim.Signal.chirp(30e3, 50e3, 0.002, RATE, window="tukey")
-    signal = clsim.Signal.pulses(chirp, 0.03, 3)
-    known, functions = [], []
-    for error_db in (-80.0, -70.0):
+    known, functions, branches = [], [], []
+    for error_db in (-60.0, -80.0):
         heard(signal, response_error_db=error_db)
         known.append(of_sum())
         plan = clsim.plan_render(paths_of(signal), RATE, response_error_db=error_db)
         functions.append(len(plan.source_filters[0].banks))
-    assert functions[0] > functions[1] > 1
+        branches.append({len(bank.taps) for bank in plan.source_filters[0].banks})
+    assert functions[1] > functions[0] > 1
+    assert branches[1] > branches[0]
     assert known[0] == known[1]
 
 

@@ -11,6 +11,7 @@ from scipy.signal import correlate, firwin
 from scipy.signal.windows import hann, tukey
 
 from clsim import InputError, Signal
+from clsim.scene.signal.occupied_bandwidth import spectra
 from clsim.scene.signal.sequences import binary_sequence
 
 RATE = 192e3
@@ -161,6 +162,16 @@ def test_spectrum_of_a_short_pulse_holds_its_energy() -> None:
     expected = 0.5 * 0.75 * np.sum(PULSE.read(0, PULSE.count) ** 2)
     # cos^4 + sin^4 of a short pulse's place in the windows is 3/4 on average, at least 1/2 and at most 1.
     assert expected / 1.5 < energy.sum() < expected / 0.75 * 1.001
+
+
+@pytest.mark.parametrize("rate", [RATE, 96e3], ids=["in windows as long", "in others"])
+def test_both_spectra_of_a_signal_are_those_of_either(rate: float) -> None:
+    # 12 s: segments are picked at 192 kHz; most windows are silent.
+    train = Signal.pulses(Signal.chirp(20e3, 40e3, 0.005, rate), 0.2, 60)
+    sound, spectrum = spectra(train)
+    for got, expected in zip(spectrum(), train.energy_spectrum(), strict=True):
+        np.testing.assert_array_equal(got, expected)
+    assert (len(sound.frequencies) == len(spectrum()[0])) == (rate == RATE)
 
 
 def test_centre_frequency() -> None:

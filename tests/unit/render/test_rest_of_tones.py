@@ -1,0 +1,37 @@
+"""What narrow parts leave of a tone, where it is known to be nothing without filtering."""
+
+import numpy as np
+import pytest
+
+from clsim import Signal
+from clsim.render.baseband import Baseband
+from clsim.render.narrow_band import NarrowBand, Split
+
+RATE = 192e3
+SPLIT = Split.into((NarrowBand.designed(Baseband(40e3, 4e3, 8e3), 200.0, 1200.0, RATE, -85.0),), -85.0)
+RANGES = [(-5000, 30_000), (10_011, 60_003), (30_000, 70_000), (66_000, 80_000), (0, 76_800)]
+
+
+@pytest.mark.parametrize("fade", [0.0, 0.02], ids=["abrupt", "fades"])
+@pytest.mark.parametrize("frequency", [40e3, 40.2e3, 41.5e3], ids=["carrier", "passed", "left"])
+def test_the_rest_of_a_tone_is_that_of_its_samples(frequency: float, fade: float) -> None:
+    tone = Signal.tone(frequency, 0.4, RATE, amplitude=2.0, fade=fade)
+    samples = Signal.from_array(tone.read(0, tone.count), RATE)  # of which nothing is known
+    sounding = 0
+    for first, last in RANGES:
+        rest = SPLIT.rest(tone, first, last)
+        np.testing.assert_array_equal(rest, SPLIT.rest(samples, first, last))
+        sounding += bool(np.any(rest))
+    assert tone.steady_frequency(*RANGES[1]) == frequency
+    assert sounding >= 3 if frequency < 41e3 else sounding == len(RANGES)
+
+
+@pytest.mark.parametrize("fade", [0.0, 0.02])
+def test_a_tone_is_steady_where_its_level_is_whole(fade: float) -> None:
+    tone, steady = (Signal.tone(1e3, 0.1, 48e3, fade=f) for f in (fade, 0.0))
+    inside = [n for n in range(tone.count) if tone.steady_frequency(n, n + 1)]
+    assert len(inside) > 0.9 * (0.1 - 2.0 * fade) * 48e3
+    first, last = inside[0], inside[-1] + 1
+    np.testing.assert_array_equal(tone.read(first, last), steady.read(first, last))
+    assert tone.steady_frequency(first - 1, last) is tone.steady_frequency(first, last + 2) is None
+    assert Signal.chirp(1e3, 2e3, 0.1, 48e3).steady_frequency(first, last) is None
