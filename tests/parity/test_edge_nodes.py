@@ -1,5 +1,6 @@
 """Nodes of paths over one edge: the device's against those of the kind of paths itself, in float64 on the host."""
 
+import warnings
 from functools import cache
 
 import numpy as np
@@ -116,3 +117,29 @@ def test_mutants_are_caught(names, monkeypatch: pytest.MonkeyPatch) -> None:
     mutants.play(monkeypatch)
     assert difference_db() < TOLERANCE_DB, "none of them is chosen"
     assert mutants.unseen(lambda: difference_db() < TOLERANCE_DB) == []
+
+
+def test_the_last_echoes_of_a_pulse_are_held_as_well_as_the_pulse() -> None:
+    """Paths over edges alone sound after a segment's end, softly: what is told of functions is told of all that sounds."""
+    plaster = clsim.Material.from_reflection(0.6)
+    walls = [
+        clsim.MeshRoom([(4, a, 0), (4, b, 0), (4, b, 3), (4, a, 3)], [(0, 1, 2), (0, 2, 3)], plaster)
+        for a, b in ((0.0, 4.0), (4.9, 6.0))
+    ]
+    room = clsim.MeshRoom.joined([clsim.Shoebox((8.0, 6.0, 3.0), plaster), *walls])
+    pulse = clsim.Signal.chirp(20e3, 45e3, 5e-3, RATE, window="hann")
+    beacon = clsim.Source("beacon", pulse, clsim.Trajectory.fixed((2.0, 4.9, 1.6)), start=0.06)
+    tag = clsim.Receiver("tag", clsim.Trajectory.line((5.5, 3.0, 1.3), (5.5, 2.6, 1.3), 0.4))
+    found = clsim.find_paths(clsim.Scene(room, clsim.Air(), [beacon], [tag]), 1, diffraction=1)
+    made = plan_render(found, RATE, duration=0.15)
+    engine = OpenclEngine(made)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        heard = engine.render(0, made.samples)[0]
+        engine.warn()
+    assert -140.0 < engine.unheld[0].level_db < made.source_filters[0].unheld_db
+    exact = clsim.render(found, RATE, duration=0.15, engine="reference").pressure[0].astype(np.float64)
+    wrong, right = (np.sqrt(np.mean(x.reshape(-1, round(0.01 * RATE)) ** 2, axis=1)) for x in (heard - exact, exact))
+    about = np.max([np.roll(right, shift) for shift in (-2, -1, 0, 1, 2)], axis=0)  # some 40 ms
+    sounding = about > 1e-3 * right.max()
+    assert 20.0 * np.log10((wrong[sounding] / about[sounding]).max()) < -85.0

@@ -14,6 +14,7 @@ from clsim.paths.specular.family import SpecularPaths
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.pair_nodes import PairTracks
+from clsim.render.opencl.unheld import Unheld
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import plan_render
 from clsim.render.reference import ReferenceEngine
@@ -202,11 +203,29 @@ def test_responses_that_nothing_holds_are_told() -> None:
     engine = OpenclEngine(made)
     engine.render(0, made.samples)
     engine.warn()  # says nothing: warnings are errors
-    engine.note(0, 1e-3)
+    late = made.samples // made.segment + 5  # nothing else sounds about it
+    engine.unheld[0].add(late, np.array([0]), np.array([1e-6, 1.0]).reshape(2, 1, 1))
     with pytest.warns(
         clsim.ClsimWarning, match=r"source 0: air, walls and directivities were held within -60.0 dB, not the -90 dB"
     ):
         engine.warn()
+
+
+def test_what_nothing_holds_is_told_of_all_paths_beside_what_sounds_about_it() -> None:
+    ears = np.array([2, 0])
+    last_echoes = {7: [[1e-9, 0.0], [1e-3, 1.0]], 8: [[4e-9, 1e-9], [2e-3, 2.0]], 9: [[1e-9, 0.0], [1e-2, 1.0]]}
+    at_once, by_and_by, alone = Unheld(3), Unheld(3), Unheld(3)
+    for segment, squares in last_echoes.items():
+        for some in (at_once, by_and_by):
+            some.add(segment, ears, np.array(squares)[:, None])
+        at_once.add(segment, ears, np.array([[1e-9, 0.0], [1e-3, 0.0]])[:, None])  # other kinds of paths
+        by_and_by.add(segment, ears, np.array([[1e-9, 0.0], [1e-3, 0.0]])[:, None])
+        by_and_by.settle(segment)
+    alone.add(8, ears, np.array(last_echoes[8])[:, None])
+    # Of receiver 2, in segment 7 beside 8: 2e-9 of 3e-3; in 8 and 9 beside 9: 5e-9 of 1.1e-2 and less.
+    assert at_once.level_db == pytest.approx(10.0 * np.log10(2e-9 / 3e-3))
+    assert by_and_by.level_db == at_once.level_db
+    assert alone.level_db == pytest.approx(10.0 * np.log10(4e-9 / 2e-3))
 
 
 @pytest.mark.parametrize("chunk", [1, SEGMENT + 1, 50_001])

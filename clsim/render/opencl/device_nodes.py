@@ -47,7 +47,7 @@ class DeviceNodes:
     polynomials: Any
     activity: Any  # subblocks of each block and path in which something sounds; None if all are looked at
     error: Floats  # (segments,), of all paths together, relative to what is heard, of the receiver where it is most
-    unheld: Floats  # (segments,), the same of what no function of frequency holds
+    unheld: Floats  # (2, segments, receivers), squares of what no function of frequency holds, and of what is heard
     shortest: float  # s
     longest: float
 
@@ -337,13 +337,10 @@ def _nodes_made(
 ) -> DeviceNodes:
     """Return nodes with what was found of each walk and path, by receivers that begin at given paths."""
     # Errors of paths add up like the paths themselves: as the root of the sum of squares.
-    error, heard, left = (
-        np.sqrt(np.add.reduceat(square, first, axis=1), dtype=np.float64)
-        for square in (found[..., 0], found[..., 1], unheld)
-    )
-    heard = np.maximum(heard, 1e-30)
+    wrong, heard, left = (np.add.reduceat(square, first, axis=1) for square in (found[..., 0], found[..., 1], unheld))
+    error = np.sqrt(wrong, dtype=np.float64) / np.maximum(np.sqrt(heard, dtype=np.float64), 1e-30)
     shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
-    return DeviceNodes(*on_device, (error / heard).max(axis=1), (left / heard).max(axis=1), shortest, longest)
+    return DeviceNodes(*on_device, error.max(axis=1), np.stack([left, heard], dtype=np.float64), shortest, longest)
 
 
 def _largest_turn(axes: Floats) -> float:

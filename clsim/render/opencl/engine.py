@@ -19,6 +19,7 @@ from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
 from clsim.render.opencl.limits import Limits
 from clsim.render.opencl.node_programs import NODE_PROGRAMS, PAIR_PROGRAMS
+from clsim.render.opencl.unheld import Unheld
 from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ class OpenclEngine:
             plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts, self.limits.most_samples
         )
         self.skips_silence = True
-        self._unheld = np.zeros(len(plan.source_filters))  # largest part of what is heard that no function holds
+        self.unheld = [Unheld(plan.receiver_count) for _ in plan.source_filters]
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._makers: dict[PathFamily | None, NodeMaker] = {}  # None: the host, whatever the kind of paths
 
@@ -132,7 +133,7 @@ class OpenclEngine:
     def warn(self) -> None:
         """Warn where responses came along that the functions of frequency hold worse than asked."""
         for i, filters in enumerate(self._plan.source_filters):
-            reached = 20.0 * math.log10(max(float(self._unheld[i]), 1e-15))
+            reached = self.unheld[i].level_db
             if reached > filters.unheld_db > -math.inf:
                 warn(
                     f"source {i}: air, walls and directivities were held within {reached:.1f} dB, not the "
@@ -145,10 +146,6 @@ class OpenclEngine:
                     f"source {i}: at about {time:.3f} s ends are so near and fast, or turn so sharply, that even the "
                     f"shortest blocks are wrong by {wrong_db:.0f} dB of what is heard; sample faster, or keep off"
                 )
-
-    def note(self, source: int, unheld: float) -> None:
-        """Remember the largest part of what is heard of a source that no function holds."""
-        self._unheld[source] = max(self._unheld[source], unheld)
 
     def note_coarse(self, source: int, wrong: float, time: float) -> None:
         """Remember the largest error that the shortest blocks leave of a source, and when."""
@@ -202,6 +199,8 @@ class OpenclEngine:
                 for some in self._batches(heard, slots):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
+        for unheld in self.unheld:
+            unheld.settle((start + length) // plan.segment)
         rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         self.put(rows[:, : pressure.shape[1]], pressure)
         rows.base.release(self._queue)
@@ -302,7 +301,6 @@ class Run:
                 lambda: self._engine.branch_signals.look_ahead(self._source, self._start),
             )  # fmt: skip
             self._check(nodes.shortest, nodes.longest)
-            self._engine.note(self._source, float(nodes.unheld.max()))
             coarse = nodes.error > self._tolerance
             if level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1]):
                 for i in np.flatnonzero(coarse).tolist():
@@ -313,6 +311,8 @@ class Run:
                 if coarse[a]:
                     self._cover(at + a, at + b, level + 1)
                 else:
+                    number = self._start // segment + at + a
+                    self._engine.unheld[self._source].add(number, self._batch.receiver, nodes.unheld[:, a:b])
                     self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
 
     def _fits(self, block: int) -> bool:

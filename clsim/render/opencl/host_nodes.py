@@ -38,7 +38,7 @@ class HostNodes:
     polynomials: Any
     activity: None
     error: Floats
-    unheld: Floats
+    unheld: Floats  # (2, segments, receivers), squares: nothing is looked for here, and what is heard
     shortest: float
     longest: float
 
@@ -105,16 +105,18 @@ class HostTracks:
         parts = [(index, slots) for i, index in enumerate(batch.pairs) for slots in _parts(batch, i)]
         made = side_by_side(make, parts, meanwhile)
         error = np.zeros(-(-blocks * block // plan.segment))
-        for index in batch.pairs:
-            squares = sum(found.squares for found, (pair, _) in zip(made, parts, strict=True) if pair == index)
+        unheld = np.zeros((2, len(error), len(batch.pairs)))
+        for i, index in enumerate(batch.pairs):
+            squares = np.sum(
+                [found.squares for found, (pair, _) in zip(made, parts, strict=True) if pair == index], axis=0
+            )
+            unheld[1, :, i] = squares[1]
             wrong, heard = np.sqrt(squares)
             np.maximum(error, wrong / np.maximum(heard, 1e-30), out=error)
         beside = 1 if plan.delay_terms == 8 else _BESIDE
         laid_out = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
         shortest, longest = min(found.shortest for found in made), max(found.longest for found in made)
-        return HostNodes(
-            self._upload(whole), self._upload(laid_out), None, error, np.zeros(len(error)), shortest, longest
-        )
+        return HostNodes(self._upload(whole), self._upload(laid_out), None, error, unheld, shortest, longest)
 
     def _part(
         self, run: _Run, pair: int, rows: NDArray[np.int64], slots: NDArray[np.int64]

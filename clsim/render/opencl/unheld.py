@@ -1,0 +1,56 @@
+"""What the functions of frequency do not hold of what is heard: of all paths together, beside what sounds about it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+
+
+class Unheld:
+    """What no function holds of one source's paths, by segment and receiver, over what is heard.
+
+    Functions are made for the sum of a receiver's paths of all kinds, relative to what sounds within some 40 ms. A
+    segment in which nothing but the last echoes of a pulse sounds tells nothing alone: it counts beside its neighbours.
+
+    Parameters
+    ----------
+    receivers : int
+        How many.
+    """
+
+    def __init__(self, receivers: int) -> None:
+        self._receivers = receivers
+        self._squares: dict[int, Floats] = {}  # by segment, (2, receivers): what no function holds, and what is heard
+        self._worst = 0.0
+
+    def add(self, first: int, receiver: NDArray[np.int32], squares: Floats) -> None:
+        """Add what paths to some receivers (n,) bring in segments from one on, squares (2, segments, n)."""
+        for i in range(squares.shape[1]):
+            here = self._squares.setdefault(first + i, np.zeros((2, self._receivers)))
+            here[:, receiver] += squares[:, i]
+
+    def settle(self, before: int) -> None:
+        """Take note that nothing more is added to segments before one, and forget what is no longer needed of them."""
+        self._worst = max(self._worst, self._largest([s for s in self._squares if s < before - 1]))
+        self._squares = {s: here for s, here in self._squares.items() if s >= before - 2}
+
+    @property
+    def level_db(self) -> float:
+        """The largest part of what is heard that no function holds, dB."""
+        return 10.0 * math.log10(max(self._worst, self._largest(list(self._squares)), 1e-30))
+
+    def _largest(self, segments: list[int]) -> float:
+        """Return the largest part in some segments, squared."""
+        largest = 0.0
+        for s in segments:
+            about = [self._squares[n][1] for n in (s - 1, s, s + 1) if n in self._squares]
+            part = self._squares[s][0] / np.maximum(np.max(about, axis=0), 1e-30)
+            largest = max(largest, float(part.max()))
+        return largest
