@@ -15,8 +15,8 @@ from scipy.signal import lfilter
 
 import clsim
 
-RATE, SIZE = 24e3, (18.0, 12.0, 6.0)
-EAR = (12.0, 6.0, 1.6)
+RATE, SIZE = 24e3, (15.0, 10.0, 5.0)
+EAR = (11.0, 6.0, 1.6)
 OCTAVES = [125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3]
 
 
@@ -28,9 +28,8 @@ def main() -> None:
     arguments = parser.parse_args()
     folder, seconds = arguments.output, arguments.seconds
     folder.mkdir(parents=True, exist_ok=True)
-    plaster = clsim.Material.from_absorption(
-        OCTAVES, [0.1, 0.1, 0.1, 0.12, 0.14, 0.16, 0.18], scattering=(OCTAVES, [0.1, 0.1, 0.15, 0.2, 0.3, 0.3, 0.3])
-    )
+    # Bands that scatter alike share rays.
+    plaster = clsim.Material.from_absorption(OCTAVES, [0.18, 0.18, 0.2, 0.22, 0.24, 0.26, 0.28], scattering=0.2)
     walk = clsim.Trajectory.line((3.0, 3.0, 1.6), (3.0 + 1.2 * (seconds + 1.0), 4.5, 1.6), seconds + 1.0)
     talker = clsim.Source("talker", clsim.Signal.from_array(babble(seconds), RATE), walk)
     ear = clsim.Receiver("ear", clsim.Trajectory.fixed(EAR))
@@ -42,7 +41,7 @@ def main() -> None:
         path = folder / f"walking_talker_{tail}.wav"
         soundfile.write(path, 0.9 * recording.samples[0] / loudest, int(RATE), subtype="PCM_16")
         print(path)
-    response = clsim.impulse_responses(paths, RATE, band=(90.0, 11e3), lead="keep", tail="auto")  # minutes of rays
+    response = clsim.impulse_responses(paths, RATE, band=(90.0, 11e3), lead="keep", tail="auto")
     draw(heard, response, folder / "walking_talker.png")
     print(*(note for note in heard["auto"].notes if "tail" in note), folder / "walking_talker.png", sep="\n")
 

@@ -245,6 +245,19 @@ PROGRAMS = {
             }
         ),
     ),
+    "plane_waves": Program(
+        (*_ROUNDING, "common/vector.h", "render/plane_waves.cl"),
+        {
+            "streams": taken("float", "count, stride"),
+            "count": INT, "stride": INT, "lead": INT,
+            "whole": taken("int", "listeners, nodes, count"),
+            "motion": taken("float4", "listeners, nodes, count"),
+            "nodes": INT,
+            "bank": taken("float", "POWERS, TAPS"),
+            "heard": made("float", "listeners, nodes NODE"),
+        },
+        frozenset({"LANES", "NODE", "POWERS", "TAPS"}),
+    ),
     "baseband": Program(
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/baseband.cl"),
         {

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.render.contributions import Stateless
-from clsim.render.tail_signals import NODE, SourceSignals
+from clsim.render.tail_signals import SourceSignals
+from clsim.tail.interpolation import NODE, Motion
 from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves, receiver_gains
 from clsim.tail.streams import Streams
 from clsim.tail.zones import is_static
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
     from clsim.tail.noise import Responses
 
-_TOGETHER = 16384  # samples of moving receivers, one after the other, so that they read the same streams
+_TOGETHER = 16384  # samples that moving receivers hear at a time
+_RECEIVERS = 16  # of them at a time
 
 
 def diffuse_tail(plan: Plan) -> DiffuseTail | None:
@@ -94,7 +96,7 @@ class _ZoneHeard:
         of_scene = plan.tracks.of_scene
         assert of_scene is not None, "tails are of scenes"
         self._scene: Scene = of_scene.scene
-        self._rate, self._zone, self._signals = plan.sampling_rate, zone, signals
+        self._rate, self._zone, self._signals, self._samples = plan.sampling_rate, zone, signals, plan.samples
         self._source, self._tail = signals.source, signals.tail
         centre = self._scene.sources[self._source].emitted.centre_frequency
         self._frequency = np.array([centre])
@@ -112,39 +114,44 @@ class _ZoneHeard:
             heard = self._of(waves=False).read(start, start + pressure.shape[1])
             if heard is not None:
                 pressure[still] += heard
-        for first in range(0, pressure.shape[1], _TOGETHER):
-            for r in self._moving:
-                self._add_moving(pressure[r, first : first + _TOGETHER], r, start + first)
+        for first in range(0, pressure.shape[1] if self._moving else 0, _TOGETHER):
+            for group in range(0, len(self._moving), _RECEIVERS):
+                self._add_moving(
+                    pressure[:, first : first + _TOGETHER], self._moving[group : group + _RECEIVERS], start + first
+                )
 
-    def _add_moving(self, pressure: NDArray[Any], receiver: int, start: int) -> None:
-        """Add what one receiver hears of all streams from sample `start` on to its pressure (n,)."""
-        stop, end = start + len(pressure), self._scene.receivers[receiver]
+    def _add_moving(self, pressure: NDArray[Any], receivers: list[int], start: int) -> None:
+        """Add what receivers hear of all streams from sample `start` on to the pressure (receivers, n)."""
+        stop = start + pressure.shape[1]
         grid = np.arange(start // NODE, -(-stop // NODE) + 1) * NODE
-        clock = grid / self._rate
+        found = {r: motion_of for r in receivers if (motion_of := self._motion(r, grid)) is not None}
+        if not found:
+            return
+        ahead, gains = zip(*found.values(), strict=True)
+        motion = Motion(np.stack(ahead), np.stack(gains))
+        (least, most), half = motion.reach, self._signals.between.half + 1
+        first = start - NODE + least - half
+        streams = self._of(waves=True).read(first, stop + NODE + most + half)
+        if streams is not None:
+            pressure[list(found)] += self._signals.waves.heard(streams, first, motion, start, stop)
+
+    def _motion(self, receiver: int, grid: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
+        """Return the samples by which a receiver hears streams ahead, and their gains (N, M); None out of the zone."""
+        end, clock = self._scene.receivers[receiver], grid / self._rate
         times = clock + end.clock_error(clock)
-        weight = self._tail.receiver_zones.weights(end, times)[self._zone]
+        zones, c = self._tail.receiver_zones, self._scene.air.speed_of_sound
+        weight = zones.weights(end, times)[self._zone]
         if not np.any(weight):
-            return
-        middle = self._tail.receiver_zones.centres[self._zone]
-        ahead = (end.trajectory.position(times) - middle) @ self._tail.arrivals.T / self._scene.air.speed_of_sound
+            return None
+        ahead = (end.trajectory.position(times) - zones.centres[self._zone]) @ self._tail.arrivals.T / c
         # Where the zone is not heard it does not matter where in it the receiver were.
-        places = (np.where(weight[:, None] > 0.0, ahead, 0.0) + (times - clock)[:, None]) * self._rate + grid[:, None]
-        streams, between = self._of(waves=True), self._signals.between
-        first = int(np.floor(places.min())) - between.half
-        heard = streams.read(first, int(np.ceil(places.max())) + between.half + 2)
-        if heard is None:
-            return
-        gains = self._gains(receiver, times) * weight
-        samples, total = np.arange(start, stop), np.zeros(len(pressure), np.float32)
-        for stream, place, gain in zip(heard, places.T, gains, strict=True):
-            value = between.at(stream, np.interp(samples, grid, place) - first)
-            total += value * np.interp(samples, grid, gain).astype(np.float32)
-        pressure += total
+        ahead = np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None]
+        return ahead * self._rate, self._gains(receiver, times) * weight[:, None]
 
     def _gains(self, receiver: int, times: Floats) -> Floats:
-        """Return the receiver's gains (M, T) by direction of arrival at times (T,), at the signal's centre."""
-        gains = receiver_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
-        return np.asarray(gains[:, :, 0].T)
+        """Return the receiver's gains (T, M) by direction of arrival at times (T,), at the signal's centre."""
+        gains = receiver_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)[:, :, 0]
+        return np.broadcast_to(gains, (len(times), gains.shape[1]))
 
     def _of(self, *, waves: bool) -> Streams:
         """Return the streams of plane waves, or of what stands still."""
@@ -156,7 +163,9 @@ class _ZoneHeard:
             elif not waves:
                 made = self._combined_responses()
                 longest, lead, make = made.taps.shape[1], made.lead, partial(_same, made)
-            self._streams[waves] = Streams(self._signals, make, len(self._tail.zones), count, longest, lead)
+            self._streams[waves] = Streams(
+                self._signals, make, len(self._tail.zones), count, longest, self._samples, lead
+            )
         return self._streams[waves]
 
     def _waves(self, zone: int) -> Responses:

@@ -10,9 +10,10 @@ import numpy as np
 
 from clsim.errors import DeviceError
 from clsim.opencl.device import find_device
-from clsim.render.baseband import CYCLES, WIDEST, Baseband
+from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.interpolator import Bandlimited
 from clsim.render.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
+from clsim.render.opencl.block_polynomials import GAIN_ERROR
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.tracks.basis import flat_basis
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from clsim.render.options import RenderOptions
     from clsim.render.source_filters import Emission
     from clsim.render.static_pairs import StaticPairs
+    from clsim.scene.motion.trajectory import Trajectory
     from clsim.scene.signal.signal import Signal
     from clsim.tracks.tracks import SceneTracks, Tracks
 
@@ -73,10 +75,6 @@ def chosen_split(emission: Emission, pairs: StaticPairs) -> tuple[Split | None, 
     most = _PLAIN + _WIDE * (high - low) / (0.5 * rate)
     if of_band + of_all > most and not options.narrowband:
         return None, ""
-    if any(of_scene.pair_paths[i].family.device is None for i in mine):
-        # What such nodes leave of the first block of an envelope, which begins before 0 s, is not right.
-        why = "nodes of some of its paths are made on the host"
-        return None, f"source {index}: rendered as a whole, without a narrow part: {why}"
     some, fades = _some(sound), _width_of_fades(tracks, mine, error_db)
     ways = dict.fromkeys(_ways(signal, sound, tracks.max_rate(index), fades))
     designed = [tuple(NarrowBand.designed(*band, rate, error_db) for band in bands) for bands in ways]
@@ -209,32 +207,50 @@ def _obstacle(
     skirt, carrier = narrow.half - narrow.flat, narrow.baseband.carrier
     shift, speed = carrier * tracks.max_rate(index), tracks.fastest(index, tracks.max_rate(index))[0]
     needed = -math.log(silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
-    for i in receivers:
-        speeds = float(tracks.speeds.source[index] + tracks.speeds.receiver[i])
-        if speeds > 0.0 and _nearest(tracks, index, i, span[2], needed * speeds, speeds) < needed * speeds:
-            return f"receiver {i} is passed so near, at up to {speed:.3g} m/s, that its sound is not narrow"
+    # In the shortest blocks cubics must hold 1 / sqrt(d^2 + v^2 t^2), whose fourth derivative is 9 (v / d)^4 over d.
+    rate = narrow.baseband.sampling_rate or 0.0
+    shortest = blocks_of(rate, carrier, tracks.max_rate(index))[-1] / rate
+    needed = max(needed, shortest * (9.0 * GAIN_ERROR[8] / silence) ** 0.25)
+    for what, ends_of, most, radius in _passes(tracks, index, receivers):
+        if most > 0.0 and _is_passed(ends_of, span[2], needed, most, radius):
+            return f"{what} is passed so near, at up to {speed:.3g} m/s, that its sound is not narrow"
     if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > silence:
         return "ends move so quickly that what is heard is not narrow"
     return ""
 
 
-def _nearest(tracks: SceneTracks, source: int, receiver: int, until: float, limit: float, speed: float) -> float:
-    """Return a bound of the distance of a source from a receiver, m, good where it is below a limit; speed in m/s.
+def _passes(
+    tracks: SceneTracks, index: int, receivers: list[int]
+) -> Iterator[tuple[str, tuple[Trajectory, Trajectory], float, float]]:
+    """Yield what sound runs between without a wall: its name, both motions, their speeds, m/s, and its radius, m."""
+    scene, speeds = tracks.scene, tracks.speeds
+    source = scene.sources[index].trajectory, float(speeds.source[index])
+    ears = [(scene.receivers[i].trajectory, float(speeds.receiver[i])) for i in receivers]
+    for i, (ear, speed) in zip(receivers, ears, strict=True):
+        yield f"receiver {i}", (source[0], ear), source[1] + speed, 0.0
+    for i, scatterer in enumerate(scene.scatterers):
+        fast, radius = scatterer.peak_speeds()[1], scatterer.shape.radius
+        for end, speed in (source, *ears):
+            yield f"scatterer {i}", (end, scatterer.trajectory), speed + fast, radius
 
-    Sound that is heard until the end was emitted before.
+
+def _is_passed(ends: tuple[Trajectory, Trajectory], until: float, needed: float, most: float, radius: float) -> bool:
+    """Return whether two ends, one of a radius, m, ever are as near as they come in so many s; at most so fast, m/s.
+
+    Sound that is heard until the end was emitted before. Ends that are carried together do not pass each other.
     """
-    ends = tracks.scene.sources[source].trajectory, tracks.scene.receivers[receiver].trajectory
 
     def apart(times: Floats) -> Floats:
-        return np.asarray(np.linalg.norm(ends[0].position(times) - ends[1].position(times), axis=-1))
+        return np.asarray(ends[0].position(times) - ends[1].position(times))
 
     times = np.arange(0.0, until + _COARSE, _COARSE)
-    bound = apart(times) - 0.5 * speed * _COARSE
-    near = times[bound < limit]
-    if not len(near):
-        return float(bound.min())
+    bound = np.linalg.norm(apart(times), axis=-1) - 0.5 * most * _COARSE
+    near = times[bound < radius + needed * most]
     within = np.arange(-0.5 * _COARSE, 0.5 * _COARSE + _FINE, _FINE)
-    return float(apart((near[:, None] + within).ravel()).min()) - 0.5 * speed * _FINE
+    places = apart((near[:, None] + within).ravel()).reshape(len(near), len(within), 3)
+    moved = np.linalg.norm(np.diff(places, axis=1), axis=-1)
+    distance = np.linalg.norm(places, axis=-1)[:, :-1] - radius
+    return bool(np.any(distance < (0.5 + needed / _FINE) * moved))
 
 
 def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:

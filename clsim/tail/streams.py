@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from clsim.tail.noise import Responses
 
 _LEAST_BLOCK = 16384  # samples
-_OF_LENGTH = 1.5  # a block over a response
+_OF_LENGTH = 3.0  # a block over a response, unless there is less to render
 _TOGETHER = 8  # streams that are transformed at a time: as many as fill vectors
-_KEPT = 3  # blocks
+_KEPT = 2  # blocks
 
 
 class Emissions(Protocol):
@@ -48,6 +48,8 @@ class Streams:
         Of streams.
     longest : int
         Samples of the longest response.
+    samples : int
+        That will be asked for, in all.
     lead : int
         Of all responses.
 
@@ -63,6 +65,7 @@ class Streams:
     zones: int
     count: int
     longest: int
+    samples: int
     lead: int = 0
     _sending: dict[int, _Sending] = field(init=False, default_factory=dict)
     _blocks: dict[int, NDArray[np.float32] | None] = field(init=False, default_factory=dict)
@@ -70,7 +73,7 @@ class Streams:
     @property
     def block(self) -> int:
         """Samples of a block: as many as make a sample cheap."""
-        return max(_LEAST_BLOCK, int(_OF_LENGTH * self.longest))
+        return max(_LEAST_BLOCK, min(int(_OF_LENGTH * self.longest), self.samples))
 
     def read(self, first: int, last: int) -> NDArray[np.float32] | None:
         """Return samples `first` to `last` of all streams (K, n); None where all of it is silence."""

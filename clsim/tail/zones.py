@@ -54,6 +54,11 @@ class Zones:
         """Middles (Z, 3), m."""
         return np.asarray(self.poses[:, :3] * self.radius)
 
+    @property
+    def reach(self) -> float:
+        """How far from its middle a zone is heard, m."""
+        return _REACH * self.radius
+
     @classmethod
     def along(cls, ends: Sequence[End], room: Room, until: float, *, beams: bool) -> Zones:
         """Return zones that cover the ways of ends from 0 s to a time, s; beams say whether turning matters."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from default_cases import Case, abrupt_tones, circles, measured
 from exhaustive import few
+from test_double_edges import prism
 
 import clsim
 from clsim.render.narrow_band import NarrowFilters, RestFilters
@@ -191,6 +192,54 @@ def shaken(frequency: float, amplitude: float) -> clsim.Trajectory:
 BOX = clsim.Shoebox((6.0, 5.0, 3.0), clsim.Material.from_reflection(0.8))
 LEGS = clsim.Trajectory.waypoints([0.0, 0.1, 0.2], [(1, 1, 1), (1.2, 1, 1), (1.2, 1.3, 1)], smooth=False)
 NEAR = clsim.Trajectory.line((3.0, 2.0, 1.0), (5.0, 2.0, 1.0), 0.2)
+SLOW = clsim.Trajectory.line((3.0, 2.0, 1.0), (3.4, 2.0, 1.0), 0.2)
+
+
+C, SPOT = 343.0, clsim.Trajectory.fixed((1.5, 2.0, 2.0))
+OPEN = clsim.Shoebox((8.0, 6.0, 4.0), clsim.Material.from_reflection(0.0))
+STIRRED = clsim.Air(speed_of_sound=C, fluctuation=clsim.Fluctuation(2e-6, 0.2, 0.3, 3))
+POINT = clsim.Scatterer.point("p", 0.0, clsim.Trajectory.line((2.5, 2.0, 2.0), (2.4, 2.0, 2.0), 0.1))
+PILLAR = prism(0.2, 0.2)
+PLATE = clsim.Body(
+    "plate",
+    clsim.MeshRoom([(0, -1, -1), (0, 1, -1), (0, 1, 1), (0, -1, 1)], [(0, 1, 2), (0, 2, 3)], BOX.faces.materials[0]),
+    clsim.Trajectory.line((2.0, 2.0, 2.0), (1.95, 2.0, 2.0), 0.1),
+)
+
+
+@pytest.mark.parametrize(
+    ("room", "ear", "things", "search", "nodes"),
+    [
+        pytest.param(OPEN, SPOT, {"scatterers": [POINT]}, {}, {"images", None}, id="scatterer"),
+        pytest.param(OPEN, SPOT, {"air": STIRRED}, {}, {None}, id="air that fluctuates"),
+        pytest.param(OPEN, SPOT, {"bodies": [PLATE]}, {"max_order": 1}, {"images", None}, id="body"),
+        pytest.param(
+            clsim.MeshRoom(PILLAR.vertices + np.array([1.3, 2.0, 2.0]), PILLAR.triangles, PILLAR.faces.materials[0]),
+            clsim.Trajectory.fixed((1.7, 2.05, 2.0)), {}, {"diffraction": 2}, {None}, id="two edges",
+        ),
+        pytest.param(
+            OPEN, clsim.Trajectory.line((1.02, 2.0, 2.0), (1.12, 2.0, 2.0), 0.1), {}, {}, {"images"},
+            id="a receiver 2 cm away",
+        ),
+    ],
+)  # fmt: skip
+def test_the_first_block_of_an_envelope_begins_before_anything_sounds(
+    room: Any, ear: clsim.Trajectory, things: dict[str, Any], search: dict[str, Any], nodes: set[str | None]
+) -> None:
+    """From the first sample on it is what the reference engine gives, wherever nodes are made."""
+    things = {"air": clsim.Air(speed_of_sound=C)} | things
+    source = clsim.Source(
+        "s", clsim.Signal.tone(40e3, 0.06, RATE, fade=0.005), clsim.Trajectory.line((1, 2, 2), (1.1, 2, 2), 0.1)
+    )
+    one = clsim.Scene(room, things.pop("air"), [source], [clsim.Receiver("r", ear)], **things)
+    paths = clsim.find_paths(one, **({"max_order": 0} | search))
+    assert {family.device for family in paths.families if len(family)} == nodes
+    plan = clsim.plan_render(paths, RATE, duration=0.05, **NARROW)
+    assert plan.narrow_parts
+    whole = clsim.render(paths, RATE, duration=0.05, engine="reference").pressure.astype(np.float64)
+    level = np.sqrt(np.mean(whole[:, : round(0.02 * RATE)] ** 2))
+    parts = (sound(plan) - whole).reshape(-1, round(0.0025 * RATE))
+    assert 20.0 * np.log10(np.sqrt(np.mean(parts**2, axis=1)).max() / level) <= PROMISED_DB
 
 
 @pytest.mark.parametrize(
@@ -199,11 +248,14 @@ NEAR = clsim.Trajectory.line((3.0, 2.0, 1.0), (5.0, 2.0, 1.0), 0.2)
         pytest.param(LEGS, "the velocity of the source jumps", id="legs"),
         pytest.param(NEAR, "receiver 0 is passed so near, at up to 10.2 m/s", id="near"),
         pytest.param(shaken(800.0, 2e-4), "ends move so quickly", id="shaken"),
+        pytest.param(SLOW, "scatterer 0 is passed so near", id="scatterer"),
     ],
 )
 def test_where_envelopes_would_not_do_the_plain_way_is_taken_and_told(way: clsim.Trajectory, why: str) -> None:
     ears = [clsim.Receiver("r", clsim.Trajectory.fixed((4.0, 2.012, 1.0)))]
-    one = clsim.Scene(BOX, clsim.Air(), [clsim.Source("s", clsim.Signal.tone(40e3, 0.2, RATE), way)], ears)
+    things = [clsim.Scatterer.point("p", -40.0, clsim.Trajectory.fixed((3.2, 2.015, 1.0)))]
+    source = clsim.Source("s", clsim.Signal.tone(40e3, 0.2, RATE), way)
+    one = clsim.Scene(BOX, clsim.Air(), [source], ears, scatterers=things if "scatterer" in why else [])
     plan = planned(one, order=1)
     assert not plan.narrow_parts
     (told,) = [line for line in plan.describe() if "without a narrow part" in line]

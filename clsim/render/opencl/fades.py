@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.plan import Plan
 
+_NEVER = 2**40  # samples
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boundaries:
@@ -26,7 +28,7 @@ class Boundaries:
     start, end : ndarray (slots,)
         Boundaries in samples from time 0; infinite where there is none.
     first, last : ndarray (slots,) int64
-        First sample with a weight, and the one after the last; empty for slots that fill up a batch.
+        First sample with a weight, and the one after the last; of slots that fill up a batch the last is the lower.
     ramp : float
         Length of a transition, samples; 0 where paths begin and end at once.
     """
@@ -79,7 +81,8 @@ def boundaries(plan: Plan, batch: PathBatch) -> Boundaries:
     start = np.concatenate([g.start[r] for g, r in zip(pairs, rows, strict=True)])
     end = np.concatenate([g.end[r] for g, r in zip(pairs, rows, strict=True)])
     first, last = heard_samples(start, end, transition, rate)
-    first[batch.padding], last[batch.padding] = 0, 0
+    # Ends before it begins: an empty interval would lie within a block that begins before 0 s and count as heard there.
+    first[batch.padding], last[batch.padding] = _NEVER, -_NEVER
     if transition == 0.0:  # at once: between samples
         return Boundaries(first.astype(np.float64), last.astype(np.float64), first, last, 0.0)
     return Boundaries(start * rate, end * rate, first, last, transition * rate)
