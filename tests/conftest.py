@@ -66,7 +66,7 @@ def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
                 "claim": claim,
                 "oracle": oracle,
                 "allowed": f"{allowed:g} {unit}",
-                "measured": f"{value:.1f} {unit}",
+                "measured": f"{value:.4g} {unit}",
             }
             file = Path(folder) / f"{hashlib.sha256(f'{test} {claim}'.encode()).hexdigest()[:24]}.json"
             file.parent.mkdir(parents=True, exist_ok=True)

@@ -117,7 +117,7 @@ def run_commands(text: str) -> None:
             continue
         assert words[0] == "clsim", f"a command of another program: {line}"
         if words[1] == "run":
-            words += [] if "out/long" in words else ["--duration", "0.05"]  # of which the score needs a whole pulse
+            words += ["--no-plots"] if "out/long" in words else ["--duration", "0.05"]  # the score needs a whole pulse
             words += [] if "--resume" in words else ["--force"]
         if words[1] == "study":
             words = ["clsim", "check", "examples/time_of_flight_scene.toml"]  # itself a test: the whole takes a minute

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -68,7 +69,7 @@ def image_energy(of: clsim.Scene, factor: float, radius: float, max_order: int, 
 
 
 @pytest.mark.parametrize(("scattering", "mesh"), [(0.0, False), (0.3, False), (0.3, True)])
-def test_rays_hold_the_energy_of_images(scattering: float, mesh: bool) -> None:
+def test_rays_hold_the_energy_of_images(scattering: float, mesh: bool, measured: Callable[..., float]) -> None:
     """Up to an order rays count what images do; what is left of mirrored rays goes on as a geometric series.
 
     Energies are absolute: of 1 Pa at 1 m. The standard error of 8192 rays is some 0.03 dB here.
@@ -80,7 +81,8 @@ def test_rays_hold_the_energy_of_images(scattering: float, mesh: bool) -> None:
     (pair,) = tail.pairs.values()
     air = float(of.air.absorption_at(tail.centres)[0]) * math.log(10.0) / 10.0
     by_order = image_energy(of, 0.81 * (1.0 - scattering), zone_radius(of.room), 12, air)
-    assert 10.0 * math.log10(pair.images.sum() / by_order[:7].sum()) == pytest.approx(0.0, abs=0.15)
+    off_db = abs(10.0 * math.log10(pair.images.sum() / by_order[:7].sum()))
+    assert measured("energy of the tail's rays", "images, in the mean over a sphere", off_db, 0.15) <= 0.15
     if scattering == 0.0:
         beyond = by_order[7:].sum() / (1.0 - (by_order[12] / by_order[7]) ** (6 / 5))
         assert 10.0 * math.log10(pair.energy.sum() / beyond) == pytest.approx(0.0, abs=0.2)
