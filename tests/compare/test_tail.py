@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exhaustive import few
 
 import clsim
 
@@ -16,7 +17,7 @@ L_SHAPE = np.array([[0, 0], [0, 3], [5, 3], [5, 1], [3, 1], [3, 0]], dtype=float
 def theirs(room: Any, source: np.ndarray, ear: np.ndarray) -> float:
     from pyroomacoustics.experimental import measure_rt60
 
-    room.set_ray_tracing(receiver_radius=0.5, n_rays=4_000, energy_thres=1e-6)
+    room.set_ray_tracing(receiver_radius=0.5, n_rays=20_000, energy_thres=1e-6)
     room.add_source(source)
     room.add_microphone(ear)
     room.compute_rir()
@@ -34,7 +35,7 @@ def ours(room: Any, source: np.ndarray, ear: np.ndarray) -> float:
     return float(clsim.room_measures(found, None).t30[0, 0, 0])
 
 
-@pytest.mark.parametrize("which", range(3))
+@pytest.mark.parametrize("which", few(range(3), kept=(1,)))
 def test_t30_is_pyroomacoustics(which: int) -> None:
     pra = pytest.importorskip("pyroomacoustics", reason="pyroomacoustics is not installed")
     options = {"fs": int(RATE), "max_order": 3, "ray_tracing": True, "air_absorption": False}
