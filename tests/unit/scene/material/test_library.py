@@ -102,7 +102,7 @@ def test_porous_ranges_are_what_the_assumed_properties_make(name, resistivities,
 
 def test_unknown_names_are_refused_with_a_list():
     for name in ("wood", "", None, ["carpet"]):
-        with pytest.raises(InputError, match="31 names, but is .wood.; did you mean|carpet") as error:
+        with pytest.raises(InputError, match=r"31 names, but is .wood.; did you mean|carpet") as error:
             Material.named(name)
         assert error.value.field == "name"
 
