@@ -25,12 +25,14 @@ from clsim.paths.path_set import PathSet
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
+from clsim.render.opencl.plane_waves import DeviceWaves
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
+from clsim.tail.interpolation import NODE, Between, Motion
 
 RATE = 192e3
 SAMPLES = 192
-SCENES: dict[str, Callable[[str], Plan]] = {}
+SCENES: dict[str, Callable[[str], Any]] = {}  # plans, and `Streams`
 FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
 REAL = [clsim.Material.from_reflection(f) for f in (0.9, -0.8, 0.7, 0.6, -0.5, 0.8)]
 CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
@@ -40,7 +42,7 @@ DISPERSING, WINDY = clsim.Air(dispersion=True), clsim.Air(wind=(9.0, -4.0, 1.0))
 CLOCK = clsim.Electronics(clock_ppm=300.0, clock_offset=1e-5)
 
 
-def scene(make: Callable[[str], Plan]) -> Callable[[str], Plan]:
+def scene(make: Callable[[str], Any]) -> Callable[[str], Any]:
     """Enter a function that returns the plan of a scene for a device, by its name."""
     SCENES[make.__name__] = make
     return make
@@ -194,6 +196,27 @@ def pairs_pulses(device: str) -> Plan:
     return plan(world(pulse, still=True), device, 0, responses="centre", duration=0.003)
 
 
+@dataclasses.dataclass(frozen=True)
+class Streams:
+    """Streams of a diffuse tail, one of which two listeners that move do not hear."""
+
+    device: str
+
+    def heard(self, lanes: int) -> np.ndarray:
+        drawn = np.random.default_rng(5)
+        streams = drawn.standard_normal((3, 180)).astype(np.float32)  # from sample -40 on
+        gains = np.stack([drawn.uniform(0.5, 1.0, (2, 4)), np.zeros((2, 4)), drawn.uniform(-1.0, 1.0, (2, 4))], -1)
+        motion = Motion(drawn.uniform(-3.0, 3.0, (2, 1, 3)) + 0.3 * np.arange(4)[:, None], gains)
+        waves = DeviceWaves(Between.up_to(40e3, RATE, 0.3 / NODE), self.device, lanes)
+        return waves.heard(streams, -40, motion, 5, 95)
+
+
+@scene
+def waves(device: str) -> Streams:
+    """A diffuse tail's plane waves."""
+    return Streams(device)
+
+
 def without_float64(wanted: str | None) -> tuple[device_module.DeviceInfo, Any]:
     """Find a device that says that it has no float64."""
     info, handle = device_module.find_device(wanted)
@@ -258,6 +281,10 @@ def main(device: str, folder: str, *names: str) -> None:
         scene_name, layout = name.split(".")
         notes.clear()
         made = SCENES[scene_name](device)
+        if isinstance(made, Streams):
+            heard = made.heard(LAYOUTS[layout].lanes)
+            np.savez(Path(folder, f"{name}.npz"), launched=sorted(set(notes)), heard=heard)
+            continue
         engine_module.find_device = without_float64 if scene_name.startswith("pairs") else device_module.find_device
         engine = OpenclEngine if made.baseband is None else BasebandEngine
         heard = engine(made, LAYOUTS[layout]).render(0, made.samples)

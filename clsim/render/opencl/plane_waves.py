@@ -30,6 +30,8 @@ class DeviceWaves:
         Filters.
     device : str or None
         Which, as `render` takes it.
+    lanes : int, optional
+        Samples of a vector; as many as suit the device when left out.
 
     Raises
     ------
@@ -37,13 +39,13 @@ class DeviceWaves:
         If there is none; the message says what to do.
     """
 
-    def __init__(self, between: Between, device: str | None) -> None:
+    def __init__(self, between: Between, device: str | None, lanes: int | None = None) -> None:
         import pyopencl as cl
 
         self._info, found = find_device(device)
         compiler = compiler_of(found)
         self._queue, self._scratch = cl.CommandQueue(compiler.context), Scratch(compiler.context)
-        self._lanes = (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT).lanes
+        self._lanes = lanes or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT).lanes
         powers, taps = between.bank.shape
         constants = {"LANES": self._lanes, "NODE": NODE, "POWERS": powers, "TAPS": taps}
         self._kernel = compiler.kernel("plane_waves", constants)
