@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -19,6 +18,8 @@ from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.protocol import is_room
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike
 
     from clsim.arrays import Floats
@@ -221,26 +222,6 @@ class Body:
         """
         back = self.trajectory.orientation(time) * np.array([-1.0, -1.0, -1.0, 1.0])
         return rotate(back, places - self.trajectory.position(time))
-
-
-def as_bodies(values: Any) -> tuple[Body, ...]:
-    """Return bodies of names of their own.
-
-    Raises
-    ------
-    InputError
-        If they are none, or a name is used twice.
-    """
-    if isinstance(values, str) or not isinstance(values, Sequence):
-        raise InputError("bodies", f"must be a list, but is {values!r:.80}")
-    seen: dict[str, int] = {}
-    for i, value in enumerate(values):
-        if not isinstance(value, Body):
-            raise InputError(f"bodies[{i}]", f"must be a Body, but is {value!r:.80}")
-        if value.name in seen:
-            raise InputError(f"bodies[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
-        seen[value.name] = i
-    return tuple(values)
 
 
 def with_carriers(ends: Sequence[End], bodies: Sequence[Body]) -> tuple[End, ...]:

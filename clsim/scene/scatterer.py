@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
@@ -434,25 +434,3 @@ class Scatterer:
         from clsim.scene.motion.curves import CONTINUATION
 
         return self.trajectory.start - CONTINUATION, self.trajectory.end + CONTINUATION
-
-
-def as_scatterers(values: Any) -> tuple[Scatterer, ...]:
-    """Return scatterers of names of their own.
-
-    Raises
-    ------
-    InputError
-        If they are none, or a name is used twice.
-    """
-    from collections.abc import Sequence
-
-    if isinstance(values, str) or not isinstance(values, Sequence):
-        raise InputError("scatterers", f"must be a list, but is {values!r:.80}")
-    seen: dict[str, int] = {}
-    for i, value in enumerate(values):
-        if not isinstance(value, Scatterer):
-            raise InputError(f"scatterers[{i}]", f"must be a Scatterer, but is {value!r:.80}")
-        if value.name in seen:
-            raise InputError(f"scatterers[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
-        seen[value.name] = i
-    return tuple(values)

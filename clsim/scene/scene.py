@@ -11,13 +11,13 @@ from clsim.arrays import FARTHEST, as_count, as_number, short_repr
 from clsim.errors import InputError
 from clsim.pictures.notebook import html_table, inline_page
 from clsim.scene.air import Air
-from clsim.scene.body import Body, as_bodies, with_carriers
+from clsim.scene.body import Body, with_carriers
 from clsim.scene.body_checks import check_bodies
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.placement import check_distances, check_motions, check_scatterers, check_sides, first_place
 from clsim.scene.plausibility import warn_of_units
 from clsim.scene.room.protocol import Room, checked_room
-from clsim.scene.scatterer import Scatterer, as_scatterers
+from clsim.scene.scatterer import Scatterer
 from clsim.scene.view import scene_page
 
 if TYPE_CHECKING:
@@ -70,9 +70,12 @@ class Scene:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bodies", as_bodies(self.bodies))
+        object.__setattr__(self, "bodies", _checked_list("bodies", self.bodies, Body))
         for name, kind in (("sources", Source), ("receivers", Receiver)):
-            object.__setattr__(self, name, with_carriers(_checked_list(name, getattr(self, name), kind), self.bodies))
+            given = _checked_list(name, getattr(self, name), kind)
+            if not given:
+                raise InputError(name, "must hold at least one, but is empty")
+            object.__setattr__(self, name, with_carriers(given, self.bodies))
         distance = as_number("min_distance", self.min_distance, at_least=_NEAREST, at_most=FARTHEST, unit="m")
         object.__setattr__(self, "min_distance", distance)
         checked_room(self.room)
@@ -80,7 +83,7 @@ class Scene:
             raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
         low, high = self.room.extent
         object.__setattr__(self, "air", self.air.between(float(low[2]), float(high[2])))
-        object.__setattr__(self, "scatterers", as_scatterers(self.scatterers))
+        object.__setattr__(self, "scatterers", _checked_list("scatterers", self.scatterers, Scatterer))
         ends = self.named_ends()
         check_motions(self.room, [*ends, *self.named_scatterers()], self.air.slowest)
         check_sides(self.room, ends)
@@ -203,11 +206,10 @@ def _side(room: Room, field_name: str, item: End) -> str:
     return f"{field_name}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s"
 
 
-def _checked_list(name: str, values: Any, kind: type[Source] | type[Receiver]) -> tuple[Any, ...]:
+def _checked_list(name: str, values: Any, kind: type[End | Body | Scatterer]) -> tuple[Any, ...]:
+    """Return values of a kind, each with a name of its own."""
     if isinstance(values, str) or not isinstance(values, Sequence):
         raise InputError(name, f"must be a list, but is {values!r:.80}")
-    if not values:
-        raise InputError(name, "must hold at least one, but is empty")
     seen: dict[str, int] = {}
     for i, value in enumerate(values):
         if not isinstance(value, kind):

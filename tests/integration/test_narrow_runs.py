@@ -1,16 +1,15 @@
 """Runs of scenes with a narrow part: gone on with bit for bit, and alike in every store."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+from failing import Failing
 
 import clsim
 from clsim.cli import main
 from clsim.render import planning
-from clsim.render.contributions import Stateless
 from clsim.workflow import checkpoint
 
 SCENE = """
@@ -38,27 +37,6 @@ pytestmark = [
     pytest.mark.usefixtures("device"),
     pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning"),  # the tone begins at once
 ]
-
-
-@dataclass(frozen=True)
-class Failing(Stateless):
-    """Adds nothing, and fails at a sample."""
-
-    at: int
-    name: str = "failing"
-
-    def describe(self) -> list[str]:
-        return []
-
-    def digest(self) -> str:
-        return ""
-
-    def begin(self) -> "Failing":
-        return self
-
-    def add(self, pressure: np.ndarray, start: int) -> None:
-        if start == self.at:
-            raise clsim.DeviceError("the device is lost")
 
 
 def run(folder: Path, out: str, *more: str) -> int:
