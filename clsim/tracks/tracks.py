@@ -309,11 +309,12 @@ class SceneTracks(Tracks):
         return fastest
 
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
-        """Return the largest peak speed, of scatterers too, and by how much all must be scaled for another rate."""
+        """Return the largest peak speed, of scatterers and bodies too, and what it would be at another rate."""
         v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
-        v_b = max((s.peak_speeds()[1] for s in self.scene.scatterers), default=0.0)  # seen there and back
+        surfaces = [s.peak_speeds()[1] for s in self.scene.scatterers] + [b.peak_speed for b in self.scene.bodies]
+        v_b = max(surfaces, default=0.0)  # seen there and back
         together = v_s + v_r + 2.0 * v_b + max_rate * v_s
-        if together == 0.0:  # only what is sent back changes
+        if together == 0.0:
             return 0.0, 0.0
         most = max(v_s, v_r, v_b)
         return most, max_rate * self.scene.air.slowest / together * most
