@@ -170,7 +170,7 @@ def _samples(
     elif duration > last * (1 + 1e-12) + 0.5 / rate:
         raise InputError(
             "duration",
-            f"must end while every receiver's trajectory lasts, {last:g} s, but is {duration:g} s",
+            f"must end while all that moves is known, {last:g} s ({tracks.ends_first}), but is {duration:g} s",
         )
     return max(1, math.ceil(duration * rate - 1e-6))
 

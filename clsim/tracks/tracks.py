@@ -202,6 +202,11 @@ class Tracks(ABC):
     def last_time(self) -> float:
         """Return the time of reception up to which the tracks are known, s."""
 
+    @property
+    @abstractmethod
+    def ends_first(self) -> str:
+        """What ends at that time, in words."""
+
     @staticmethod
     def from_samples(
         times: Any,
@@ -358,6 +363,15 @@ class SceneTracks(Tracks):
         known = min((motion.end for motion in motions), default=np.inf)
         return float(min(_clock_time(r, np.array([min(r.trajectory.end, known)]))[0] for r in self.scene.receivers))
 
+    @property
+    def ends_first(self) -> str:
+        """What ends at that time, in words."""
+        scene = self.scene
+        ends = [(float(_clock_time(r, np.array([r.trajectory.end]))[0]), r.name) for r in scene.receivers]
+        ends += [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
+        ends += [(body.trajectory.end, body.name) for body in scene.bodies]
+        return f"the trajectory of {min(ends)[1]!r}"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledTracks(Tracks):
@@ -409,6 +423,11 @@ class SampledTracks(Tracks):
     def last_time(self) -> float:
         """Return the last sample's time."""
         return self.end
+
+    @property
+    def ends_first(self) -> str:
+        """The samples, in words."""
+        return "what is known of the tracks"
 
 
 def as_tracks(value: object) -> Tracks:
