@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 import clsim
@@ -33,6 +34,10 @@ def test_warnings_name_the_line_outside_that_called() -> None:
         (lambda: clsim.direct_path(3, [0.0]), "paths: must be a PathSet, but is 3"),
         (lambda: clsim.track(3), "paths: must be a PathSet, but is 3"),
         (lambda: clsim.render(3, 48e3), "paths: must be a PathSet, but is 3"),
+        (
+            lambda: clsim.RenderOptions(48e3, engine=np.zeros(2)),
+            r'engine: must be one of "opencl", "reference", but is array\(.*',
+        ),
         (lambda: clsim.find_paths(3, 0), "scene: must be a Scene, but is 3"),
         (lambda: clsim.MeshRoom.joined(3), "parts: must be a list of at least one room, but is 3"),
         (lambda: clsim.MeshRoom.joined([]), r"parts: must be a list of at least one room, but is \[\]"),
