@@ -32,6 +32,7 @@ def test_warnings_name_the_line_outside_that_called() -> None:
         (lambda: clsim.write_flac(3, "out"), "recording: must be a Recording, but is 3"),
         (lambda: clsim.write_mat(3, "a.mat"), "recording: must be a Recording, but is 3"),
         (lambda: clsim.direct_path(3, [0.0]), "paths: must be a PathSet, but is 3"),
+        (lambda: clsim.score.ranging(3, None), "recording: must be a Recording, but is 3"),
         (lambda: clsim.track(3), "paths: must be a PathSet, but is 3"),
         (lambda: clsim.render(3, 48e3), "paths: must be a PathSet, but is 3"),
         (
