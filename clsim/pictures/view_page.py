@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.files.atomic import atomic_path
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
@@ -91,26 +89,6 @@ class ViewedPaths:
     def none(cls) -> ViewedPaths:
         """Return a frame without paths."""
         return cls((), np.zeros(0, dtype=np.int32), (), (), np.zeros(0))
-
-
-def write_page(path: str | os.PathLike[str], **what: Any) -> None:
-    """Write one HTML file that holds everything, the drawing library included.
-
-    Parameters
-    ----------
-    path : path-like
-        Of the page.
-    **what
-        As in `page_text`.
-
-    Raises
-    ------
-    InputError
-        As `page_text` does.
-    """
-    text = page_text(**what)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, "utf-8")
 
 
 def page_text(

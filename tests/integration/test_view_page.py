@@ -11,7 +11,7 @@ import pytest
 from exhaustive import few
 
 import clsim
-from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
 
 L = np.array([(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)], dtype=float)
 FAN = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)])
@@ -67,7 +67,7 @@ def ends() -> list[ViewedEnd]:
 
 def write(path: Path, **changed: Any) -> Path:
     given = {"title": "a <b>walk</b> {{data}}", "walls": l_room(), "ends": ends(), "times": TIMES, "frames": FRAMES}
-    write_page(path, **(given | {"notes": ["air of 20 °C", "</script><i>note"]} | changed))
+    path.write_text(page_text(**(given | {"notes": ["air of 20 °C", "</script><i>note"]} | changed)), "utf-8")
     return path
 
 
