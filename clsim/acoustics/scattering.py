@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
 
-_FAR = 0.1  # rad; where the first of Newton's steps is longer, they are watched
+FAR = 0.1  # rad; where the first of Newton's steps is longer, they are watched
 _STEPS = 40  # of these, at most
-_FOUND = 1e-3  # rad; the next step is about its square
-_LONGEST_STEP = 0.5  # rad
-_PENUMBRA = 0.25  # cosine of the angle of incidence about which bodies stop to be mirrors
+FOUND = 1e-3  # rad; the next step is about its square
+LONGEST_STEP = 0.5  # rad
+PENUMBRA = 0.25  # cosine of the angle of incidence about which bodies stop to be mirrors
 _SMALL = 1e-300
 _FINENESS = 16  # angles of the table of a sphere in one radian of its fastest turn
 
@@ -91,7 +91,7 @@ def ellipsoid_glint(
         begin = _unit(scale * (_unit(source) + _unit(receiver))) if near is None else near.normal
         u, change = _search(scale, source, receiver, between, begin, weight)
     else:
-        u, change = _newton(scale, source, receiver, near.normal, weight, _LONGEST_STEP)
+        u, change = _newton(scale, source, receiver, near.normal, weight, LONGEST_STEP)
     place = scale * u
     if hidden.any():
         change, place = np.where(hidden, 0.0, change), np.where(hidden, scale * between, place)
@@ -171,7 +171,7 @@ def lit_share(cosine: Floats) -> Floats:
     >>> lit_share(np.array([0.0, 0.25, 1.0])).round(3).tolist()
     [0.0, 0.632, 1.0]
     """
-    return np.asarray(-np.expm1(-((cosine / _PENUMBRA) ** 3)))
+    return np.asarray(-np.expm1(-((cosine / PENUMBRA) ** 3)))
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
@@ -191,8 +191,8 @@ def _search(
     scale: Floats, s: Floats, r: Floats, between: Floats, begin: Floats, weight: Floats | float
 ) -> tuple[Floats, Floats]:
     """Return unit vectors (3, n) of the shortest ways, and by how much the last step has changed them."""
-    u, change = _newton(scale, s, r, begin, weight, _LONGEST_STEP)
-    rest = np.flatnonzero(change > _FAR)
+    u, change = _newton(scale, s, r, begin, weight, LONGEST_STEP)
+    rest = np.flatnonzero(change > FAR)
     if len(rest):
         some = weight[rest] if isinstance(weight, np.ndarray) else weight
         u[:, rest], change[rest] = _careful(scale, s[:, rest], r[:, rest], between[:, rest], u[:, rest], some)
@@ -206,14 +206,14 @@ def _careful(
     guesses = (u, _unit(between))
     ways = [_way(scale, s, r, v, weight) for v in guesses]
     u, way = np.where(ways[0] <= ways[1], *guesses), np.minimum(*ways)
-    longest = np.full(len(way), _LONGEST_STEP)
+    longest = np.full(len(way), LONGEST_STEP)
     for _ in range(_STEPS):
         new, change = _newton(scale, s, r, u, weight, longest)
         shorter = _way(scale, s, r, new, weight)
         better = shorter <= way * (1.0 + 1e-15)
-        longest = np.where(better, np.minimum(2.0 * longest, _LONGEST_STEP), 0.25 * np.minimum(longest, change))
+        longest = np.where(better, np.minimum(2.0 * longest, LONGEST_STEP), 0.25 * np.minimum(longest, change))
         u, way = np.where(better, new, u), np.where(better, shorter, way)
-        if not np.any(change > _FOUND):
+        if not np.any(change > FOUND):
             break
     return u, change
 

@@ -30,6 +30,11 @@ class Shape(Protocol):
     """What a scatterer does to a wave, in its own frame."""
 
     @property
+    def kind(self) -> str:
+        """The word for it."""
+        ...
+
+    @property
     def radius(self) -> float:
         """Of a sphere about the centre that holds it, m."""
         ...
@@ -70,6 +75,7 @@ class PointShape:
     """A point of one strength, m, at all frequencies and in all directions."""
 
     strongest: float
+    kind: ClassVar[str] = "point"
     radius: ClassVar[float] = 0.0
     is_complex: ClassVar[bool] = False
     aspects: ClassVar[int] = 1
@@ -101,6 +107,7 @@ class EllipsoidShape:
     """A rigid ellipsoid with semi-axes (3,) m, by geometrical optics."""
 
     semi_axes: Floats
+    kind: ClassVar[str] = "ellipsoid"
     is_complex: ClassVar[bool] = False
     aspects: ClassVar[int] = 1
 
@@ -136,6 +143,7 @@ class SphereShape:
     """A rigid sphere of a radius, m, by the series over its modes."""
 
     radius: float
+    kind: ClassVar[str] = "sphere"
     is_complex: ClassVar[bool] = True
     aspects: ClassVar[int] = 1
 
@@ -177,6 +185,7 @@ class CapsuleShape:
 
     cylinder_radius: float
     length: float
+    kind: ClassVar[str] = "capsule"
     is_complex: ClassVar[bool] = True
     aspects: ClassVar[int] = ASPECTS
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, Rows
     from clsim.paths.response import SceneResponse
 
+_ON_DEVICE = ("point", "ellipsoid")  # shapes that `scattered_way.h` knows
 _AT_A_TIME = 6144  # nodes that are looked at together: what is worked on stays in the cache
 
 
@@ -75,6 +76,12 @@ class ScatteredPaths(TwoSidedPaths):
         """Whether the field or the fluctuation of any scatterer, a wall or a directivity has a phase."""
         things = any(s.shape.is_complex or s.fluctuation is not None for s in self.scene.scatterers)
         return things or super(ScatteredPaths, self).is_complex
+
+    @property
+    def device(self) -> str | None:
+        """The program for scatterers, if it knows all of their shapes; none that knows how one fluctuates."""
+        known = all(s.shape.kind in _ON_DEVICE and s.fluctuation is None for s in self.scene.scatterers)
+        return "scatterers" if known else None
 
     @property
     def object_names(self) -> tuple[str, ...]:

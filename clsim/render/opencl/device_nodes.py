@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_BOUNDARY
 from clsim.numerics.quaternions import rotate
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
@@ -16,6 +15,7 @@ from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL
+from clsim.render.opencl.path_kinds import KINDS, OF_GAINS
 from clsim.render.opencl.surroundings import VECTOR, Surroundings
 from clsim.render.plan import Plan, node_times
 
@@ -63,8 +63,9 @@ class DeviceChunk:
     columns: dict[str, Any]
     field: dict[str, Any]
     bounds: Boundaries
-    coarse_delays: Any
+    coarse: dict[str, Any]
     trajectory: dict[str, Any]
+    poses: dict[str, Any]
     cells: dict[str, Any] | None
     first: int  # sample of the branches
     turn: float  # at which the source's beam turns at most, rad/s
@@ -73,7 +74,7 @@ class DeviceChunk:
 class DeviceTracks:
     """Makes block polynomials with ``tracks.cl``."""
 
-    _edges: ClassVar[int] = 0  # whether paths turn round edges
+    _kinds: ClassVar[dict[str, int]] = {}  # constants of the program that are not 0 for this kind of paths
 
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
@@ -144,7 +145,9 @@ class DeviceTracks:
         trajectory = self._trajectory(knots) | {
             "knot_count": len(knots), "first_knot": knot_first, "knot_rate": self._knot_rates[source],
         }  # fmt: skip
-        coarse = self._coarse_delays(source, batch, images | trajectory, start, -(-length // plan.segment) + 3)
+        poses = self._poses(start / rate - longest - spare, (start + length) / rate - shortest + spare)
+        paths = images | trajectory | poses
+        coarse = self._coarse_delays(source, batch, paths, start, -(-length // plan.segment) + 3)
         cells = None
         if activity is not None:
             cells = self._uploaded(following=activity.following, preceding=activity.preceding)
@@ -153,12 +156,14 @@ class DeviceTracks:
         if around.source_kind != OMNI:
             turn = self._knot_rates[source] * _largest_turn(knots[:, CUBIC_COLUMNS : CUBIC_COLUMNS + 3])
         field = self._field(source, rows)
-        return DeviceChunk(source, batch, start, images, columns, field, bounds, coarse, trajectory, cells, first, turn)
+        return DeviceChunk(
+            source, batch, start, images, columns, field, bounds, coarse, trajectory, poses, cells, first, turn
+        )
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Return what paths (slots,) see of the ends as the program takes it: images as columns."""
         matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
-        return self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"edges": None}
+        return self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
 
     def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return the walls of paths (slots,) that depend on the angle, see `Surroundings.bounces`."""
@@ -172,22 +177,35 @@ class DeviceTracks:
         """Return the knots of motion as the program takes them."""
         return self._uploaded(knots=knots)
 
-    def _coarse_delays(self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int) -> Any:
-        """Solve the delays at the ends of segments, from which those between are predicted."""
+    def _poses(self, start: float, end: float) -> dict[str, Any]:
+        """Return where things are from a time to another, s, that paths meet: none, for images."""
+        return {"poses": None, "pose_cells": None, "pose_count": 0, "first_pose": 0.0, "pose_rate": 0.0}
+
+    def _coarse_delays(
+        self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int
+    ) -> dict[str, Any]:
+        """Solve the delays at the ends of segments, from which those between are predicted, and what goes with them."""
         import pyopencl as cl
 
         rate, segment = self._plan.sampling_rate, self._plan.segment
         groups = -(-ends // self._together)
         ends = groups * self._together
-        out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * batch.count)
+        numbers = {"coarse_delays": 2, "coarse_more": self._kinds.get("MORE", 0)}
+        out = {
+            name: cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 8 * count * ends * batch.count)
+            if count else None
+            for name, count in numbers.items()
+        }  # fmt: skip
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
         constants = {"RECEIVER_DIRECTIVITY": OMNI, "OMNI": OMNI, "SPHERICAL": SPHERICAL}  # no beams: delays only
+        constants["CUBIC_COLUMNS"] = CUBIC_COLUMNS
         constants |= self._motion_constants(source) | self._exact_constants(source)
         del constants["SMOOTH_ERROR"]
         kernel = self._compiler.kernel("coarse_delays", constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, **self._media[source], delays=out,
+            start=start / rate, walk_time=segment / rate, **self._media[source],
+            delays=out["coarse_delays"], more=out["coarse_more"],
         )  # fmt: skip
         return out
 
@@ -237,12 +255,12 @@ class DeviceTracks:
         filters = self._plan.source_filters[source]
         first, last = filters.emitted_between(rate)
         constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
-        constants |= {"HALF_TURN": math.pi, "ON_BOUNDARY": ON_BOUNDARY}
+        constants |= {"HALF_TURN": math.pi} | OF_GAINS
         kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
             self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
-            **chunk.field,
-            **self._media[source], receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
+            **chunk.field, **chunk.poses, **chunk.coarse, **self._media[source], receivers=receivers,
+            start=start / rate,
             first_walk=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
             delay_samples=filters.delay_samples, oversampling=filters.oversampling,
             smooth=self._smooth(chunk, receivers, more["block_samples"]),
@@ -252,7 +270,9 @@ class DeviceTracks:
         """Constants of the program in float64."""
         wind = int(self._media[source]["wind"] is not None)
         smooth = np.float32(SMOOTH_ERROR)
-        return {"SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind, "EDGES": self._edges}
+        return KINDS | self._kinds | {
+            "SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind,
+        }  # fmt: skip
 
     def _smooth(self, chunk: DeviceChunk, receivers: NDArray[Any], block: int) -> float:
         """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 if all are looked at.

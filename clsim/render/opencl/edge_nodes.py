@@ -31,7 +31,7 @@ EDGE_VIEW = np.dtype(
 class EdgeTracks(DeviceTracks):
     """Makes block polynomials of `EdgePaths` with ``tracks.cl``."""
 
-    _edges: ClassVar[int] = 1
+    _kinds: ClassVar[dict[str, int]] = {"EDGES": 1}
 
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
@@ -65,15 +65,10 @@ class EdgeTracks(DeviceTracks):
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         edges["end"] = np.nan_to_num(family.end_place[rows])
         edges["face"] = around.tables_of(family.faces[rows])
-        return self._uploaded(edges=edges) | {"image_matrix": None, "image_offset": None}
+        return self._uploaded(views=edges) | {"image_matrix": None, "image_offset": None}
 
     def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Return walls that depend on the angle: those of the source's side, and -2 less those of the receiver's."""
-        around = self._surroundings[source]
-        (before, one), (after, other) = (around.bounces(walls) for walls in self._family.walls_of_sides(rows))
-        walls, normals = np.concatenate([before, np.where(after < 0, -1, -2 - after)]), np.concatenate([one, other])
-        first = np.argsort(walls == -1, axis=0, kind="stable")[: len(before)]
-        return np.take_along_axis(walls, first, axis=0), np.take_along_axis(normals, first[:, None], axis=0)
+        return self._surroundings[source].bounces_of_sides(*self._family.walls_of_sides(rows))
 
     def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         factors = self._surroundings[source].reflection(self._family.faces[rows].reshape(-1, 1))

@@ -3,6 +3,7 @@
 from clsim.render.opencl.device_nodes import DeviceTracks
 from clsim.render.opencl.edge_nodes import EdgeTracks
 from clsim.render.opencl.pair_nodes import PairTracks
+from clsim.render.opencl.scatterer_nodes import ScattererTracks
 
-NODE_PROGRAMS = {"images": DeviceTracks, "edges": EdgeTracks}
+NODE_PROGRAMS = {"images": DeviceTracks, "edges": EdgeTracks, "scatterers": ScattererTracks}
 PAIR_PROGRAMS = {"images": PairTracks}  # those without float64

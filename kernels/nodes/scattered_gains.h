@@ -1,0 +1,59 @@
+// Paths by scatterers at nodes: what is expected of them from the ends of walks, and how strong they are.
+
+#if SCATTERERS
+// What is known at four ends of walks, MORE numbers of each: a septic of what comes after the scatterer, and cubics of the
+// weight and of the glint, on [-1, 1].
+static void predict_scattering(__global const double* coarse, long slots, double walk_time, double* expected)
+{
+    double late[4], slopes[4];
+    for (int i = 0; i < 4; i++) {
+        late[i] = coarse[MORE * i * slots];
+        slopes[i] = coarse[(MORE * i + 1) * slots] * (0.5 * walk_time);
+    }
+    septic(late, slopes, expected);
+    for (int k = 2; k < MORE; k++) {
+        const double v0 = coarse[k * slots], v1 = coarse[(MORE + k) * slots];
+        const double v2 = coarse[(2 * MORE + k) * slots], v3 = coarse[(3 * MORE + k) * slots];
+        const double s1 = 0.5 * (v2 + v1), s3 = 0.5 * (v3 + v0), d1 = 0.5 * (v2 - v1), d3 = 0.5 * (v3 - v0);
+        double* c = expected + 8 + 4 * (k - 2);
+        c[0] = (9.0 * s1 - s3) / 8.0;
+        c[1] = (27.0 * d1 - d3) / 24.0;
+        c[2] = (s3 - s1) / 8.0;
+        c[3] = (d3 - 3.0 * d1) / 24.0;
+    }
+}
+
+static reals by_cubic(const double* c, reals u) { return c[0] + u * (c[1] + u * (c[2] + u * c[3])); }
+
+static void expect_scattering(const double* expected, reals u, scattering* b)
+{
+    reals late = expected[7];
+#pragma unroll
+    for (int k = 6; k >= 0; k--) late = late * u + expected[k];
+    b->late = late;
+    b->weight = by_cubic(expected + 8, u);
+    const triples glint = {by_cubic(expected + 12, u), by_cubic(expected + 16, u), by_cubic(expected + 20, u)};
+    b->glint = of_length_one(glint);
+}
+
+// Over what pressure falls, m: lengths of both legs over the strength; large where nothing is sent back.
+static double scattered_length(__global const view* seen, const scattering* b, int beside)
+{
+    double strength = seen->strength, spread = OF_NODE(b->spread, beside);
+    if (seen->shape != POINT) {
+        const triples scale = {seen->semi_axes[0], seen->semi_axes[1], seen->semi_axes[2]};
+        const glint_of g = {scale, b->source, b->receiver, b->weight};
+        reals cosine;
+        const reals full = glint_strength(&g, b->glint, &cosine);
+        const double steep = OF_NODE(cosine, beside) / PENUMBRA;
+        strength = OF_NODE_LONG(b->hidden, beside) ? 0.0 : OF_NODE(full, beside) * (1.0 - exp(-steep * steep * steep));
+    }
+#if MACH_EXPONENT >= 1
+    spread *= 1.0 - OF_NODE(b->leaving, beside);
+#endif
+#if MACH_EXPONENT >= 2
+    spread *= 1.0 - OF_NODE(b->leaving, beside);
+#endif
+    return strength > 1e-30 * spread ? spread / strength : 1e30;
+}
+#endif

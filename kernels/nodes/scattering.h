@@ -1,0 +1,79 @@
+// What is known of where paths are scattered, at nodes side by side, and the specular point there.
+
+#if SCATTERERS
+#define PREDICTED 1  // what the first step is made from
+#define UNKNOWN 2
+
+// What is known of where a path is scattered, at nodes side by side.
+typedef struct {
+    reals late, late_rate;     // of the delay, what comes after it, s, and its derivative by the time of reception
+    reals weight, change;      // of the way to the receiver, and of the glint by the last step, rad
+    triples glint;             // its unit vector
+    triples source, receiver;  // the ends in the frame of the scatterer, m
+    triples arrival;           // unit vector along the way at the receiver, in the room
+    reals spread, leaving;     // product of the lengths of both legs, m^2; Mach number of the scatterer towards the receiver
+    choices hidden;            // whether it is between both ends
+} scattering;
+
+// The specular point and its velocity in the place of the centre's; both ends are images.
+static void reflect_at(__global const view* seen, const pose* p, triples source, triples receiver, int first, triples* place,
+                       triples* velocity, scattering* b)
+{
+    b->source = apart(source, p->place);
+    b->receiver = apart(receiver, p->place);
+    if (seen->turned) {
+        const triples s = b->source, r = b->receiver;
+        b->source.x = DOT(s, p->axes[0]), b->source.y = DOT(s, p->axes[1]), b->source.z = DOT(s, p->axes[2]);
+        b->receiver.x = DOT(r, p->axes[0]), b->receiver.y = DOT(r, p->axes[1]), b->receiver.z = DOT(r, p->axes[2]);
+    }
+    const triples scale = {seen->semi_axes[0], seen->semi_axes[1], seen->semi_axes[2]};
+    const glint_of g = {scale, b->source, b->receiver, b->weight};
+    const triples between = between_ends(&g, &b->hidden);
+    triples before = b->glint;
+    if (first == UNKNOWN) {
+        before = of_length_one(along_axes(scale, plus(of_length_one(b->source), of_length_one(b->receiver))));
+    }
+    b->glint = glint_step(&g, before, (reals)LONGEST_STEP, &b->change);
+    const choices far = b->change > GLINT_FAR;
+    if (first && ANY(far)) {
+        reals change;
+        const triples found = glint_search(&g, before, between, &change);
+        choose(far, found, &b->glint);
+        b->change = far ? change : b->change;
+    }
+    triples offset = along_axes(scale, b->glint);
+    choose(b->hidden, along_axes(scale, between), &offset);
+    b->change = b->hidden ? (reals)0.0 : b->change;
+    if (seen->turned) {
+        const triples o = offset;
+        offset = plus(scaled(o.x, p->axes[0]), plus(scaled(o.y, p->axes[1]), scaled(o.z, p->axes[2])));
+        *velocity = plus(*velocity, plus(scaled(o.x, p->turning[0]), plus(scaled(o.y, p->turning[1]), scaled(o.z, p->turning[2]))));
+    }
+    *place = plus(*place, offset);
+}
+
+static void choose_reals(choices open, reals other, reals* kept) { *kept = open ? other : *kept; }
+
+// Take over what a further step has found at some nodes.
+static void keep(choices open, const arrivals* next, const scattering* met, arrivals* a, scattering* b)
+{
+    choose_reals(open, next->delay, &a->delay);
+    choose_reals(open, next->rate, &a->rate);
+    choose_reals(open, next->mach_factor, &a->mach_factor);
+    choose_reals(open, next->u, &a->u);
+    choose(open, next->departure, &a->departure);
+    choose_reals(open, met->late, &b->late);
+    choose_reals(open, met->late_rate, &b->late_rate);
+    choose_reals(open, met->weight, &b->weight);
+    choose_reals(open, met->change, &b->change);
+    choose_reals(open, met->spread, &b->spread);
+    choose_reals(open, met->leaving, &b->leaving);
+    choose(open, met->glint, &b->glint);
+    choose(open, met->source, &b->source);
+    choose(open, met->receiver, &b->receiver);
+    choose(open, met->arrival, &b->arrival);
+    b->hidden = open ? met->hidden : b->hidden;
+#pragma unroll
+    for (int i = 0; i < NODES_AT_ONCE; i++) a->knot[i] = OF_NODE_LONG(open, i) ? next->knot[i] : a->knot[i];
+}
+#endif

@@ -1,0 +1,15 @@
+// What a path has besides images, one for each slot: by its kind.
+
+typedef struct {
+    double source_turn[9], source_shift[3];  // from the room to what the scatterer sees by the walls before it
+    double receiver_turn[9], receiver_shift[3];
+    double semi_axes[3];                     // m
+    double strength;                         // of a point, m
+    int thing, turned, shape, unused;        // in the table of poses; whether its orientation matters; POINT or ELLIPSOID
+} scatterer_view;
+
+#if SCATTERERS
+typedef scatterer_view view;
+#else
+typedef edge_view view;
+#endif
