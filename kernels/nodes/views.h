@@ -8,8 +8,18 @@ typedef struct {
     int thing, turned, shape, unused;        // in the table of poses; whether its orientation matters; POINT or ELLIPSOID
 } scatterer_view;
 
+typedef struct {
+    double turn[9], shift[3];  // by the walls at rest before a mirror: from the source's own room to where the mirror is
+    double most;               // m/s, up to which its speed is continued beyond its edges
+    int face, unused;          // row of the table of poses; -1 for none
+} body_view;
+
 #if SCATTERERS
 typedef scatterer_view view;
+#elif BODIES
+typedef struct {
+    body_view mirror[BODIES];  // that move, from the source's side
+} view;
 #else
 typedef edge_view view;
 #endif

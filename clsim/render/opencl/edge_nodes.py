@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,8 +31,6 @@ EDGE_VIEW = np.dtype(
 class EdgeTracks(DeviceTracks):
     """Makes block polynomials of `EdgePaths` with ``tracks.cl``."""
 
-    _kinds: ClassVar[dict[str, int]] = {"EDGES": 1}
-
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
@@ -51,6 +49,9 @@ class EdgeTracks(DeviceTracks):
         values[1:] = transition((middle * (1.0 / place[1:] - 1.0))[:, None] * np.sqrt(number))
         table = self._uploaded(transition=cubics(place, values, parts), waves=waves.astype(np.float32))
         return table | {"middle": float(middle)}
+
+    def _kinds(self) -> dict[str, int]:
+        return {"EDGES": 1}
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         family, around = self._family, self._surroundings[source]

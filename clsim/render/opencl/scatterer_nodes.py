@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,8 +34,6 @@ SCATTERER_VIEW = np.dtype(
 class ScattererTracks(DeviceTracks):
     """Makes block polynomials of `ScatteredPaths` with ``tracks.cl``."""
 
-    _kinds: ClassVar[dict[str, int]] = {"SCATTERERS": 1, "MORE": 6}
-
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
@@ -54,6 +52,9 @@ class ScattererTracks(DeviceTracks):
             row["strength"], row["semi_axes"] = getattr(shape, "strongest", 0.0), getattr(shape, "semi_axes", 0.0)
             row["turned"] = scatterer.trajectory.has_orientation and shape.radius > 0.0
         self._of_shape["thing"] = np.arange(len(scatterers))
+
+    def _kinds(self) -> dict[str, int]:
+        return {"SCATTERERS": 1, "MORE": 6}
 
     def nodes(
         self, chunk: DeviceChunk, start: int, block: int, blocks: int, meanwhile: Callable[[], None] | None = None
