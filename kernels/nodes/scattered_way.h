@@ -42,7 +42,12 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
         b->change = 0.0;
         b->hidden = (choices)0;
     } else {
-        reflect_at(seen, &p, from, receiver->position, first, &place, &velocity, b);
+        #if WIND
+        const triples start = first ? from : b->start, stop = first ? receiver->position : b->stop;
+#else
+        const triples start = from, stop = receiver->position;
+#endif
+        reflect_at(seen, &p, start, stop, first, &place, &velocity, b);
     }
     const triples there = apart(place, from), back = apart(receiver->position, place);
     const reals squared1 = DOT(there, there), inverse1 = inverse_root(squared1);
@@ -57,10 +62,17 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
     const triples wind = {path->wind.x, path->wind.y, path->wind.z}, blown = turned(seen->source_turn, wind);
     const triples leaving1 = of_length_one(plus(scaled(to.slowness, direction1), scaled(to.carried, blown)));
     const triples coming2 = of_length_one(plus(scaled(on.slowness, direction2), scaled(on.carried, receiver->wind)));
+    // Seen through the air that moves, ends are where their wavefronts come from.
+    const triples ray1 = plus(scaled(to.slowness, direction1), scaled(to.carried, wind));
+    const triples ray2 = plus(scaled(on.slowness, direction2), scaled(on.carried, wind));
+    const reals slow1 = root(DOT(ray1, ray1)), slow2 = root(DOT(ray2, ray2)), faster = slow2 / slow1;
+    b->start = apart(place, scaled(to.time / (path->slowness * slow1), ray1));
+    b->stop = plus(place, scaled(on.time / (path->slowness * slow2), ray2));
 #else
     const passage to = passing(path, squared1, inverse1, 0.0), on = passing(path, squared2, inverse2, 0.0);
     const reals carried = 0.0, carried_source = 0.0, carried_receiver = 0.0;
     const triples leaving1 = direction1, coming2 = direction2;
+    const reals faster = 1.0;
 #endif
     const reals coming = to.slowness * DOT(direction1, velocity) + to.carried * carried;
     const reals leaving = on.slowness * DOT(direction2, velocity) + on.carried * carried;
@@ -70,11 +82,11 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
     b->arrival = turned_back(seen->receiver_turn, 1, 0, coming2);
     b->spread = squared1 * inverse1 * DOT(leaving1, direction1) * squared2 * inverse2 * DOT(coming2, direction2);
     b->leaving = leaving;
-    const choices unsettled = b->change > SETTLED;
+    const choices unsettled = WIND && first && seen->shape != POINT ? b->weight == b->weight : b->change > SETTLED;
 #if RETARDED
     const reals later = (on.time - b->late) / (1.0 - leaving);
     const reals more = (to.time - early + later * (mach - coming)) / (1.0 - mach);
-    b->weight = (1.0 - coming) / (1.0 - leaving);
+    b->weight = (1.0 - coming) / (1.0 - leaving) * faster;
     b->late += later;
     b->late_rate = (receding - leaving) / (1.0 - leaving);
     a->delay = b->late + early + more;
@@ -82,6 +94,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
     a->rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) * a->mach_factor / (1.0 - leaving);
     return later * later >= small | more * more >= small | unsettled;
 #else
+    b->weight = faster;
     b->late = on.time;
     b->late_rate = receding - leaving;
     a->delay = to.time + on.time;

@@ -12,6 +12,9 @@ typedef struct {
     triples source, receiver;  // the ends in the frame of the scatterer, m
     triples arrival;           // unit vector along the way at the receiver, in the room
     reals spread, leaving;     // product of the lengths of both legs, m^2; Mach number of the scatterer towards the receiver
+#if WIND
+    triples start, stop;       // the ends as the air carries their wavefronts, m
+#endif
     choices hidden;            // whether it is between both ends
 } scattering;
 
@@ -69,6 +72,10 @@ static void keep(choices open, const arrivals* next, const scattering* met, arri
     choose_reals(open, met->spread, &b->spread);
     choose_reals(open, met->leaving, &b->leaving);
     choose(open, met->glint, &b->glint);
+#if WIND
+    choose(open, met->start, &b->start);
+    choose(open, met->stop, &b->stop);
+#endif
     choose(open, met->source, &b->source);
     choose(open, met->receiver, &b->receiver);
     choose(open, met->arrival, &b->arrival);

@@ -163,6 +163,21 @@ def swinging(device: str) -> Plan:
 
 
 @scene
+def sonar(device: str) -> Plan:
+    """Paths by an ellipsoid that turns, a ball, and a point, with a wall on either leg, in wind."""
+    turned = [[0.0, 0.0, 0.0, 1.0], [0.0, 0.1, 0.2, 0.97468]]
+    way = clsim.Trajectory.waypoints([0.0, 0.04], [(0.08, 0.06, 0.05), (0.08, 0.061, 0.05)], turned)
+    things = [
+        clsim.Scatterer.ellipsoid("e", (0.004, 0.012, 0.008), way),
+        clsim.Scatterer.sphere("b", 0.005, FIXED((0.03, 0.1, 0.08)), model="geometrical"),
+        clsim.Scatterer.point("p", -40.0, LINE((0.12, 0.03, 0.03), (0.12, 0.03, 0.031), 0.04)),
+    ]
+    of = dataclasses.replace(world(air=WINDY), scatterers=things)
+    found = clsim.find_paths(of, 0, scattering_order=1).families[-1]
+    return plan(PathSet(of, (found.part(np.arange(0, len(found), 7)),)), device, responses="centre")
+
+
+@scene
 def crowd(device: str) -> Plan:
     """More walls than are looked up by NumPy: a floor, and tiles over and under it."""
     corners, faces = [(-0.1, -0.1, 0.0), (0.3, -0.1, 0.0), (0.3, 0.3, 0.0), (-0.1, 0.3, 0.0)], [(0, 1, 2), (0, 2, 3)]
