@@ -41,6 +41,10 @@ class BodyTracks(DeviceTracks):
         of_paths = self._moving(family.surfaces)
         self._most = max(int(of_paths.sum(axis=1).max(initial=0)), 1)  # mirrors that move on a path
         self._faces = np.unique(family.surfaces[of_paths])
+        every, nothing = np.arange(len(mirrors.owner)), np.zeros((len(mirrors.owner), 1))
+        planes = mirrors.planes(every, nothing, nothing, None)  # of those at rest; the last row is that of no mirror
+        self._normal = np.concatenate([np.where(self._moves[:, None], 0.0, planes.normal[:, 0]), np.zeros((1, 3))])
+        self._offset = np.append(np.where(self._moves, 0.0, planes.offset[:, 0]), 0.0)
         peak = np.array([body.peak_speed for body in mirrors.bodies])[mirrors.owner]
         c = float(family.speed_range.slowest)
         self._peak = np.where(mirrors.owner == ROOM, 0.0, np.minimum(2.0 * peak, 0.5 * (peak + c)))
@@ -81,7 +85,7 @@ class BodyTracks(DeviceTracks):
         views, filled = np.zeros((count, self._most), dtype=BODY_VIEW), np.zeros(count, dtype=np.int64)
         views["face"] = -1
         normal = np.zeros((*surfaces.shape, 3))
-        nothing, moving = np.zeros((count, 1)), self._moving(surfaces)
+        moving = self._moving(surfaces)
         for bounce, met in enumerate(surfaces.T):
             here = every[moving[:, bounce]]
             view = np.zeros(len(here), dtype=BODY_VIEW)
@@ -89,8 +93,7 @@ class BodyTracks(DeviceTracks):
             view["most"], view["face"] = self._peak[met[here]], np.searchsorted(self._faces, met[here])
             views[here, filled[here]] = view
             filled[here] += 1
-            planes = self._family.mirrors.planes(np.where(moving[:, bounce], -1, met), nothing, nothing, None)
-            wall, height = planes.normal[:, 0], planes.offset[:, 0]
+            wall, height = self._normal[met], self._offset[met]
             normal[:, bounce] = np.einsum("pji,pj->pi", matrix, wall)
             matrix = matrix - 2.0 * wall[:, :, None] * np.einsum("pi,pij->pj", wall, matrix)[:, None]
             offset = offset - 2.0 * (np.sum(wall * offset, axis=1) - height)[:, None] * wall
@@ -100,6 +103,8 @@ class BodyTracks(DeviceTracks):
         """Return mirrors that depend on the angle, see ``body_gains.h``, with the normals of those at rest."""
         around, surfaces = self._surroundings[source], self._family.surfaces[rows]
         wall_of, columns = around.no_bounces(len(rows))
+        if not around.angular:
+            return wall_of, columns
         table, moving, normal = around.tables_of(surfaces), self._moving(surfaces), self._seen(surfaces)[3]
         before, filled = np.zeros(len(rows), dtype=np.int64), np.zeros(len(rows), dtype=np.int64)
         for bounce in range(surfaces.shape[1]):
