@@ -68,7 +68,7 @@ _WAYS = (
 )  # fmt: skip
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
-    *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
+    *_PROPAGATION, *_WALLS, "paths/wall_walk.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
 )  # fmt: skip
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
@@ -77,7 +77,7 @@ _MASK = ("common/mask.h",)
 
 _INTERVAL_CONSTANTS = {
     "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE", "TOUCHING",
-    "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
+    "GROUPED", "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
 }  # fmt: skip
 _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
 _NODE_CONSTANTS = {

@@ -202,6 +202,11 @@ class Tracks(ABC):
     def last_time(self) -> float:
         """Return the time of reception up to which the tracks are known, s."""
 
+    @property
+    @abstractmethod
+    def ends_first(self) -> str:
+        """What ends at that time, in words."""
+
     @staticmethod
     def from_samples(
         times: Any,
@@ -309,11 +314,12 @@ class SceneTracks(Tracks):
         return fastest
 
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
-        """Return the largest peak speed, of scatterers too, and by how much all must be scaled for another rate."""
+        """Return the largest peak speed, of scatterers and bodies too, and what it would be at another rate."""
         v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
-        v_b = max((s.peak_speeds()[1] for s in self.scene.scatterers), default=0.0)  # seen there and back
+        surfaces = [s.peak_speeds()[1] for s in self.scene.scatterers] + [b.peak_speed for b in self.scene.bodies]
+        v_b = max(surfaces, default=0.0)  # seen there and back
         together = v_s + v_r + 2.0 * v_b + max_rate * v_s
-        if together == 0.0:  # only what is sent back changes
+        if together == 0.0:
             return 0.0, 0.0
         most = max(v_s, v_r, v_b)
         return most, max_rate * self.scene.air.slowest / together * most
@@ -356,6 +362,15 @@ class SceneTracks(Tracks):
         motions = [*(thing.trajectory for thing in scene.scatterers), *(body.trajectory for body in scene.bodies)]
         known = min((motion.end for motion in motions), default=np.inf)
         return float(min(_clock_time(r, np.array([min(r.trajectory.end, known)]))[0] for r in self.scene.receivers))
+
+    @property
+    def ends_first(self) -> str:
+        """What ends at that time, in words."""
+        scene = self.scene
+        ends = [(float(_clock_time(r, np.array([r.trajectory.end]))[0]), r.name) for r in scene.receivers]
+        ends += [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
+        ends += [(body.trajectory.end, body.name) for body in scene.bodies]
+        return f"the trajectory of {min(ends)[1]!r}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -408,6 +423,11 @@ class SampledTracks(Tracks):
     def last_time(self) -> float:
         """Return the last sample's time."""
         return self.end
+
+    @property
+    def ends_first(self) -> str:
+        """The samples, in words."""
+        return "what is known of the tracks"
 
 
 def as_tracks(value: object) -> Tracks:
