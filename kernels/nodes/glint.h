@@ -2,7 +2,6 @@
 
 #if SCATTERERS
 #define LEAST 1e-300
-#define GLINT_STEPS 40
 
 static reals larger(reals a, reals b) { return a > b ? a : b; }
 static reals smaller(reals a, reals b) { return a < b ? a : b; }
@@ -24,10 +23,12 @@ static triples apart(triples a, triples b)
 }
 static triples of_length_one(triples v) { return scaled(inverse_root(larger(DOT(v, v), (reals)LEAST)), v); }
 
-// Both ends in the frame of the ellipsoid, m, and the weight of the way to the receiver.
+// Both ends in the frame of what reflects, m, and the weight of the way to the receiver. Of capsules `scale` is the radius
+// and, along z, half of the cylinder.
 typedef struct {
     triples scale, source, receiver;
     reals weight;
+    int shape;
 } glint_of;
 
 // Slopes and second derivatives of the way by a unit vector, along two vectors across it.
@@ -76,12 +77,6 @@ static triples glint_step(const glint_of* g, triples u, reals longest, reals* ch
     return of_length_one(plus(u, plus(scaled(held * first, b.one), scaled(held * second, b.other))));
 }
 
-static reals way_by(const glint_of* g, triples u)
-{
-    const triples place = along_axes(g->scale, u), to = apart(place, g->source), back = apart(place, g->receiver);
-    return root(DOT(to, to)) + g->weight * root(DOT(back, back));
-}
-
 // The point between both ends that is nearest to the centre, as a multiple of the axes; whether it lies inside.
 static triples between_ends(const glint_of* g, choices* hidden)
 {
@@ -92,31 +87,6 @@ static triples between_ends(const glint_of* g, choices* hidden)
     const triples nearest = plus(s, scaled(smaller(larger(share, (reals)0.0), (reals)1.0), way));
     *hidden = DOT(nearest, nearest) < 1.0;
     return nearest;
-}
-
-// The unit vector of the shortest way by steps that make it shorter, from `u` or what is between the ends. What a node
-// comes to does not depend on those beside it.
-static __attribute__((noinline)) triples glint_search(const glint_of* g, triples u, triples between, reals* change)
-{
-    triples other = of_length_one(between);
-    const reals from_u = way_by(g, u), from_other = way_by(g, other);
-    choose(from_other < from_u, other, &u);
-    reals way = smaller(from_u, from_other), longest = LONGEST_STEP;
-    *change = LONGEST_STEP;
-    for (int i = 0; i < GLINT_STEPS; i++) {
-        const choices open = *change > GLINT_FOUND;
-        if (!ANY(open)) break;
-        reals moved;
-        const triples next = glint_step(g, u, longest, &moved);
-        const reals shorter = way_by(g, next);
-        const choices better = shorter <= way * (1.0 + 1e-15);
-        const reals longer = better ? smaller(2.0 * longest, (reals)LONGEST_STEP) : 0.25 * smaller(longest, moved);
-        longest = open ? longer : longest;
-        choose(open & better, next, &u);
-        way = (open & better) ? shorter : way;
-        *change = open ? moved : *change;
-    }
-    return u;
 }
 
 // The strength but for the share that is lit, m, and the cosine of the angle of incidence.

@@ -22,16 +22,22 @@ static void expect_more(const double* expected, reals u, scattering* b)
     b->late = late;
     b->weight = by_cubic(expected + 8, u);
     const triples glint = {by_cubic(expected + 12, u), by_cubic(expected + 16, u), by_cubic(expected + 20, u)};
-    b->glint = of_length_one(glint);
+    b->glint = glint;
 }
 
-// Over what pressure falls, m: lengths of both legs over the strength; large where nothing is sent back.
-static double scattered_length(__global const view* seen, const scattering* b, int beside)
+// Over what pressure falls, m: lengths of both legs over the strength; large where nothing is sent back. The field over that
+// is told in `field` of capsules.
+static double scattered_length(const edge_tables* tables, __global const view* seen, const scattering* b, int beside,
+                               response* field)
 {
     double strength = seen->strength, spread = OF_NODE(b->spread, beside);
-    if (seen->shape != POINT) {
-        const triples scale = {seen->semi_axes[0], seen->semi_axes[1], seen->semi_axes[2]};
-        const glint_of g = {scale, b->source, b->receiver, b->weight};
+    const triples scale = {seen->semi_axes[0], seen->semi_axes[1], seen->semi_axes[2]};
+    const glint_of g = {scale, b->source, b->receiver, b->weight, seen->shape};
+    if (seen->shape == CAPSULE) {
+#if PARTS == 2
+        strength = OF_NODE_LONG(b->hidden, beside) ? 0.0 : capsule_field(tables, &g, b->glint, beside, field);
+#endif
+    } else if (seen->shape != POINT) {
         reals cosine;
         const reals full = glint_strength(&g, b->glint, &cosine);
         const double steep = OF_NODE(cosine, beside) / PENUMBRA;

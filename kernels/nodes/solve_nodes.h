@@ -83,9 +83,11 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
                           into_room(edge->source_turn, towards_edge(from, place)),
                           times(-1.0, into_room(edge->receiver_turn, towards_edge(to, place))), a->knot[beside], OF_NODE(a->u, beside)};
 #elif SCATTERERS
-    const response* field = 0;
+    response by_capsule;
+    const response* field = s->seen->shape == CAPSULE ? &by_capsule : 0;
     const scattering* met = s->met + PART(i);
-    const arrival here = {(float)through, (float)scattered_length(s->seen, met, beside), OF_NODE(a->mach_factor, beside),
+    const double length = scattered_length(&s->tables, s->seen, met, beside, &by_capsule);
+    const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, beside),
                           triple_of(&a->departure, beside), triple_of(&met->arrival, beside), a->knot[beside], OF_NODE(a->u, beside)};
 #elif BODIES
     const mirrored* met = s->met + PART(i);

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from clsim.paths.response import SceneResponse
     from clsim.scene.scene import Scene
 
-_ON_DEVICE = ("point", "ellipsoid")  # shapes that `scattered_way.h` knows
+_ON_DEVICE = ("point", "ellipsoid", "capsule")  # shapes that `scattered_way.h` knows
 _AT_A_TIME = 6144  # nodes that are looked at together: what is worked on stays in the cache
 
 

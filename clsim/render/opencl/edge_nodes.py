@@ -6,20 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import transition
 from clsim.paths.diffraction.ways import EdgeView
 from clsim.render.opencl.device_nodes import DeviceTracks
-from clsim.render.opencl.lookup_tables import CELLS, cubics
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
     from clsim.render.plan import Plan
     from clsim.tracks.tracks import SceneTracks
 
-_MIDDLE_PHASE = 4.0  # rad, of the middle of the table of the transition function at the middle frequency
 # An edge as both ends are seen by it, as in nodes/edge_view.h.
 EDGE_VIEW = np.dtype(
     [("source_turn", "f8", 9), ("source_shift", "f8", 3), ("receiver_turn", "f8", 9), ("receiver_shift", "f8", 3),
@@ -35,20 +31,7 @@ class EdgeTracks(DeviceTracks):
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
         super().__init__(plan, tracks, family, queue, compiler, together)
-        c = tracks.scene.air.speed_of_sound
-        self._transitions = [
-            self._transition(filters.basis.nodes / c, filters.basis.parts) for filters in plan.source_filters
-        ]
-
-    def _transition(self, waves: Floats, parts: int) -> dict[str, Any]:
-        """Return the table of the transition function at waves in a metre (F,), see ``edge_field.h``."""
-        number = 2.0 * np.pi * waves
-        middle = np.sqrt(_MIDDLE_PHASE / np.sqrt(number.min() * number.max()))
-        place = np.linspace(0.0, 1.0, CELLS + 1)
-        values = np.zeros((len(place), len(waves)), dtype=np.complex128)
-        values[1:] = transition((middle * (1.0 / place[1:] - 1.0))[:, None] * np.sqrt(number))
-        table = self._uploaded(transition=cubics(place, values, parts), waves=waves.astype(np.float32))
-        return table | {"middle": float(middle)}
+        self._transitions = [self._transition(filters.basis) for filters in plan.source_filters]
 
     def _kinds(self) -> dict[str, int]:
         return {"EDGES": 1}

@@ -10,7 +10,7 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.paths.pose_cubics import pose_knots, pose_rate
 from clsim.render.opencl.device_nodes import DeviceTracks
-from clsim.render.opencl.path_kinds import ELLIPSOID, POINT
+from clsim.render.opencl.path_kinds import CAPSULE, ELLIPSOID, POINT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from clsim.render.plan import Plan
     from clsim.tracks.tracks import SceneTracks
 
-_SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID}
+_SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE}
 _NO_WAY = -1e5  # s, above what the program tells where it found no way
 # A scatterer as both ends are seen by it, as in nodes/views.h.
 SCATTERER_VIEW = np.dtype(
@@ -50,8 +50,13 @@ class ScattererTracks(DeviceTracks):
             shape = scatterer.shape
             row["shape"] = _SHAPES[shape.kind]
             row["strength"], row["semi_axes"] = getattr(shape, "strongest", 0.0), getattr(shape, "semi_axes", 0.0)
+            if shape.kind == "capsule":
+                row["semi_axes"] = shape.cylinder_radius, shape.cylinder_radius, 0.5 * shape.length
             row["turned"] = scatterer.trajectory.has_orientation and shape.radius > 0.0
         self._of_shape["thing"] = np.arange(len(scatterers))
+        self._transitions: list[dict[str, Any]] = []
+        if CAPSULE in self._of_shape["shape"]:
+            self._transitions = [self._transition(filters.basis) for filters in plan.source_filters]
 
     def _kinds(self) -> dict[str, int]:
         return {"SCATTERERS": 1, "MORE": 6}
@@ -85,6 +90,10 @@ class ScattererTracks(DeviceTracks):
 
     def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         return self._surroundings[source].bounces_of_sides(*self._family.walls_of_sides(rows))
+
+    def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        of_capsules = self._transitions[source] if self._transitions else {}
+        return super()._field(source, rows) | of_capsules
 
     def _poses(self, start: float, end: float) -> dict[str, Any]:
         knots, cells, first = pose_knots(self._motions, start, end, self._pose_rate)
