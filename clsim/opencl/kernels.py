@@ -63,7 +63,8 @@ _TRIPLES = ("common/float64.h", "common/triple.h")
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
 _WAYS = (
     "paths/pose.h", "nodes/sides.h", "nodes/edge_view.h", "nodes/views.h", "nodes/image.h", "nodes/glint.h",
-    "nodes/capsule.h", "nodes/scattering.h", "nodes/scattered_way.h", "nodes/mirrors.h", "nodes/events.h", "nodes/more.h",
+    "nodes/capsule.h", "nodes/scattering.h", "nodes/scattered_way.h", "nodes/mirrors.h", "nodes/events.h",
+    "nodes/more.h",
 )  # fmt: skip
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
