@@ -63,7 +63,8 @@ _TRIPLES = ("common/float64.h", "common/triple.h")
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
 _WAYS = (
     "paths/pose.h", "nodes/sides.h", "nodes/edge_view.h", "nodes/views.h", "nodes/image.h", "nodes/glint.h",
-    "nodes/capsule.h", "nodes/scattering.h", "nodes/scattered_way.h",
+    "nodes/capsule.h", "nodes/scattering.h", "nodes/scattered_way.h", "nodes/mirrors.h", "nodes/events.h",
+    "nodes/more.h",
 )  # fmt: skip
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
@@ -87,7 +88,7 @@ _NODE_CONSTANTS = {
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
 # What is between the ends, and how it is found where they are scattered.
 _KINDS = {
-    "EDGES", "SCATTERERS", "MORE", "POINT", "CAPSULE", "LONGEST_STEP", "GLINT_FAR", "GLINT_FOUND", "SETTLED",
+    "EDGES", "SCATTERERS", "BODIES", "MORE", "POINT", "CAPSULE", "LONGEST_STEP", "GLINT_FAR", "GLINT_FOUND", "SETTLED",
 }  # fmt: skip
 _OF_GAINS = {"SPHERE", "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION"}
 
@@ -140,7 +141,7 @@ PROGRAMS = {
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h", *_WAYS,
             "nodes/transition_table.h", "nodes/edge_field.h", "nodes/capsule_field.h", "nodes/sphere_field.h",
-            "nodes/septic.h", "nodes/scattered_gains.h", "nodes/solve_nodes.h", *_POLYNOMIALS,
+            "nodes/septic.h", "nodes/scattered_gains.h", "nodes/body_gains.h", "nodes/solve_nodes.h", *_POLYNOMIALS,
             "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h", "nodes/cell.h", *_MASK,
             "nodes/activity.h", "nodes/tracks.cl",
         ),

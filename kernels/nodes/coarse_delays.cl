@@ -22,28 +22,18 @@ __kernel void coarse_delays(__global const double* image_matrix, __global const 
     const reals walk = SIDE_BY_SIDE(at, );
     arrivals a;
     a.delay = 0.0;
-#if SCATTERERS
+#if MORE
     const pose_table things = {poses, pose_cells, pose_count, first_pose, pose_rate};
-    scattering b;
-    b.late = 0.0;
-    b.weight = 1.0;
-    solve_scattered(&path, &things, views + slot, &receiver.ear, start + walk * walk_time + receiver.clock_error, CONVERGED,
-                    UNKNOWN, &a, &b);
-#else
-    SOLVE_DELAY(&path, 0, views + slot, &receiver.ear, start + walk * walk_time + receiver.clock_error, CONVERGED, &a, 0);
+    found_more b[1];
+    begin_more(receiver.ear.position, b);
 #endif
+    SOLVE_ANEW(&path, &things, views + slot, &receiver.ear, start + walk * walk_time + receiver.clock_error, CONVERGED, &a, b);
     const reals late = a.delay - receiver.clock_error, rate = a.rate * receiver.clock_rate - (receiver.clock_rate - 1.0);
     for (int i = 0; i < NODES_AT_ONCE; i++) {
         delays[2 * (end + i) * (long)slots + slot] = OF_NODE(late, i);
         delays[(2 * (end + i) + 1) * (long)slots + slot] = OF_NODE(rate, i);
-#if SCATTERERS
-        __global double* known = more + MORE * (end + i) * (long)slots + slot;
-        known[0] = OF_NODE(b.late, i);
-        known[slots] = OF_NODE(b.late_rate, i);
-        known[2 * slots] = OF_NODE(b.weight, i);
-        known[3 * slots] = OF_NODE(b.glint.x, i);
-        known[4 * slots] = OF_NODE(b.glint.y, i);
-        known[5 * slots] = OF_NODE(b.glint.z, i);
+#if MORE
+        tell_more(b, i, more + MORE * (end + i) * (long)slots + slot, slots);
 #endif
     }
 }

@@ -76,6 +76,6 @@ static void solve_edge_delay(const trajectory* path, __global const edge_view* e
     }
 }
 #define SOLVE_DELAY(path, poses, edge, receiver, time, small, a, b) solve_edge_delay(path, edge, receiver, time, small, a)
-#elif !SCATTERERS
+#elif !SCATTERERS && !BODIES
 #define SOLVE_DELAY(path, poses, edge, receiver, time, small, a, b) solve_delay(path, receiver, time, small, a)
 #endif

@@ -16,6 +16,12 @@ static triple image_offset_of(__global const double* offset, int slots, int slot
     return out;
 }
 
+static triple triple_of(const triples* x, int i)
+{
+    const triple out = {OF_NODE(x->x, i), OF_NODE(x->y, i), OF_NODE(x->z, i)};
+    return out;
+}
+
 // Vectors by the transposed matrix of an image.
 static triples turned_back(__global const double* matrix, long slots, int slot, triples v)
 {

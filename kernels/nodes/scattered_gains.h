@@ -3,7 +3,7 @@
 #if SCATTERERS
 // What is known at four ends of walks, MORE numbers of each: a septic of what comes after the scatterer, and cubics of the
 // weight and of the glint, on [-1, 1].
-static void predict_scattering(__global const double* coarse, long slots, double walk_time, double* expected)
+static void predict_more(__global const double* coarse, long slots, double walk_time, double* expected)
 {
     double late[4], slopes[4];
     for (int i = 0; i < 4; i++) {
@@ -11,21 +11,10 @@ static void predict_scattering(__global const double* coarse, long slots, double
         slopes[i] = coarse[(MORE * i + 1) * slots] * (0.5 * walk_time);
     }
     septic(late, slopes, expected);
-    for (int k = 2; k < MORE; k++) {
-        const double v0 = coarse[k * slots], v1 = coarse[(MORE + k) * slots];
-        const double v2 = coarse[(2 * MORE + k) * slots], v3 = coarse[(3 * MORE + k) * slots];
-        const double s1 = 0.5 * (v2 + v1), s3 = 0.5 * (v3 + v0), d1 = 0.5 * (v2 - v1), d3 = 0.5 * (v3 - v0);
-        double* c = expected + 8 + 4 * (k - 2);
-        c[0] = (9.0 * s1 - s3) / 8.0;
-        c[1] = (27.0 * d1 - d3) / 24.0;
-        c[2] = (s3 - s1) / 8.0;
-        c[3] = (d3 - 3.0 * d1) / 24.0;
-    }
+    for (int k = 2; k < MORE; k++) predict_cubic(coarse + k * slots, MORE * slots, expected + 8 + 4 * (k - 2));
 }
 
-static reals by_cubic(const double* c, reals u) { return c[0] + u * (c[1] + u * (c[2] + u * c[3])); }
-
-static void expect_scattering(const double* expected, reals u, scattering* b)
+static void expect_more(const double* expected, reals u, scattering* b)
 {
     reals late = expected[7];
 #pragma unroll

@@ -17,13 +17,13 @@ typedef struct {
     double start, block_time;            // time of the walk's first block, s
     double block_share;                  // two blocks over the walk
     const double* predicted;             // delays over the walk, a septic on [-1, 1]
-    const double* expected;              // of paths by scatterers, see `predict_scattering`
+    const double* expected;              // of what goes with them, see `predict_more`
     int ready;                           // the group that is solved
     edge_tables tables;                  // of paths over edges
     receivers_in_image receiver[STATIC_RECEIVERS ? 1 : AT_ONCE];
     arrivals node[AT_ONCE];
-#if SCATTERERS
-    scattering met[AT_ONCE];
+#if MORE
+    found_more met[AT_ONCE];
 #endif
 } path_nodes;
 
@@ -44,8 +44,8 @@ static void solve_group(path_nodes* s, int group)
 #pragma unroll
         for (int k = 6; k >= 0; k--) expected = expected * u + s->predicted[k];
         s->node[part].delay = expected + receiver->clock_error;
-#if SCATTERERS
-        expect_scattering(s->expected, u, s->met + part);
+#if MORE
+        expect_more(s->expected, u, s->met + part);
 #endif
         SOLVE_DELAY(s->path, s->poses, s->seen, &receiver->ear, s->start + block * s->block_time + receiver->clock_error,
                     CONVERGED, s->node + part, s->met + part);
@@ -63,12 +63,6 @@ static double rate_of_node(const path_nodes* s, int i)
     const reals pace = s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].clock_rate;
     const reals rate = s->node[PART(i)].rate * pace - (pace - 1.0);
     return OF_NODE(rate, BESIDE_IT(i));
-}
-
-static triple triple_of(const triples* x, int i)
-{
-    const triple out = {OF_NODE(x->x, i), OF_NODE(x->y, i), OF_NODE(x->z, i)};
-    return out;
 }
 
 // The gains at a node of the group, see response.h.
@@ -95,6 +89,15 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     const double length = scattered_length(&s->tables, s->seen, met, beside, &by_shape);
     const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, beside),
                           triple_of(&a->departure, beside), triple_of(&met->arrival, beside), a->knot[beside], OF_NODE(a->u, beside)};
+#elif BODIES
+    const mirrored* met = s->met + PART(i);
+    const arrival here = {(float)OF_NODE(met->through, beside), (float)length_by_mirrors(met, beside), OF_NODE(a->mach_factor, beside),
+                          triple_of(met->way, beside), triple_of(met->way + BODIES, beside), a->knot[beside], OF_NODE(a->u, beside)};
+    response of_angles[1];
+    const response* field = by_mirrors(around, met, beside, s->slots, s->slot, of_angles) ? of_angles : 0;
+    surroundings others = *around;
+    others.angular = 0;
+    around = &others;
 #else
     const response* field = 0;
     const triple departure = triple_of(&a->departure, beside);

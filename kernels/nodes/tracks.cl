@@ -58,8 +58,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
 #endif
     const pose_table things = {poses, pose_cells, pose_count, first_pose, pose_rate};
     double expected[8 + 4 * MORE];
-#if SCATTERERS
-    predict_scattering(coarse_more + MORE * (first_walk + walk) * (long)slots + slot, slots, walk_time, expected);
+#if MORE
+    predict_more(coarse_more + MORE * (first_walk + walk) * (long)slots + slot, slots, walk_time, expected);
 #endif
     path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, views + slot, &things,
                                 rows + (STATIC_RECEIVERS ? 0 : first), start + first * block_time, block_time,

@@ -9,8 +9,18 @@ typedef struct {
     int first_cell, cells, unused;           // of a sphere's field
 } scatterer_view;
 
+typedef struct {
+    double turn[9], shift[3];  // by the walls at rest before a mirror: from the source's own room to where the mirror is
+    double most;               // m/s, up to which its speed is continued beyond its edges
+    int face, unused;          // row of the table of poses; -1 for none
+} body_view;
+
 #if SCATTERERS
 typedef scatterer_view view;
+#elif BODIES
+typedef struct {
+    body_view mirror[BODIES];  // that move, from the source's side
+} view;
 #else
 typedef edge_view view;
 #endif

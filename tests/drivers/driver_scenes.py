@@ -135,7 +135,7 @@ def mesh(device: str) -> Plan:
     corners = [(0.08, 0.02, 0.0), (0.08, 0.0601, 0.0), (0.08, 0.0601, 0.1), (0.08, 0.02, 0.1)]
     corners += [(0.09, 0.02, 0.05), (0.09, 0.0601, 0.05)]
     screen = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 5, 2)], REAL[0])
-    way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.08, 0.05), 0.04), LINE((0.10, 0.08, 0.05), (0.10, 0.09, 0.05), 0.04)
+    way, ear = LINE((0.05, 0.05, 0.05), (0.05, 0.07, 0.05), 0.02), LINE((0.10, 0.08, 0.05), (0.10, 0.085, 0.05), 0.02)
     of = clsim.Scene(screen, WINDY, [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
     return plan(clsim.find_paths(of, 1, diffraction=2, resolution=1e-4), device, responses="centre")
 
@@ -148,6 +148,18 @@ def bend(device: str) -> Plan:
     way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.08, 0.05), 0.04), LINE((0.10, 0.08, 0.05), (0.10, 0.09, 0.05), 0.04)
     of = clsim.Scene(screen, clsim.Air(), [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
     return plan(clsim.find_paths(of, 0, diffraction=1, resolution=1e-4), device, responses="centre")
+
+
+@scene
+def swinging(device: str) -> Plan:
+    """Paths by a door that depends on the angle, and by a box, in wind: two mirrors that move on a path."""
+    still = world(walls=[POROUS, *REAL[1:]], beams=(clsim.Piston(0.004), clsim.FirstOrder(0.4)), air=WINDY)
+    hinge = clsim.Trajectory.swing((0.06, 0.10, 0.0), (0, 0, 1), [0.0, 0.002, 0.01], [0.0, 0.02, 0.04])
+    door = clsim.Body.box("door", (0.08, 0.0, 0.1), POROUS, hinge, centre=(0.045, 0.0, 0.055))
+    slide = clsim.Body.box("slide", (0.0, 0.08, 0.1), REAL[1], LINE((0.02, 0.05, 0.055), (0.021, 0.05, 0.055), 0.04))
+    of = dataclasses.replace(still, bodies=(door, slide))
+    found = clsim.find_paths(of, 2)
+    return plan(PathSet(of, found.families[-1:]), device, blocks=(96,))
 
 
 @scene

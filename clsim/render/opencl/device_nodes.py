@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.quaternions import rotate
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
@@ -16,6 +15,7 @@ from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL, transition_table
 from clsim.render.opencl.path_kinds import KINDS, OF_GAINS
+from clsim.render.opencl.receiver_nodes import RECEIVER_NODE, receiver_at
 from clsim.render.opencl.surroundings import VECTOR, Surroundings
 from clsim.render.plan import Plan, node_times
 
@@ -26,18 +26,14 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
+    from clsim.paths.family import Rows
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
-    from clsim.scene.ends import Receiver
     from clsim.tracks.basis import Basis
     from clsim.tracks.tracks import SceneTracks
 
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
-# A receiver at a node, as in nodes/image.h.
-RECEIVER_NODE = np.dtype(
-    [("position", "f8", 3), ("velocity", "f8", 3), ("axes", "f8", (2, 3)), ("clock_error", "f8"), ("clock_rate", "f8")]
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +71,6 @@ class DeviceChunk:
 class DeviceTracks:
     """Makes block polynomials with ``tracks.cl``."""
 
-    _kinds: ClassVar[dict[str, int]] = {}  # constants of the program that are not 0 for this kind of paths
-
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
@@ -103,14 +97,14 @@ class DeviceTracks:
         ]
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._static = {
-            i: _receiver_at(r, np.zeros(1))
+            i: receiver_at(r, np.zeros(1))
             for i, r in enumerate(scene.receivers)
             if math.isinf(r.trajectory.end) and r.electronics is None
         }
         self._all_static = len(self._static) == len(scene.receivers)
         for i, around in enumerate(self._surroundings):
             mine = [pair for pair in tracks.pair_paths if pair.family is family and pair.source == i]
-            around.most_bounces(family.walls[pair.rows] for pair in mine)
+            around.most_bounces(self._met(pair.rows) for pair in mine)
 
     def prepare(
         self,
@@ -129,7 +123,7 @@ class DeviceTracks:
         plan, scene = self._plan, self._tracks.scene
         around, pairs = self._surroundings[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
-        walls = self._family.walls[rows]
+        walls = self._met(rows)
         reflection = np.where(batch.padding[:, None, None], 0.0, around.reflection(walls)).astype(np.float32)
         receiver_of = np.repeat(np.arange(len(batch.pairs), dtype=np.int32), np.diff(batch.first_slot))
         rate = plan.sampling_rate
@@ -161,6 +155,14 @@ class DeviceTracks:
             source, batch, start, images, columns, field, bounds, coarse, trajectory, poses, cells, first, turn
         )
 
+    def _kinds(self) -> dict[str, int]:
+        """Return the constants of the program that are not 0 for this kind of paths."""
+        return {}
+
+    def _met(self, rows: Rows) -> NDArray[np.signedinteger[Any]]:
+        """Return what reflects paths, as rows of the scene's materials (P, N), -1 for none."""
+        return np.asarray(self._family.walls[rows])
+
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Return what paths (slots,) see of the ends as the program takes it: images as columns."""
         matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
@@ -168,7 +170,7 @@ class DeviceTracks:
 
     def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return the walls of paths (slots,) that depend on the angle, see `Surroundings.bounces`."""
-        return self._surroundings[source].bounces(self._family.walls[rows])
+        return self._surroundings[source].bounces(self._met(rows))
 
     def _transition(self, basis: Basis) -> dict[str, Any]:
         """Return the table of the transition function at the frequencies of a basis."""
@@ -197,7 +199,7 @@ class DeviceTracks:
         rate, segment = self._plan.sampling_rate, self._plan.segment
         groups = -(-ends // self._together)
         ends = groups * self._together
-        numbers = {"coarse_delays": 2, "coarse_more": self._kinds.get("MORE", 0)}
+        numbers = {"coarse_delays": 2, "coarse_more": self._kinds().get("MORE", 0)}
         out = {
             name: cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 8 * count * ends * batch.count)
             if count else None
@@ -277,7 +279,7 @@ class DeviceTracks:
         """Constants of the program in float64."""
         wind = int(self._media[source]["wind"] is not None)
         smooth = np.float32(SMOOTH_ERROR)
-        return KINDS | self._kinds | {
+        return KINDS | self._kinds() | {
             "SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind,
         }  # fmt: skip
 
@@ -349,7 +351,7 @@ class DeviceTracks:
         times = times[:1] if self._all_static else times
         out = np.empty((len(batch.pairs), len(times)), dtype=RECEIVER_NODE)
         for i, r in enumerate(batch.receiver):
-            out[i] = self._static[r] if r in self._static else _receiver_at(self._tracks.scene.receivers[r], times)
+            out[i] = self._static[r] if r in self._static else receiver_at(self._tracks.scene.receivers[r], times)
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:
@@ -374,15 +376,3 @@ def _largest_turn(axes: Floats) -> float:
     """Return the largest angle between neighbouring axes (..., n, 3), rad."""
     chord = np.linalg.norm(np.diff(axes, axis=-2), axis=-1).max(initial=0.0)
     return 2.0 * math.asin(min(0.5 * float(chord), 1.0))
-
-
-def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
-    """Return position, velocity, axes and clock of a receiver, (times,)."""
-    out = np.empty(len(times), dtype=RECEIVER_NODE)
-    out["clock_error"] = receiver.clock_error(times)
-    out["clock_rate"] = receiver.clock_rate
-    true = times + out["clock_error"]
-    out["position"], out["velocity"] = receiver.trajectory.position(true), receiver.trajectory.velocity(true)
-    for i, axis in enumerate(np.eye(3)[:2]):
-        out["axes"][:, i] = rotate(receiver.orientation(true), axis)
-    return out

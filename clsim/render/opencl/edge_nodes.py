@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,13 +27,14 @@ EDGE_VIEW = np.dtype(
 class EdgeTracks(DeviceTracks):
     """Makes block polynomials of `EdgePaths` with ``tracks.cl``."""
 
-    _kinds: ClassVar[dict[str, int]] = {"EDGES": 1}
-
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
         super().__init__(plan, tracks, family, queue, compiler, together)
         self._transitions = [self._transition(filters.basis) for filters in plan.source_filters]
+
+    def _kinds(self) -> dict[str, int]:
+        return {"EDGES": 1}
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         family, around = self._family, self._surroundings[source]

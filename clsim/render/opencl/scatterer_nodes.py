@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -38,8 +38,6 @@ SCATTERER_VIEW = np.dtype(
 class ScattererTracks(DeviceTracks):
     """Makes block polynomials of `ScatteredPaths` with ``tracks.cl``."""
 
-    _kinds: ClassVar[dict[str, int]] = {"SCATTERERS": 1, "MORE": 6}
-
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
@@ -55,17 +53,16 @@ class ScattererTracks(DeviceTracks):
         for row, scatterer in zip(self._of_shape, scatterers, strict=True):
             shape = scatterer.shape
             row["shape"] = _SHAPES[shape.kind]
-            row["strength"], row["semi_axes"] = getattr(shape, "strongest", 0.0), getattr(shape, "semi_axes", 0.0)
-            if row["shape"] == CAPSULE:
-                row["semi_axes"] = shape.cylinder_radius, shape.cylinder_radius, 0.5 * shape.length
-            elif row["shape"] == SPHERE:
-                row["semi_axes"] = shape.radius
+            row["strength"], row["semi_axes"] = getattr(shape, "strongest", 0.0), shape.semi_axes
             row["turned"] = scatterer.trajectory.has_orientation and shape.radius > 0.0
         self._of_shape["thing"] = np.arange(len(scatterers))
         self._shapes = [self._of_shape.copy() for _ in plan.source_filters]
         self._tables = [
             self._tables_of(views, f.basis) for views, f in zip(self._shapes, plan.source_filters, strict=True)
         ]
+
+    def _kinds(self) -> dict[str, int]:
+        return {"SCATTERERS": 1, "MORE": 6}
 
     def nodes(
         self, chunk: DeviceChunk, start: int, block: int, blocks: int, meanwhile: Callable[[], None] | None = None

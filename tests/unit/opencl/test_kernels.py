@@ -12,9 +12,10 @@ from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, upload
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
-from clsim.render.opencl.device_nodes import RECEIVER_NODE
+from clsim.render.opencl.body_nodes import BODY_VIEW
 from clsim.render.opencl.edge_nodes import EDGE_VIEW
 from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
+from clsim.render.opencl.receiver_nodes import RECEIVER_NODE
 from clsim.render.opencl.scatterer_nodes import SCATTERER_VIEW
 from clsim.render.opencl.surroundings import VECTOR
 
@@ -37,6 +38,7 @@ STRUCTURES = {
     ),
     "edge_view": ("tracks", EDGE_VIEW),
     "scatterer_view": ("tracks", SCATTERER_VIEW),
+    "body_view": ("tracks", BODY_VIEW),
     "table_scale": ("intervals", np.dtype([("first_knot", "f8"), ("knot_rate", "f8"), ("fastest", "f8")])),
 }
 
