@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -334,7 +334,9 @@ def _field_table(ka: tuple[float, ...]) -> CubicSpline:
     """Return splines (F,) of the field of a sphere over the angle of scattering, 0 to pi."""
     from scipy.interpolate import CubicSpline
 
-    return CubicSpline(*sphere_fields(ka))
+    angle, values = sphere_fields(ka)
+    splines: Any = CubicSpline(angle, values)
+    return cast("CubicSpline", splines)
 
 
 def sphere_fields(ka: tuple[float, ...]) -> tuple[Floats, Complexes]:
