@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -334,7 +334,25 @@ def _field_table(ka: tuple[float, ...]) -> CubicSpline:
     """Return splines (F,) of the field of a sphere over the angle of scattering, 0 to pi."""
     from scipy.interpolate import CubicSpline
 
+    angle, values = sphere_fields(ka)
+    splines: Any = CubicSpline(angle, values)
+    return cast("CubicSpline", splines)
+
+
+def sphere_fields(ka: tuple[float, ...]) -> tuple[Floats, Complexes]:
+    """Return angles of scattering (n,) from 0 to pi, and the field (n, F) of a sphere there, for splines between.
+
+    Parameters
+    ----------
+    ka : tuple of float (F,)
+        Wave numbers times radius, above 0.
+
+    Notes
+    -----
+    See `sphere_field`, with the series of P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2; our own
+    derivation.
+    """
     every = np.array(ka)
     angle = np.linspace(0.0, math.pi, math.ceil(math.pi * _FINENESS * (float(every.max()) + 5.0)))
     turn = np.exp(-2j * np.sin(0.5 * angle)[:, None] * every)
-    return CubicSpline(angle, sphere_form(every, np.cos(angle)) * turn)
+    return angle, sphere_form(every, np.cos(angle)) * turn

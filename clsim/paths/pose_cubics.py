@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.numerics.quaternions import cross_product, rotate
-from clsim.paths.trajectory_cubics import KNOT_RATES
+from clsim.paths.trajectory_cubics import KNOT_RATES, LOOKED_AT
 from clsim.scene.motion.curves import CONTINUATION
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def pose_rate(motions: Sequence[Motion], radii: Sequence[float], end: float, tol
 
     Notes
     -----
-    The least rate of `KNOT_RATES` whose cubics are right in the middle between knots; where a motion has more corners
+    The least rate of `KNOT_RATES` whose cubics are right between knots; where a motion has more corners
     than a few in a cell, more.
     """
     least = KNOT_RATES[0]
@@ -126,12 +126,13 @@ def _is_right(motion: Motion, radius: float, end: float, rate: float, tolerance:
     for first in range(0, last, _SLICE):
         grid = np.arange(first, min(first + _SLICE, last) + 1) / rate
         times = np.union1d(grid, _corners(motion, grid[0], grid[-1]))
-        rows, middle = _pieces(motion, times), 0.5 * (times[1:] + times[:-1])
-        at = np.einsum("p,npax->nax", 0.5 ** np.arange(4), rows[:, 2:].reshape(-1, 3, 4, 3).swapaxes(1, 2))
-        wrong = np.linalg.norm(at[:, 0] - motion.position(middle), axis=1)
-        turned = motion.orientation(middle)
-        for i, axis in enumerate(np.eye(3)[:2]):
-            wrong += radius * np.linalg.norm(at[:, 1 + i] - rotate(turned, axis), axis=1)
-        if wrong.max() > tolerance:
-            return False
+        pieces = _pieces(motion, times)[:, 2:].reshape(-1, 3, 4, 3)
+        for share in LOOKED_AT:
+            at = np.einsum("p,napx->nax", share ** np.arange(4), pieces)
+            now = times[:-1] + share * np.diff(times)
+            wrong = np.linalg.norm(at[:, 0] - motion.position(now), axis=1)
+            for i, axis in enumerate(np.eye(3)[:2]):
+                wrong += radius * np.linalg.norm(at[:, 1 + i] - rotate(motion.orientation(now), axis), axis=1)
+            if wrong.max() > tolerance:
+                return False
     return True

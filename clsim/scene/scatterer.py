@@ -35,6 +35,11 @@ class Shape(Protocol):
         ...
 
     @property
+    def semi_axes(self) -> Floats:
+        """Half of its extent along its own axes (3,), m."""
+        ...
+
+    @property
     def radius(self) -> float:
         """Of a sphere about the centre that holds it, m."""
         ...
@@ -79,6 +84,11 @@ class PointShape:
     radius: ClassVar[float] = 0.0
     is_complex: ClassVar[bool] = False
     aspects: ClassVar[int] = 1
+
+    @property
+    def semi_axes(self) -> Floats:
+        """Zeros."""
+        return np.zeros(3)
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
         """Return None: it is its own centre."""
@@ -147,6 +157,11 @@ class SphereShape:
     is_complex: ClassVar[bool] = True
     aspects: ClassVar[int] = 1
 
+    @property
+    def semi_axes(self) -> Floats:
+        """The radius, three times."""
+        return np.full(3, self.radius)
+
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
         """Return its specular point."""
         return ellipsoid_glint(np.full(3, self.radius), source, receiver, near, weight)
@@ -188,6 +203,11 @@ class CapsuleShape:
     kind: ClassVar[str] = "capsule"
     is_complex: ClassVar[bool] = True
     aspects: ClassVar[int] = ASPECTS
+
+    @property
+    def semi_axes(self) -> Floats:
+        """The radius of the cylinder, twice, and half of its whole length, m."""
+        return np.array([self.cylinder_radius, self.cylinder_radius, self.radius])
 
     @property
     def radius(self) -> float:

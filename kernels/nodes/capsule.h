@@ -9,12 +9,15 @@ static triples on_axis(reals at)
     const triples out = {(reals)0.0, (reals)0.0, at};
     return out;
 }
+// Half of the cylinder, m.
+static reals reach(const glint_of* g) { return g->scale.z - g->scale.x; }
+
 static reals held_to(reals x, reals end) { return smaller(larger(x, -end), end); }
 
 // Where on the axis a place belongs to; the direction in which it is from there.
 static reals split(const glint_of* g, triples place, triples* normal)
 {
-    const reals at = held_to(place.z, g->scale.z);
+    const reals at = held_to(place.z, reach(g));
     *normal = of_length_one(apart(place, on_axis(at)));
     return at;
 }
@@ -27,7 +30,7 @@ static triples between_capsule_ends(const glint_of* g, reals* at, choices* hidde
     const reals size = larger(DOT(away, away), (reals)LEAST), straight = DOT(s, away);
     const reals aside = larger(size - away.z * away.z, (reals)LEAST);
     const reals share = smaller(larger((s.z * away.z - straight) / aside, (reals)0.0), (reals)1.0);
-    *at = held_to(s.z + share * away.z, g->scale.z);
+    *at = held_to(s.z + share * away.z, reach(g));
     const reals nearer = smaller(larger((*at * away.z - straight) / size, (reals)0.0), (reals)1.0);
     const triples nearest = plus(s, scaled(nearer, away)), off = apart(nearest, on_axis(*at));
     *hidden = DOT(off, off) < g->scale.x * g->scale.x;
@@ -73,7 +76,7 @@ static triples capsule_step(const glint_of* g, triples known, reals longest, rea
     const reals size = 1.0 / larger(b.hpp * b.hqq - b.hpq * b.hpq, (reals)LEAST);
     const reals by_p = (b.hqq * b.hzp - b.hpq * b.hzq) * size, by_q = (b.hpp * b.hzq - b.hpq * b.hzp) * size;
     const reals bend = larger(b.hzz - b.hzp * by_p - b.hzq * by_q, (reals)FLATTEST);
-    const reals moved = held_to(at - (b.gz - b.gp * by_p - b.gq * by_q) / bend, g->scale.z), by = moved - at;
+    const reals moved = held_to(at - (b.gz - b.gp * by_p - b.gq * by_q) / bend, reach(g)), by = moved - at;
     const reals gp = b.gp + b.hzp * by, gq = b.gq + b.hzq * by;
     const reals first = (b.hpq * gq - b.hqq * gp) * size / radius, second = (b.hpq * gp - b.hpp * gq) * size / radius;
     const reals turn = root(first * first + second * second), held = smaller((reals)1.0, longest / turn);
@@ -89,7 +92,7 @@ static reals off_axis(triples end, reals radius)
 static triples capsule_guess(const glint_of* g)
 {
     const reals s = off_axis(g->source, g->scale.x), share = s / (s + off_axis(g->receiver, g->scale.x));
-    const reals at = held_to(g->source.z + share * (g->receiver.z - g->source.z), g->scale.z);
+    const reals at = held_to(g->source.z + share * (g->receiver.z - g->source.z), reach(g));
     const triples axis = on_axis(at);
     return joined(g, at, of_length_one(plus(of_length_one(apart(g->source, axis)), of_length_one(apart(g->receiver, axis)))));
 }

@@ -61,7 +61,7 @@ static double capsule_field(const edge_tables* t, const glint_of* g, triples pla
     }
     for (int i = 0; i < 2; i++) {
         const reals sign = i ? (reals)1.0 : (reals)-1.0;
-        const triples junction = plus(scaled(radius, aside), on_axis(sign * g->scale.z));
+        const triples junction = plus(scaled(radius, aside), on_axis(sign * reach(g)));
         const capsule_ways there = ways_by(g, junction, aside, around, on_axis(sign));
         const double slope = OF_NODE(there.slope, beside), flatter = OF_NODE(there.bend, beside), inward = OF_NODE(there.inward, beside);
         const double behind = OF_NODE(there.way, beside) - OF_NODE(here.way, beside), late = behind > 0.0 ? behind : 0.0;

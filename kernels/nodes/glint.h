@@ -24,7 +24,7 @@ static triples apart(triples a, triples b)
 static triples of_length_one(triples v) { return scaled(inverse_root(larger(DOT(v, v), (reals)LEAST)), v); }
 
 // Both ends in the frame of what reflects, m, and the weight of the way to the receiver. Of capsules `scale` is the radius
-// and, along z, half of the cylinder.
+// and, along z, half of the whole length.
 typedef struct {
     triples scale, source, receiver;
     reals weight;

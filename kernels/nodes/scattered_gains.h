@@ -26,7 +26,7 @@ static void expect_more(const double* expected, reals u, scattering* b)
 }
 
 // Over what pressure falls, m: lengths of both legs over the strength; large where nothing is sent back. The field over that
-// is told in `field` of capsules.
+// is told in `field` of capsules and spheres.
 static double scattered_length(const edge_tables* tables, __global const view* seen, const scattering* b, int beside,
                                response* field)
 {
@@ -36,6 +36,13 @@ static double scattered_length(const edge_tables* tables, __global const view* s
     if (seen->shape == CAPSULE) {
 #if PARTS == 2
         strength = OF_NODE_LONG(b->hidden, beside) ? 0.0 : capsule_field(tables, &g, b->glint, beside, field);
+#endif
+    } else if (seen->shape == SPHERE) {
+#if PARTS == 2
+        triples place = along_axes(scale, b->glint), glint;
+        choices hidden;
+        choose(b->hidden, between_them(&g, &glint, &hidden), &place);
+        strength = sphere_field(tables, &g, place, seen->first_cell, seen->cells, beside, field);
 #endif
     } else if (seen->shape != POINT) {
         reals cosine;

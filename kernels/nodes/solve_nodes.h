@@ -83,10 +83,10 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
                           into_room(edge->source_turn, towards_edge(from, place)),
                           times(-1.0, into_room(edge->receiver_turn, towards_edge(to, place))), a->knot[beside], OF_NODE(a->u, beside)};
 #elif SCATTERERS
-    response by_capsule;
-    const response* field = s->seen->shape == CAPSULE ? &by_capsule : 0;
+    response by_shape;
+    const response* field = s->seen->shape >= CAPSULE ? &by_shape : 0;
     const scattering* met = s->met + PART(i);
-    const double length = scattered_length(&s->tables, s->seen, met, beside, &by_capsule);
+    const double length = scattered_length(&s->tables, s->seen, met, beside, &by_shape);
     const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, beside),
                           triple_of(&a->departure, beside), triple_of(&met->arrival, beside), a->knot[beside], OF_NODE(a->u, beside)};
 #elif BODIES

@@ -5,7 +5,8 @@ typedef struct {
     double receiver_turn[9], receiver_shift[3];
     double semi_axes[3];                     // m
     double strength;                         // of a point, m
-    int thing, turned, shape, unused;        // in the table of poses; whether its orientation matters; POINT or ELLIPSOID
+    int thing, turned, shape;                // in the table of poses; whether its orientation matters; POINT, CAPSULE, SPHERE or else
+    int first_cell, cells, unused;           // of a sphere's field
 } scatterer_view;
 
 typedef struct {

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from clsim.paths.response import SceneResponse
     from clsim.scene.scene import Scene
 
-_ON_DEVICE = ("point", "ellipsoid", "capsule")  # shapes that `scattered_way.h` knows
 _AT_A_TIME = 6144  # nodes that are looked at together: what is worked on stays in the cache
 
 
@@ -108,9 +107,9 @@ class ScatteredPaths(TwoSidedPaths):
 
     @property
     def device(self) -> str | None:
-        """The program for scatterers, if it knows all of their shapes; none that knows how one fluctuates."""
-        known = all(s.shape.kind in _ON_DEVICE and s.fluctuation is None for s in self.scene.scatterers)
-        return "scatterers" if known else None
+        """The program for scatterers; none that knows how one fluctuates."""
+        fluctuates = [scatterer.fluctuation is not None for scatterer in self.scene.scatterers]
+        return None if np.array(fluctuates)[self.scatterer].any() else "scatterers"
 
     @property
     def object_names(self) -> tuple[str, ...]:
