@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exhaustive import exhaustive, few
+from exhaustive import few
 from made_responses import POROUS, OffCentre
 from mutants import Mutants
 
@@ -28,7 +28,7 @@ CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0
 SOFT = clsim.Material.from_reflection(-0.8)
 AIRS = {"rests": clsim.Air(dispersion=True), "wind": clsim.Air(wind=(6.0, -4.0, 1.0))}
 WAYS: list[tuple[str, dict[str, Any]]] = [
-    ("rests", {}), ("wind", {}), ("rests", {"motion": "quasi-static"}), ("wind", {"motion": "quasi-static"}),
+    ("rests", {}), ("rests", {"motion": "quasi-static"}), ("wind", {"motion": "quasi-static"}),
     ("wind", {"amplitude": "convective"}),
 ]  # fmt: skip
 
@@ -97,7 +97,9 @@ def test_the_scene_has_all_that_such_paths_do() -> None:
         assert np.any(moving[:, first] & (found.surfaces[:, 1 - first] >= 0) & ~moving[:, 1 - first])
 
 
-@pytest.mark.parametrize(("way", "layout"), few([(w, x) for x in (CPU_LAYOUT, GPU_LAYOUT) for w in range(len(WAYS))]))
+@pytest.mark.parametrize(
+    ("way", "layout"), few([*((way, CPU_LAYOUT) for way in (0, 2, 3)), (0, GPU_LAYOUT), (1, GPU_LAYOUT)])
+)
 def test_device_and_host_make_the_same(way: int, layout: Layout) -> None:
     assert difference_db(way, layout) < TOLERANCE_DB
 
@@ -122,10 +124,9 @@ MUTANTS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("names", [["what turns"], exhaustive(list(MUTANTS))], ids=["one", "all"])
-def test_mutants_are_caught(names, monkeypatch: pytest.MonkeyPatch) -> None:
-    mutants = Mutants("tracks", {name: MUTANTS[name] for name in names})
+@pytest.mark.exhaustive
+def test_mutants_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    mutants = Mutants("tracks", MUTANTS)
     mutants.play(monkeypatch)
     assert difference_db() < TOLERANCE_DB, "none of them is chosen"
     assert mutants.unseen(lambda: difference_db() < TOLERANCE_DB) == []
