@@ -15,6 +15,7 @@ from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.intervals import Intervals, VisibilityQuery, find_intervals
 from clsim.paths.trajectory_tables import trajectory_tables
+from clsim.scene.room import wall_tree
 
 pytestmark = pytest.mark.usefixtures("device")
 WALL = clsim.Material.from_reflection(0.9)
@@ -111,6 +112,15 @@ def test_both_find_the_same(name: str, wanted) -> None:
     if name == "slats":
         short = [np.min(found.end - found.begin) for _, found in parts if len(found.path)]
         assert min(short) < 3e-3, "some paths are heard for a few milliseconds only"
+
+
+def test_walls_in_groups_of_boxes_are_found_as_well(wanted, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wall_tree, "_TOP", 2)
+    case = scenes()["gaps"]
+    assert len(case[0].walls.tree.middle) == 3, "boxes in boxes in boxes"
+    search = DeviceSearch(query("gaps", *case))
+    for c, twin in wanted("gaps"):
+        assert same(search.find(c.sequence[c.row], c.receiver), twin, STEP)
 
 
 # Not here, since nothing can see it: legs drawn out beyond source and receiver (the clamps to 0 and 1 in edge_clearance).
