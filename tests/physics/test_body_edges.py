@@ -13,6 +13,7 @@ from clsim.paths.moving.edge_events import Chains, EdgeSolver
 from clsim.paths.moving.edge_lines import EdgeLines
 from clsim.paths.moving.mirrors import Mirrors
 from clsim.paths.propagation import UniformAir
+from clsim.paths.response import SceneResponse
 from clsim.scene.motion.trajectory import Trajectory
 
 C = 343.0
@@ -206,3 +207,51 @@ def test_edges_that_move_with_everything_are_at_rest_in_wind() -> None:
     for name, within in (("delay", 1e-13), ("doppler_factor", 1e-11), ("gain", 1e-9)):
         moved, still = (getattr(table, name)[rows, 0] for table, rows in zip(tables, edges, strict=True))
         np.testing.assert_allclose(moved, still, rtol=0.0, atol=within)
+
+
+def test_angles_go_on_where_an_end_passes_the_plane_of_a_sheet() -> None:
+    """A door whose plane passes the source: each piece of a path goes on smoothly beyond it, up to the transition."""
+    angles, times = np.radians([80.0, 90.0, 100.0]), np.array([0.0, 0.1, 0.2])
+    hinge = clsim.Trajectory.swing(MIDDLE, (0, 0, 1), angles, times)
+    door = clsim.Body.box("door", (1.0, 0.0, 2.0), HARD, hinge, centre=(0.7, 0.0, 0.0))
+    paths = clsim.find_paths(
+        far_scene((FIXED(at(0.0, 2.5, 0.1)), FIXED(at(0.9, -0.6, -0.15))), [door]), 0, diffraction=1
+    )
+    family = paths.families[-1]
+    passing = np.flatnonzero((np.abs(family.start - 0.105) < 0.02) & (family.over_end < 0) & np.isfinite(family.start))
+    passing = np.array([row for row in passing if np.any(family.beside[row] != family.beside[row - 1])])
+    apart = []
+    for row in passing:
+        around = family.start[row] + np.linspace(-2e-3, 2e-3, 9)
+        found = family.arrivals(np.array([row]), around)
+        at_tone = SceneResponse(paths.scene, 0, np.array([40e3]))
+        gain, before = (family.response(np.array([r]), found, around, at_tone)[0, :, 0] for r in (row, row - 1))
+        assert np.abs(np.diff(gain, 2)).max() < 1e-2 * np.abs(gain).max()
+        apart.append(np.abs(before[4] - gain[4]) / np.abs(gain[4]))
+    assert max(apart) > 0.5  # of those of which the source passes both faces
+
+
+def test_edges_in_tables_pictures_and_both_engines(device: None) -> None:
+    """A plate among walls: names, corners of paths, samples that do not depend on chunks."""
+    short = clsim.Signal.tone(40e3, 0.02, 192e3, fade=0.002)
+    slide = LINE((1.0, 1.4, 1.0), (1.03, 1.4, 1.0), 0.03)
+    plate = clsim.Body.box("plate", (1.0, 0.0, 1.2), HARD, slide)
+    ends = [clsim.Source("s", short, FIXED((1.2, 0.6, 1.1)))], [clsim.Receiver("r", FIXED((1.4, 2.2, 1.0)))]
+    floor = sheet([(0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0)], HARD)
+    paths = clsim.find_paths(clsim.Scene(floor, clsim.Air(), *ends, bodies=[plate]), 1, diffraction=1)
+    table = paths.table([0.015])
+    ways = {table.name_way(i): i for i in np.flatnonzero(table.heard[:, 0])}
+    over = [name for name in ways if name.startswith("edge plate") and "," not in name]
+    assert len(over) >= 3
+    assert any(name.startswith("wall 1, edge plate") for name in ways)
+    turned = paths.vertices(0.015)[[ways[name] for name in over], 1]
+    assert turned[:, 1] == pytest.approx(1.4, abs=1e-12)
+    moved = slide.position(0.015 - 0.8 / C)[0]  # when sound is there, within 1 m of way and 1 m/s
+    sides = np.array([moved - 0.5, moved + 0.5, 0.4, 1.6])
+    assert np.abs(turned[:, [0, 0, 2, 2]] - sides).min(axis=1).max() < 3e-3
+    one, other = (clsim.render(paths, 192e3, duration=0.029, engine=name).pressure for name in ("opencl", "reference"))
+    level = 20.0 * np.log10(np.abs(one - other).max() / np.abs(other).max())
+    assert level < -85.0
+    again = clsim.render(paths, 192e3, duration=0.029, chunk=1536).pressure
+    np.testing.assert_array_equal(one, again)
+    assert paths.families[-1].digest() != paths.families[-1].part(slice(1, None)).digest()

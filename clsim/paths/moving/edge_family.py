@@ -71,6 +71,8 @@ class MovingEdgePaths(PathFamily):
     end_side : ndarray (paths,) int8
         1 while the shortest way over the line of the edge meets the edge, -1 while it passes the end that the path
         runs over, 0 for paths over the edge itself.
+    beside : ndarray (paths, 2) int8
+        Whether source and receiver are on the side of the 0-face, 0, or of the n-face, 1: angles beyond it go on.
     model : str
         Of the field at an edge.
     """
@@ -83,9 +85,10 @@ class MovingEdgePaths(PathFamily):
     over_end: NDArray[np.int8]
     lit: NDArray[np.int8]
     end_side: NDArray[np.int8]
+    beside: NDArray[np.int8]
     model: str
 
-    columns: ClassVar[tuple[str, ...]] = ("before", "after", "edge", "over_end", "lit", "end_side")
+    columns: ClassVar[tuple[str, ...]] = ("before", "after", "edge", "over_end", "lit", "end_side", "beside")
     costly: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -210,6 +213,7 @@ class MovingEdgePaths(PathFamily):
         edge, lit = self.edge[index], self.lit[index]
         (r_s, t_s, z_s), (r_r, t_r, z_r) = (np.moveaxis(x, 2, 0) for x in (found.emitted_at, found.heard_at))
         way, n = edge_way(r_s, z_s, r_r, z_r), self.lines.n[edge]
+        t_s, t_r = (_beside(n, half, t) for half, t in zip(self.beside[index].T, (t_s, t_r), strict=True))
         factors = face_factors(self.lines.faces[edge], np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
         law = exact_field if self.model == "btm" else utd_field
         field = law(n, lit, lit_angles(n[:, None], t_s, t_r), (r_s, r_r), way, wave, factors)
@@ -284,3 +288,10 @@ class MovingEdgePaths(PathFamily):
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field at an edge."""
         return _LOUDEST * at.largest_reflection(np.concatenate([self.before[rows], self.after[rows]], axis=1))
+
+
+def _beside(n: Floats, half: NDArray[np.int8], angle: Floats) -> Floats:
+    """Return angles (P, T) about edges as they go on beyond the 0-face, or beyond the n-face, (P,) 0 or 1."""
+    middle = np.pi * n * (0.25 + 0.5 * half)
+    turns = np.round((angle - middle[:, None]) / (2.0 * np.pi))
+    return np.asarray(angle - 2.0 * np.pi * turns)

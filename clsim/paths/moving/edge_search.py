@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     Codes = NDArray[np.int8]
 
 _INNER = 1e-9  # share of a way between two hits, from which on the one is not at the other
-_ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, and of its end
-_END = 1 << TERMS
+_ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends
+_END, _HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 
 
 def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> MovingEdgePaths:
@@ -103,6 +103,7 @@ class _EdgeFinder:
             "order": (met + 1).astype(np.int32), "start": heard[0], "end": heard[1], "before": chains.before,
             "after": chains.after, "edge": chains.edge, "over_end": chains.end.astype(np.int8),
             "lit": lit.astype(np.int8), "end_side": side.astype(np.int8),
+            "beside": np.column_stack([(code & bit) > 0 for bit in _HALVES]).astype(np.int8),
         }  # fmt: skip
 
     def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> Chains:
@@ -198,6 +199,8 @@ class _Look:
         seen[met[p] >= self.search.order, 2:] = False
         inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
         code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside
+        for bit, angle in zip(_HALVES, (t_s, t_r), strict=True):
+            code[p, t] += bit * (angle[p, t] > 0.5 * np.pi * n[p])
         return code
 
 
