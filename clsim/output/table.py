@@ -115,7 +115,7 @@ def read_table(path: str | os.PathLike[str]) -> PathTable:
         with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             columns = {f.name: file[f.name] for f in dataclasses.fields(PathTable)}
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError("path", f"must be a path table (.npz), but {error}") from error
+        raise InputError("path", f"must be a path table (.npz), but {str(path)!r} is none: {error}") from error
     arguments: dict[str, Any] = {k: tuple(map(str, v)) if k in _NAMES else v for k, v in columns.items()}
     return PathTable(**arguments)
 

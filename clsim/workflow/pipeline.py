@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +16,7 @@ from clsim.paths.ground_truth import direct_path
 from clsim.paths.scattering.truth import scatterer_truth
 from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths
+from clsim.scene.scene import Scene
 from clsim.scene_file.scene import completed_scene, referenced_files
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from clsim.workflow.console import Progress
 
 LARGEST_TABLE = 2_000_000  # paths times instants
+_OF_SCENE = {field.name for field in fields(Scene)}  # as the tables of a scene file are called
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,10 +121,8 @@ def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathS
         If no path reaches a receiver.
     """
     try:
-        with progress("finding paths", 1.0) as advance:
+        with _errors_within("paths"), progress("finding paths", 1.0) as advance:
             paths = find_paths(file.scene, **file.paths, progress=shares(advance))
-    except InputError as error:
-        raise error.within("paths") from error
     except MemoryError as error:
         raise InputError("paths.max_order", "must be smaller: there is not enough memory for so many paths") from error
     for i in np.setdiff1d(np.arange(len(file.scene.receivers)), paths.receiver):
@@ -137,7 +137,7 @@ def _errors_within(table: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if re.split(r"[.[]", error.field)[0] in ("room", "sources", "receivers"):
+        if re.split(r"[.[]", error.field)[0] in _OF_SCENE:
             raise
         raise error.within(table) from error
 

@@ -75,7 +75,7 @@ def test_a_scene_at_rest_has_one_frame(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def opened(browser: Any, page: Path) -> Iterator[Any]:
     """Open the page."""
-    tab = browser.new_page(viewport={"width": 800, "height": 550})
+    tab = browser.new_page(viewport={"width": 560, "height": 400})
     tab.set_default_timeout(120_000)  # of machines that do much else
     errors: list[str] = []
     tab.on("pageerror", lambda error: errors.append(str(error)))

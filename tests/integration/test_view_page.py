@@ -162,7 +162,7 @@ def test_a_failure_leaves_the_old_page(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.fixture(scope="module")
 def loaded(browser: Any, page: Path) -> Iterator[Any]:
-    tab = browser.new_page(viewport={"width": 800, "height": 550})
+    tab = browser.new_page(viewport={"width": 560, "height": 400})
     tab.set_default_timeout(120_000)  # of machines that do much else
     wrong: list[str] = []
     tab.on("pageerror", lambda error: wrong.append(str(error)))
@@ -306,14 +306,14 @@ def test_aims_are_drawn_where_they_point(tab: Any) -> None:
 
 
 def test_the_room_follows_the_window(tab: Any) -> None:
-    for width in (420, 1400):
-        tab.set_viewport_size({"width": width, "height": 550})
+    for width in (420, 1000):
+        tab.set_viewport_size({"width": width, "height": 400})
         tab.wait_for_function(
             f"Math.abs(document.querySelector('#drawing canvas').getBoundingClientRect().width - {width}) < 2"
         )
         assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    tab.set_viewport_size({"width": 800, "height": 550})
-    tab.wait_for_function("Math.abs(document.querySelector('#drawing canvas').getBoundingClientRect().width - 800) < 2")
+    tab.set_viewport_size({"width": 560, "height": 400})
+    tab.wait_for_function("Math.abs(document.querySelector('#drawing canvas').getBoundingClientRect().width - 560) < 2")
 
 
 def test_the_page_is_small(page: Path) -> None:

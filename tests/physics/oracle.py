@@ -95,7 +95,7 @@ def received(
             return x
 
         delay = np.linalg.norm(at - image(times), axis=1) / c
-        for _ in range(16):  # contracts by the Mach number, at most 0.03
+        for _ in range(10):  # contracts by the Mach number, at most 0.03
             delay = np.linalg.norm(at - image(times - delay), axis=1) / c
         distance = c * delay
         velocity = source.velocity(times - delay)

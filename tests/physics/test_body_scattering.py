@@ -178,6 +178,7 @@ def test_what_is_heard_was_emitted_last() -> None:
         assert C * (found.first.delay + found.second.delay)[0, 0] == pytest.approx(exact, abs=1e-7), name
 
 
+@pytest.mark.exhaustive
 def test_doppler_factors_are_derivatives_and_bounds_hold(moving: clsim.PathSet) -> None:
     """Of both kinds of motion; and what rendering relies on: bounds of delays, of their rates, of gains."""
     family, times, h = family_of(moving), np.array([0.05, 0.09, 0.15]), 1e-4
@@ -203,6 +204,7 @@ def test_doppler_factors_are_derivatives_and_bounds_hold(moving: clsim.PathSet) 
     assert np.median(bound[points] / gain[points]) < 100.0
 
 
+@pytest.mark.exhaustive
 def test_tables_vertices_and_pages_know_them(moving: clsim.PathSet) -> None:
     """A way is as long as its corners are apart, each where it was; the page names what it meets in order."""
     family, time = family_of(moving), 0.1
@@ -227,6 +229,7 @@ def test_tables_vertices_and_pages_know_them(moving: clsim.PathSet) -> None:
         assert other == pytest.approx(table.delay[first + row, 0], rel=0.03)
 
 
+@pytest.mark.exhaustive
 def test_all_that_moves_is_wind() -> None:
     """Ends, mirrors and scatterers that all move with u in still air hear what rests in wind of -u."""
     u, middle = np.array([6.0, -3.0, 1.0]), np.array([50.0, 50.0, 50.0])

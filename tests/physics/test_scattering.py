@@ -4,6 +4,7 @@ Nothing here takes delays or specular points from clsim: they are minima and roo
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -167,6 +168,8 @@ def test_a_sweep_off_what_moves_between_ends_that_rest(device: None) -> None:
     speed, other = tracks.fastest(0, 2.0 * 2.0 * 2.0 / C)
     assert speed == pytest.approx(2.0, rel=0.03)
     assert other == pytest.approx(4.0, rel=0.03)
+    carried = replace(paths.scene, scatterers=(), bodies=[clsim.Body.box("b", (0.1, 0.1, 0.1), ROOM.walls[0], way)])
+    assert clsim.track(clsim.find_paths(carried, 0)).fastest(0, 0.0)[0] == pytest.approx(2.0, rel=0.03)
     wide, narrow = (clsim.render(paths, RATE, duration=0.1, narrowband=some).pressure[0] for some in (False, True))
     assert 20.0 * np.log10(np.linalg.norm(narrow - wide) / np.linalg.norm(wide)) < -85.0
 

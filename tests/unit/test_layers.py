@@ -248,7 +248,8 @@ def test_lines_of_code_are_counted() -> None:
 
 
 def test_files_are_small() -> None:
-    sizes = [(path, len(code_lines(path)), FILE_LINES) for path in FILES]
+    long = (path for path in FILES if len(path.read_text("utf-8").splitlines()) > FILE_LINES)  # others cannot be
+    sizes = [(path, len(code_lines(path)), FILE_LINES) for path in long]
     sizes += [(path, kernel_code(path.read_text("utf-8")), KERNEL_LINES) for path in KERNELS]
     none(f"{place(path)} has {size} lines of code" for path, size, most in sizes if size > most)
 
@@ -258,6 +259,8 @@ def test_functions_are_small() -> None:
     for path in FILES:
         for node in ast.walk(tree_of(path)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                if (node.end_lineno or 0) - node.body[0].lineno < FUNCTION_LINES:
+                    continue
                 size = sum(node.body[0].lineno <= line <= (node.end_lineno or 0) for line in code_lines(path))
                 long += [f"{place(path, node)} {node.name} has {size} lines of code"] if size > FUNCTION_LINES else []
     none(long)
