@@ -221,7 +221,9 @@ def test_mutants_are_caught(names, rooms, wanted, monkeypatch: pytest.MonkeyPatc
     assert left == []
 
 
-def unseen(names: list[str], parts: dict[str, list[tuple[Candidates, Intervals]]], patch: pytest.MonkeyPatch) -> list[str]:
+def unseen(
+    names: list[str], parts: dict[str, list[tuple[Candidates, Intervals]]], patch: pytest.MonkeyPatch
+) -> list[str]:
     """Return the mutants with which the search still finds all that its twin finds in some scenes."""
     mutants = Mutants("intervals", {name: MUTANTS[name] for name in names})
     with patch.context() as played:
