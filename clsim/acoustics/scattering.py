@@ -349,8 +349,7 @@ def sphere_fields(ka: tuple[float, ...]) -> tuple[Floats, Complexes]:
 
     Notes
     -----
-    See `sphere_field`, with the series of P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2; our own
-    derivation.
+    See `sphere_field`, with the series of P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2.
     """
     every = np.array(ka)
     angle = np.linspace(0.0, math.pi, math.ceil(math.pi * _FINENESS * (float(every.max()) + 5.0)))

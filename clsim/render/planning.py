@@ -162,7 +162,7 @@ def _samples(
     tail: float,
 ) -> int:
     """Return the length: as asked, or until all that was emitted has been heard, with tails that last so long, s."""
-    last = tracks.last_time()
+    last, what = tracks.first_end()
     if duration is None:
         end = max(start + signal.duration for signal, start in emissions)
         known = end if math.isinf(last) else min(end, last)
@@ -170,7 +170,7 @@ def _samples(
     elif duration > last * (1 + 1e-12) + 0.5 / rate:
         raise InputError(
             "duration",
-            f"must end while all that moves is known, {last:g} s ({tracks.ends_first}), but is {duration:g} s",
+            f"must end while all that moves is known, {last:g} s ({what}), but is {duration:g} s",
         )
     return max(1, math.ceil(duration * rate - 1e-6))
 

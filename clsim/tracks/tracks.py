@@ -200,13 +200,12 @@ class Tracks(ABC):
         return max((float(self.delay_range(i, start, end)[1].max()) for i in pairs), default=0.0)
 
     @abstractmethod
+    def first_end(self) -> tuple[float, str]:
+        """Return the time of reception up to which the tracks are known, s, and what ends then, in words."""
+
     def last_time(self) -> float:
         """Return the time of reception up to which the tracks are known, s."""
-
-    @property
-    @abstractmethod
-    def ends_first(self) -> str:
-        """What ends at that time, in words."""
+        return self.first_end()[0]
 
     @staticmethod
     def from_samples(
@@ -357,21 +356,15 @@ class SceneTracks(Tracks):
                 low, high = family.delay_bounds(rows, first[r], last[r], self.speeds)
                 yield batch, low - most[r], high - least[r]
 
-    def last_time(self) -> float:
-        """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity."""
+    def first_end(self) -> tuple[float, str]:
+        """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity, and whose."""
         scene = self.scene
-        motions = [*(thing.trajectory for thing in scene.scatterers), *(body.trajectory for body in scene.bodies)]
-        known = min((motion.end for motion in motions), default=np.inf)
-        return float(min(_clock_time(r, np.array([min(r.trajectory.end, known)]))[0] for r in self.scene.receivers))
-
-    @property
-    def ends_first(self) -> str:
-        """What ends at that time, in words."""
-        scene = self.scene
-        ends = [(float(_clock_time(r, np.array([r.trajectory.end]))[0]), r.name) for r in scene.receivers]
-        ends += [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
+        ends = [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
         ends += [(body.trajectory.end, body.name) for body in scene.bodies]
-        return f"the trajectory of {min(ends)[1]!r}"
+        known = [min([(r.trajectory.end, r.name), *ends]) for r in scene.receivers]
+        heard = [float(_clock_time(r, np.array([end]))[0]) for r, (end, _) in zip(scene.receivers, known, strict=True)]
+        first = int(np.argmin(heard))
+        return heard[first], f"the trajectory of {known[first][1]!r}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -421,14 +414,9 @@ class SampledTracks(Tracks):
         slack = 0.5 * (end - start) * self.largest_rate
         return delay - slack, delay + slack
 
-    def last_time(self) -> float:
+    def first_end(self) -> tuple[float, str]:
         """Return the last sample's time."""
-        return self.end
-
-    @property
-    def ends_first(self) -> str:
-        """The samples, in words."""
-        return "what is known of the tracks"
+        return self.end, "the samples"
 
 
 def as_tracks(value: object) -> Tracks:

@@ -13,6 +13,7 @@ from clsim.errors import InputError, warn
 from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
+from clsim.paths.moving.truth import body_truth
 from clsim.paths.scattering.truth import scatterer_truth
 from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.moving.truth import BodyTruth
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.paths.scattering.truth import ScattererTruth
@@ -65,10 +67,11 @@ class PlannedScene:
         """Return what receivers should find out of the direct sound, at times of reception, s."""
         return direct_path(self.paths, times, self.plan.options.motion)
 
-    def scattered_truth(self, times: Floats) -> ScattererTruth | None:
-        """Return what they should find out of scatterers, None without any, at times of reception, s."""
-        scene = self.paths.scene
-        return scatterer_truth(scene, times, self.plan.options.motion) if scene.scatterers else None
+    def echo_truths(self, times: Floats) -> tuple[ScattererTruth | BodyTruth, ...]:
+        """Return what they should find out of scatterers and bodies, at times of reception, s."""
+        scene, motion = self.paths.scene, self.plan.options.motion
+        scattered = (scatterer_truth(scene, times, motion),) if scene.scatterers else ()
+        return (*scattered, body_truth(scene, times, motion)) if scene.bodies else scattered
 
     def completed(self, folder: Path) -> str:
         """Return the text of the scene file with all defaults and what was chosen, that works from a folder."""

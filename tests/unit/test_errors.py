@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 import clsim
@@ -31,8 +32,13 @@ def test_warnings_name_the_line_outside_that_called() -> None:
         (lambda: clsim.write_flac(3, "out"), "recording: must be a Recording, but is 3"),
         (lambda: clsim.write_mat(3, "a.mat"), "recording: must be a Recording, but is 3"),
         (lambda: clsim.direct_path(3, [0.0]), "paths: must be a PathSet, but is 3"),
+        (lambda: clsim.score.ranging(3, None), "recording: must be a Recording, but is 3"),
         (lambda: clsim.track(3), "paths: must be a PathSet, but is 3"),
         (lambda: clsim.render(3, 48e3), "paths: must be a PathSet, but is 3"),
+        (
+            lambda: clsim.RenderOptions(48e3, engine=np.zeros(2)),
+            r'engine: must be one of "opencl", "reference", but is array\(.*',
+        ),
         (lambda: clsim.find_paths(3, 0), "scene: must be a Scene, but is 3"),
         (lambda: clsim.MeshRoom.joined(3), "parts: must be a list of at least one room, but is 3"),
         (lambda: clsim.MeshRoom.joined([]), r"parts: must be a list of at least one room, but is \[\]"),

@@ -38,7 +38,9 @@ _PAIRS = 500_000  # of positions and walls at a time
 
 @runtime_checkable
 class _Part(Protocol):
-    def as_mesh(self) -> MeshRoom: ...
+    def as_mesh(self) -> MeshRoom:
+        """Return it as a mesh."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
