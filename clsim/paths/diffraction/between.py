@@ -51,7 +51,7 @@ class FaceLegs:
         """Return which candidates (n,) have something standing between their edges."""
         pairs = np.column_stack([x[rows] for x in (self._visibility.candidates.edge, self._visibility.candidates.face)])
         kinds, which = np.unique(pairs, axis=0, return_inverse=True)
-        found = [kind[2] >= 0 and len(self._footprint(*kind.tolist())) > 0 for kind in kinds]
+        found = [kind[2] >= 0 and len(self._footprint(*kind[:3].tolist())) > 0 for kind in kinds]
         return np.array(found, dtype=bool)[which.ravel()]
 
     def evaluate(
@@ -65,7 +65,7 @@ class FaceLegs:
         free, clear = np.ones(len(which), dtype=bool), np.full(len(which), EVER)
         for i, row in enumerate(which.tolist()):
             edge, face = seen.candidates.edge[row].tolist(), seen.candidates.face[row].tolist()
-            lines = self._footprint(*edge, *face)
+            lines = self._footprint(*edge, face[0])
             way = np.stack([self._in_face(edge[0], face[0], apex[i]) for apex in stance.apexes])
             crosses, apart = _lines_apart(way, lines)
             free[i] = not crosses.any()
@@ -78,7 +78,7 @@ class FaceLegs:
         axes = np.stack([edges.inward(np.array(edge), np.array(face)), edges.along[edge]])
         return np.asarray((places - edges.start[edge]) @ axes.T)
 
-    def _find_footprint(self, edge: int, other: int, face: int, other_face: int) -> Floats:
+    def _find_footprint(self, edge: int, other: int, face: int) -> Floats:
         """Return lines (n, 2, 2) of what stands on the face between two edges, as `_in_face` has them, m."""
         from scipy.spatial import ConvexHull
 

@@ -114,10 +114,10 @@ def shoebox_images(size: Floats, max_order: int) -> Images:
     matrix = np.zeros((len(grid), 3, 3))
     matrix[:, range(3), range(3)] = np.where(odd, -1.0, 1.0)
     offset = np.where(odd, grid + 1, grid) * np.asarray(size, dtype=np.float64)
-    return Images(order.astype(np.int32), _walls(grid, order, max_order), matrix, offset)
+    return Images(order.astype(np.int32), _walls(grid, max_order), matrix, offset)
 
 
-def _walls(grid: NDArray[np.int64], order: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
+def _walls(grid: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
     """List the walls of every image: along an axis they alternate and end on the side of the cell."""
     walls = np.full((len(grid), max_order), -1, dtype=np.int8)
     before = np.zeros(len(grid), dtype=np.int64)
