@@ -1,58 +1,107 @@
 """What moving bodies cost: the search over steps, and nodes of paths by a door against those of paths by walls.
 
-Processor time, least of some runs in turn: ``python benchmarks/bodies.py``. Nodes of both are made on the host, by the same calls.
+Processor time, least of some runs in turn: ``python benchmarks/bodies.py``. A node is a path's delay and gains at the end of a
+block. Timed is all that makes nodes: what is uploaded for a chunk, `coarse_delays` and `tracks`; both kinds in one rendering, on
+the device, and, for comparison, those by the door on the host.
 """
 
 import time
+import warnings
+from typing import Any
 
 import numpy as np
 
 import clsim
-from clsim.paths.family import PathFamily
+from clsim.paths.path_set import PathSet
+from clsim.render.opencl import node_programs
+from clsim.render.opencl.engine import OpenclEngine
 
 RATE = 192e3
-NODES = np.arange(0.1, 0.9, 768 / RATE)
-ROUNDS = 5
+ROUNDS = 7
+PADDED = 64  # paths of a batch: what fills it up is computed, too
 
 
-def scene(swings: bool) -> clsim.Scene:
-    """Return a room with a door, and a source that moves."""
+def scene(door: bool, swift: bool = False) -> clsim.Scene:
+    """Return a room with a door, and a source that moves: on a line, or in circles at 2 m/s."""
     wood = clsim.Material.from_reflection(0.9)
     tone = clsim.Signal.tone(40e3, duration=1.0, sampling_rate=RATE, fade=0.01)
     way = clsim.Trajectory.line((1.0, 0.7, 1.2), (1.4, 0.8, 1.2), 1.0)
+    if swift:
+        way = clsim.Trajectory.circle((1.0, 0.8, 1.2), 0.3, 0.95, 1.0)
     source, ear = clsim.Source("s", tone, way), clsim.Receiver("r", clsim.Trajectory.fixed((3.0, 0.6, 1.3)))
-    hinge = clsim.Trajectory.swing((2.0, 2.0, 0.0), (0, 0, 1), [0.0, 0.2, 0.5], [0.0, 0.5, 1.0])
-    door = clsim.Body.box("door", (0.9, 0.0, 2.0), wood, hinge, centre=(0.5, 0.0, 1.1))
+    hinge = clsim.Trajectory.swing((1.5, 2.0, 0.0), (0, 0, 1), [0.0, 0.2, 0.5], [0.0, 0.5, 1.0])
+    body = clsim.Body.box("door", (0.9, 0.0, 2.0), wood, hinge, centre=(0.5, 0.0, 1.1))
     return clsim.Scene(
-        clsim.Shoebox((4.0, 3.0, 2.5), wood), clsim.Air(), [source], [ear], bodies=[door] if swings else []
+        clsim.Shoebox((4.0, 3.0, 2.5), wood), clsim.Air(), [source], [ear], bodies=[body] if door else []
     )
 
 
-def seconds_of(paths: PathFamily) -> float:
-    """Return the processor time of a node of a path, s."""
-    count = len(paths) * len(NODES)
-    times = []
-    for _ in range(ROUNDS):
+class Timed:
+    """A maker of nodes that takes the processor time of what it does, and counts the nodes."""
+
+    def __init__(self, maker: Any) -> None:
+        self.maker, self.spent, self.nodes_made = maker, 0.0, 0
+
+    def prepare(self, source: int, batch: Any, *rest: Any) -> Any:
+        """Return what the maker prepares, with the number of paths."""
         begun = time.process_time()
-        paths.arrivals(np.arange(len(paths)), NODES)
-        times.append((time.process_time() - begun) / count)
-    return min(times)
+        state = self.maker.prepare(source, batch, *rest)
+        self.spent += time.process_time() - begun
+        return batch.count, state
+
+    def nodes(self, state: Any, start: int, block: int, blocks: int, meanwhile: Any = None) -> Any:
+        """Return the maker's nodes; nothing else is done meanwhile."""
+        count, chunk = state
+        begun = time.process_time()
+        made = self.maker.nodes(chunk, start, block, blocks)
+        self.spent += time.process_time() - begun
+        self.nodes_made += count * blocks
+        return made
+
+
+def nodes_of(paths: PathSet) -> list[float]:
+    """Return the processor times of a node of paths by walls and by the door, s."""
+    made = clsim.plan_render(paths, RATE, convolve_static=False)
+    engine, timed = OpenclEngine(made), []
+    for pair in range(len(made.tracks.pairs)):
+        engine.maker(pair)
+    for family in engine._makers:
+        timed.append(Timed(engine._makers[family]))
+        engine._makers[family] = timed[-1]
+    engine.render(0, made.samples)
+    return [each.spent / each.nodes_made for each in timed]
+
+
+def filled(paths: PathSet) -> PathSet:
+    """Return paths by walls and by the door, rows of each again and again, so that batches are whole."""
+    families = [paths.families[0], paths.families[-1]]
+    return PathSet(paths.scene, tuple(f.part(np.resize(np.arange(len(f)), PADDED)) for f in families))
 
 
 def main() -> None:
     """Print all figures."""
+    warnings.simplefilter("ignore")
     for order in (1, 2, 3):
         begun = time.process_time()
-        walls = clsim.find_paths(scene(swings=False), order)
+        clsim.find_paths(scene(door=False), order)
         plain, begun = time.process_time() - begun, time.process_time()
-        both = clsim.find_paths(scene(swings=True), order)
+        both = clsim.find_paths(scene(door=True), order)
         search = time.process_time() - begun
-        still, moving = walls.families[0], both.families[-1]
-        ratio = seconds_of(moving) / seconds_of(still) if len(moving) else float("nan")
         print(
             f"order {order}: search {search:.2f} s of processor time, without the door {plain:.2f} s; "
-            f"{len(moving)} rows by the door, a node {ratio:.1f} times one of paths by walls"
+            f"{len(both.families[-1])} rows by the door"
         )
+        for swift in (False, True):
+            paths = filled(both if not swift else clsim.find_paths(scene(door=True, swift=True), order))
+            nodes_of(paths)  # builds programs
+            walls, moving = np.min([nodes_of(paths) for _ in range(ROUNDS)], axis=0)
+            program = node_programs.NODE_PROGRAMS.pop("bodies")
+            by_host = min(nodes_of(paths)[1] for _ in range(2))
+            node_programs.NODE_PROGRAMS["bodies"] = program
+            print(
+                f"  source {'in circles' if swift else 'on a line'}: a node {1e9 * walls:.0f} ns by walls, by the door "
+                f"{moving / walls:.2f} times that; by the door on the host {by_host / walls:.1f} times"
+            )
 
 
 if __name__ == "__main__":

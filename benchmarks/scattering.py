@@ -1,7 +1,7 @@
 """What a moving person costs: 14 ellipsoids in a shoebox, one image on either leg, two receivers.
 
-Processor time of planning and of rendering with the scatterers and without, from runs in turn, and what a second of sound
-costs: ``python benchmarks/scattering.py [seconds]``. Kernels are built before.
+Processor time of planning and of rendering, and wall time of both: of the room alone, with the person, and with the
+person and nodes that the host makes; ``python benchmarks/scattering.py [seconds]``. Kernels are built before.
 """
 
 import sys
@@ -10,6 +10,7 @@ import time
 import numpy as np
 
 import clsim
+from clsim.render.opencl.node_programs import NODE_PROGRAMS
 
 RATE = 192e3
 PARTS = [  # name, semi-axes, m, height, m, swing along the way, m, and its phase, rad
@@ -65,12 +66,18 @@ def measured(duration: float, scatterers: list[clsim.Scatterer]) -> tuple[int, f
 def main() -> None:
     """Print a table."""
     duration = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
-    measured(0.2, walker(0.2))
-    for name, scatterers in (("room alone", []), ("with a person", walker(duration))):
+    for few in ([], walker(0.2)):
+        measured(0.2, few)
+    spent = []
+    for name, scatterers in (("room alone", []), ("a person", walker(duration)), ("nodes by host", walker(duration))):
+        if name == "nodes by host":
+            del NODE_PROGRAMS["scatterers"]
         count, planning, rendering, wall = measured(duration, scatterers)
+        spent.append(rendering)
         print(
             f"{name:14}{count:6} paths{planning:8.1f} s of planning{rendering:8.1f} s of rendering (processor){wall:8.1f} s"
         )
+    print(f"person over room alone {spent[1] / spent[0]:.1f}, nodes by host over device {spent[2] / spent[1]:.1f}")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ _LONGEST_STEP = 0.5  # rad
 _FAR, _FOUND = 0.1, 1e-3  # rad, as for ellipsoids
 _SMALL = 1e-300
 _FLATTEST = 1e-9  # 1/m
-_NEAR_JUNCTION = 1e-4  # slope of the way where the side ends below which the bend there is that of the place itself
+NEAR_JUNCTION = 1e-4  # slope of the way where the side ends below which the bend there is that of the place itself
 ASPECTS = 11  # numbers that a field takes
 
 
@@ -101,7 +101,7 @@ def capsule_aspects(
         late, sharp = np.maximum(there - way, 0.0), np.maximum(flat + pressed / radius, _FLATTEST)
         on_end |= slope < 0.0
         # Where the specular point is on this round end, the parabola that is as late at the junction.
-        held = slope**2 / (slope**2 + _NEAR_JUNCTION**2)
+        held = slope**2 / (slope**2 + NEAR_JUNCTION**2)
         other = slope**2 / np.maximum(2.0 * late, _SMALL)
         sharp = np.where((slope < 0.0) & (late > 0.0), sharp + held * (other - sharp), sharp)
         lit = np.sign(slope + _SMALL) * _obliquity(0.5 * pressed)

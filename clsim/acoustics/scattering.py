@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
 
-_FAR = 0.1  # rad; where the first of Newton's steps is longer, they are watched
+FAR = 0.1  # rad; where the first of Newton's steps is longer, they are watched
 _STEPS = 40  # of these, at most
-_FOUND = 1e-3  # rad; the next step is about its square
-_LONGEST_STEP = 0.5  # rad
-_PENUMBRA = 0.25  # cosine of the angle of incidence about which bodies stop to be mirrors
+FOUND = 1e-3  # rad; the next step is about its square
+LONGEST_STEP = 0.5  # rad
+PENUMBRA = 0.25  # cosine of the angle of incidence about which bodies stop to be mirrors
 _SMALL = 1e-300
 _FINENESS = 16  # angles of the table of a sphere in one radian of its fastest turn
 
@@ -91,7 +91,7 @@ def ellipsoid_glint(
         begin = _unit(scale * (_unit(source) + _unit(receiver))) if near is None else near.normal
         u, change = _search(scale, source, receiver, between, begin, weight)
     else:
-        u, change = _newton(scale, source, receiver, near.normal, weight, _LONGEST_STEP)
+        u, change = _newton(scale, source, receiver, near.normal, weight, LONGEST_STEP)
     place = scale * u
     if hidden.any():
         change, place = np.where(hidden, 0.0, change), np.where(hidden, scale * between, place)
@@ -171,7 +171,7 @@ def lit_share(cosine: Floats) -> Floats:
     >>> lit_share(np.array([0.0, 0.25, 1.0])).round(3).tolist()
     [0.0, 0.632, 1.0]
     """
-    return np.asarray(-np.expm1(-((cosine / _PENUMBRA) ** 3)))
+    return np.asarray(-np.expm1(-((cosine / PENUMBRA) ** 3)))
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
@@ -191,8 +191,8 @@ def _search(
     scale: Floats, s: Floats, r: Floats, between: Floats, begin: Floats, weight: Floats | float
 ) -> tuple[Floats, Floats]:
     """Return unit vectors (3, n) of the shortest ways, and by how much the last step has changed them."""
-    u, change = _newton(scale, s, r, begin, weight, _LONGEST_STEP)
-    rest = np.flatnonzero(change > _FAR)
+    u, change = _newton(scale, s, r, begin, weight, LONGEST_STEP)
+    rest = np.flatnonzero(change > FAR)
     if len(rest):
         some = weight[rest] if isinstance(weight, np.ndarray) else weight
         u[:, rest], change[rest] = _careful(scale, s[:, rest], r[:, rest], between[:, rest], u[:, rest], some)
@@ -206,14 +206,14 @@ def _careful(
     guesses = (u, _unit(between))
     ways = [_way(scale, s, r, v, weight) for v in guesses]
     u, way = np.where(ways[0] <= ways[1], *guesses), np.minimum(*ways)
-    longest = np.full(len(way), _LONGEST_STEP)
+    longest = np.full(len(way), LONGEST_STEP)
     for _ in range(_STEPS):
         new, change = _newton(scale, s, r, u, weight, longest)
         shorter = _way(scale, s, r, new, weight)
         better = shorter <= way * (1.0 + 1e-15)
-        longest = np.where(better, np.minimum(2.0 * longest, _LONGEST_STEP), 0.25 * np.minimum(longest, change))
+        longest = np.where(better, np.minimum(2.0 * longest, LONGEST_STEP), 0.25 * np.minimum(longest, change))
         u, way = np.where(better, new, u), np.where(better, shorter, way)
-        if not np.any(change > _FOUND):
+        if not np.any(change > FOUND):
             break
     return u, change
 
@@ -334,7 +334,24 @@ def _field_table(ka: tuple[float, ...]) -> CubicSpline:
     """Return splines (F,) of the field of a sphere over the angle of scattering, 0 to pi."""
     from scipy.interpolate import CubicSpline
 
+    angle, values = sphere_fields(ka)
+    splines: Any = CubicSpline(angle, values)
+    return cast("CubicSpline", splines)
+
+
+def sphere_fields(ka: tuple[float, ...]) -> tuple[Floats, Complexes]:
+    """Return angles of scattering (n,) from 0 to pi, and the field (n, F) of a sphere there, for splines between.
+
+    Parameters
+    ----------
+    ka : tuple of float (F,)
+        Wave numbers times radius, above 0.
+
+    Notes
+    -----
+    See `sphere_field`, with the series of P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2.
+    """
     every = np.array(ka)
     angle = np.linspace(0.0, math.pi, math.ceil(math.pi * _FINENESS * (float(every.max()) + 5.0)))
     turn = np.exp(-2j * np.sin(0.5 * angle)[:, None] * every)
-    return CubicSpline(angle, sphere_form(every, np.cos(angle)) * turn)
+    return angle, sphere_form(every, np.cos(angle)) * turn

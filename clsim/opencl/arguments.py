@@ -46,10 +46,14 @@ IMAGES = {
     "image_offset": taken("double", "3, slots"),
     "receiver_of": taken("int", "slots"),
 }
-EDGES = {"edges": taken("edge_view", "slots")}
+VIEWS = {"views": taken("view", "slots")}
 TRAJECTORY = {
     "knots": taken("double", "knot_count, KNOT_COLUMNS"),
     "knot_count": INT, "first_knot": DOUBLE, "knot_rate": DOUBLE,
+}  # fmt: skip
+POSES = {
+    "poses": taken("double", "knots, numbers of the kind"), "pose_cells": taken("int", "things, pose_count + 1"),
+    "pose_count": INT, "first_pose": DOUBLE, "pose_rate": DOUBLE,
 }  # fmt: skip
 MEDIUM = {"speed_of_sound": DOUBLE, "wind": taken("double", "3")}
 PATHS_HEARD = {

@@ -18,7 +18,6 @@ from clsim.opencl.arguments import (
     DOUBLE,
     EDGE_INTERVALS,
     EDGE_TABLES,
-    EDGES,
     ENVELOPE,
     FADES,
     FLOAT,
@@ -29,9 +28,11 @@ from clsim.opencl.arguments import (
     MEETINGS,
     NODES_MADE,
     PATHS_HEARD,
+    POSES,
     PRESSURE,
     TABLES,
     TRAJECTORY,
+    VIEWS,
     Argument,
     changed,
     made,
@@ -60,6 +61,11 @@ class Program:
 
 _TRIPLES = ("common/float64.h", "common/triple.h")
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
+_WAYS = (
+    "paths/pose.h", "nodes/sides.h", "nodes/edge_view.h", "nodes/views.h", "nodes/image.h", "nodes/glint.h",
+    "nodes/capsule.h", "nodes/scattering.h", "nodes/scattered_way.h", "nodes/mirrors.h", "nodes/events.h",
+    "nodes/more.h",
+)  # fmt: skip
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
     *_PROPAGATION, *_WALLS, "paths/wall_walk.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
@@ -80,6 +86,11 @@ _NODE_CONSTANTS = {
     "GAIN_ERROR", "AIR_TERMS",
 }  # fmt: skip
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
+# What is between the ends, and how it is found where they are scattered.
+_KINDS = {
+    "EDGES", "SCATTERERS", "BODIES", "MORE", "POINT", "CAPSULE", "LONGEST_STEP", "GLINT_FAR", "GLINT_FOUND", "SETTLED",
+}  # fmt: skip
+_OF_GAINS = {"SPHERE", "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION"}
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
 
@@ -110,36 +121,41 @@ PROGRAMS = {
         frozenset({"LANES", "VECTORS", "OVERSAMPLING", "CELL"}),
     ),
     "coarse_delays": Program(
-        (*_PROPAGATION, "nodes/edge_view.h", "nodes/image.h", "nodes/coarse_delays.cl"),
+        (*_PROPAGATION, *_WAYS, "nodes/coarse_delays.cl"),
         {
             **IMAGES,
-            **EDGES,
+            **VIEWS,
             "receivers": taken("receiver_node", "receivers, ends"),
             "ends": INT,
             **TRAJECTORY,
+            **POSES,
             "start": DOUBLE,
             "walk_time": DOUBLE,
             **MEDIUM,
             "delays": made("double", "ends, 2, slots"),
+            "more": made("double", "ends, MORE, slots"),
         },
-        frozenset(_DELAY_CONSTANTS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL", "EDGES"}),
+        frozenset(_DELAY_CONSTANTS | _KINDS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL", "CUBIC_COLUMNS"}),
     ),
     "tracks": Program(
         (
-            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
-            "nodes/edge_view.h", "nodes/edge_field.h", "nodes/image.h", "nodes/solve_nodes.h", *_POLYNOMIALS,
-            "nodes/septic.h", "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h", "nodes/cell.h", *_MASK,
+            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h", *_WAYS,
+            "nodes/transition_table.h", "nodes/edge_field.h", "nodes/capsule_field.h", "nodes/sphere_field.h",
+            "nodes/septic.h", "nodes/scattered_gains.h", "nodes/body_gains.h", "nodes/solve_nodes.h", *_POLYNOMIALS,
+            "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h", "nodes/cell.h", *_MASK,
             "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **IMAGES,
-            **EDGES,
+            **VIEWS,
             **PATHS_HEARD,
             "receivers": taken("receiver_node", "receivers, nodes"),
             "nodes": INT,
             "coarse_delays": taken("double", "ends of walks, 2, slots"),
+            "coarse_more": taken("double", "ends of walks, MORE, slots"),
             "first_walk": INT,
             **TRAJECTORY,
+            **POSES,
             "start": DOUBLE,
             "sampling_rate": DOUBLE,
             **MEDIUM,
@@ -157,7 +173,7 @@ PROGRAMS = {
             "activity": made("int", "blocks, slots"),
             **EDGE_TABLES,
         },
-        frozenset(_DELAY_CONSTANTS | _NODE_CONSTANTS | {"SMOOTH_ERROR", "EDGES", "HALF_TURN", "ON_BOUNDARY"}),
+        frozenset(_DELAY_CONSTANTS | _NODE_CONSTANTS | _KINDS | _OF_GAINS),
     ),
     "pair_tracks": Program(
         (

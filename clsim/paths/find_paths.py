@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
 from clsim.paths.diffraction.search import DIFFRACTION_MODELS, double_edge_paths, edge_paths
+from clsim.paths.moving.edge_search import moving_edge_paths
 from clsim.paths.moving.hidden import behind_bodies
 from clsim.paths.moving.scattered_search import body_scattered_paths
 from clsim.paths.moving.search import BodySearch
@@ -136,6 +137,8 @@ def find_paths(
     if scene.bodies:
         bodies = BodySearch(scene, search)
         found = (*(behind_bodies(bodies, family) for family in found), bodies.paths())
+        if edges:
+            found = (*found, moving_edge_paths(bodies, found))
     if scene.scatterers:
         found = (*found, *_scattered(scene, search))
     return PathSet(scene, with_direct(found, levels))

@@ -74,11 +74,16 @@ class Passage:
         growth = np.sum(direction * velocity, axis=-1) / self.speed
         return np.asarray(growth if self.carried is None else growth + np.sum(self.carried * velocity, axis=-1))
 
+    def slowness(self, direction: Floats) -> Floats:
+        """Return by how much the time grows as the receiver goes on (..., 3), s/m, where ways run in a direction."""
+        along = direction / np.asarray(self.speed)[..., None]
+        return np.asarray(along if self.carried is None else along + self.carried)
+
     def normal(self, direction: Floats) -> Floats:
         """Return the unit normals of the wavefront (..., 3) where ways run in a direction, both in the room."""
         if self.carried is None:
             return direction
-        slowness = direction / np.asarray(self.speed)[..., None] + self.carried
+        slowness = self.slowness(direction)
         return np.asarray(slowness / np.linalg.norm(slowness, axis=-1, keepdims=True))
 
 

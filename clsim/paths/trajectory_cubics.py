@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 CUBIC_COLUMNS = 12  # coefficients of a position or an axis between two knots, [power][xyz]
+LOOKED_AT = (
+    0.5,
+    0.2764,
+)  # of the way from knot to knot: a motion that repeats with these is the same in the middle too
 _AXIS = np.array([1.0, 0.0, 0.0])
 _AXIS_TOLERANCE = 1e-5  # rad
 _SLICE = 20_000  # knots looked at at a time
@@ -94,9 +98,10 @@ def _largest_error(source: Source, end: float, rate: float, tolerance: float) ->
         if len(times) < 2:
             break
         cubic = cubics_between(trajectory.position(times), trajectory.velocity(times) / rate)
-        middle = sum(c * 0.5**power for power, c in enumerate(cubic))
-        error = np.linalg.norm(middle - trajectory.position(times[:-1] + 0.5 / rate), axis=1)
-        largest = max(largest, float(error.max()))
+        for share in LOOKED_AT:
+            there = sum(c * share**power for power, c in enumerate(cubic))
+            error = np.linalg.norm(there - trajectory.position(times[:-1] + share / rate), axis=1)
+            largest = max(largest, float(error.max()))
         if not isinstance(source.directivity, Omni):
             largest = max(largest, _axis_error(source, times, 0.5 / rate) * tolerance / _AXIS_TOLERANCE)
     return largest

@@ -30,6 +30,16 @@ class Shape(Protocol):
     """What a scatterer does to a wave, in its own frame."""
 
     @property
+    def kind(self) -> str:
+        """The word for it."""
+        ...
+
+    @property
+    def semi_axes(self) -> Floats:
+        """Half of its extent along its own axes (3,), m."""
+        ...
+
+    @property
     def radius(self) -> float:
         """Of a sphere about the centre that holds it, m."""
         ...
@@ -70,9 +80,15 @@ class PointShape:
     """A point of one strength, m, at all frequencies and in all directions."""
 
     strongest: float
+    kind: ClassVar[str] = "point"
     radius: ClassVar[float] = 0.0
     is_complex: ClassVar[bool] = False
     aspects: ClassVar[int] = 1
+
+    @property
+    def semi_axes(self) -> Floats:
+        """Zeros."""
+        return np.zeros(3)
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
         """Return None: it is its own centre."""
@@ -101,6 +117,7 @@ class EllipsoidShape:
     """A rigid ellipsoid with semi-axes (3,) m, by geometrical optics."""
 
     semi_axes: Floats
+    kind: ClassVar[str] = "ellipsoid"
     is_complex: ClassVar[bool] = False
     aspects: ClassVar[int] = 1
 
@@ -136,8 +153,14 @@ class SphereShape:
     """A rigid sphere of a radius, m, by the series over its modes."""
 
     radius: float
+    kind: ClassVar[str] = "sphere"
     is_complex: ClassVar[bool] = True
     aspects: ClassVar[int] = 1
+
+    @property
+    def semi_axes(self) -> Floats:
+        """The radius, three times."""
+        return np.full(3, self.radius)
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
         """Return its specular point."""
@@ -177,8 +200,14 @@ class CapsuleShape:
 
     cylinder_radius: float
     length: float
+    kind: ClassVar[str] = "capsule"
     is_complex: ClassVar[bool] = True
     aspects: ClassVar[int] = ASPECTS
+
+    @property
+    def semi_axes(self) -> Floats:
+        """The radius of the cylinder, twice, and half of its whole length, m."""
+        return np.array([self.cylinder_radius, self.cylinder_radius, self.radius])
 
     @property
     def radius(self) -> float:

@@ -1,12 +1,5 @@
 // The field beyond an edge: twin of `EdgePaths._edge_field` in paths/diffraction/family.py and of acoustics/diffraction.py.
 
-typedef struct {
-    __global const bins* transition;  // [CELLS][4][PARTS][BIN_VECTORS] over middle / (middle + root)
-    __global const bins* faces;       // [slots][2][PARTS][BIN_VECTORS], of walls that are the same at every angle
-    __global const bins* waves;       // [BIN_VECTORS], waves in a metre
-    double middle;                    // root of a detour, m^(1/2)
-} edge_tables;
-
 #if EDGES
 // Coordinates of a place along the axes of an edge, and a vector of these in the room.
 static triple place_by_edge(__global const double* turn, __global const double* shift, triple v)
@@ -36,27 +29,6 @@ static triple towards_edge(triple at, double place)
 {
     const triple apart = {-at.x, -at.y, place - at.z};
     return times(1.0 / sqrt(inner(apart, apart)), apart);
-}
-
-// A weight times the transition function of the root of a detour, m^(1/2); beyond a boundary the root is below 0.
-static void transition_of(const edge_tables* t, double root, float weight, response* r)
-{
-    const double size = root < 0.0 ? -root : root;
-    for (int b = 0; b < BIN_VECTORS; b++) {
-        r->part[PARTS - 1][b] = 0.0f;
-        r->part[0][b] = weight;
-    }
-    apply_cubics(t->transition, (float)(t->middle / (t->middle + size)), r);
-#if PARTS == 2  // all that sounds has phases where there are edges
-    if (root >= 0.0) return;
-    response beyond;
-    for (int b = 0; b < BIN_VECTORS; b++) {
-        beyond.part[0][b] = 2.0f * weight;
-        beyond.part[1][b] = 0.0f;
-        turn(&beyond, b, t->waves[b] * (float)(root * root));
-        for (int part = 0; part < PARTS; part++) r->part[part][b] = beyond.part[part][b] - r->part[part][b];
-    }
-#endif
 }
 
 // Multiply by the factor of a face, at the cosine of the angle of incidence of a reflection by it.

@@ -15,18 +15,6 @@ typedef struct {
 } edge_view;
 
 #if EDGES
-static triples turned(__global const double* m, triples v)
-{
-    const triples out = {m[0] * v.x + m[1] * v.y + m[2] * v.z, m[3] * v.x + m[4] * v.y + m[5] * v.z,
-                         m[6] * v.x + m[7] * v.y + m[8] * v.z};
-    return out;
-}
-static triples seen_at(__global const double* turn, __global const double* shift, triples place)
-{
-    const triples v = turned(turn, place), out = {v.x + shift[0], v.y + shift[1], v.z + shift[2]};
-    return out;
-}
-
 // One Newton step from `a->delay`, as newton_step of delay.h; directions are not told.
 static reals edge_step(const trajectory* path, __global const edge_view* edge, const listener* receiver, reals time, arrivals* a)
 {
@@ -87,7 +75,7 @@ static void solve_edge_delay(const trajectory* path, __global const edge_view* e
         for (int i = 0; i < NODES_AT_ONCE; i++) a->knot[i] = OF_NODE_LONG(open, i) ? next.knot[i] : a->knot[i];
     }
 }
-#define SOLVE_DELAY(path, edge, receiver, time, small, a) solve_edge_delay(path, edge, receiver, time, small, a)
-#else
-#define SOLVE_DELAY(path, edge, receiver, time, small, a) solve_delay(path, receiver, time, small, a)
+#define SOLVE_DELAY(path, poses, edge, receiver, time, small, a, b) solve_edge_delay(path, edge, receiver, time, small, a)
+#elif !SCATTERERS && !BODIES
+#define SOLVE_DELAY(path, poses, edge, receiver, time, small, a, b) solve_delay(path, receiver, time, small, a)
 #endif

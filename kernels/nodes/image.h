@@ -1,5 +1,5 @@
 // Images of the source, and receivers as these are heard by them: the receiver, mirrored back into the source's own room.
-// One image per slot, as columns: a 3 x 3 matrix and an offset; or receivers as the edge of a path sees them (EDGES).
+// One image per slot, as columns: a 3 x 3 matrix and an offset; or receivers as the edge or the scatterer of a path sees them.
 
 typedef struct {
     double position[3], velocity[3], axes[2][3];  // of the receiver; its third axis is the product of both
@@ -8,11 +8,17 @@ typedef struct {
 
 static triple image_offset_of(__global const double* offset, int slots, int slot)
 {
-#if EDGES
+#if TWO_SIDED
     const triple out = {0.0, 0.0, 0.0};
 #else
     const triple out = {offset[slot], offset[(long)slots + slot], offset[2 * (long)slots + slot]};
 #endif
+    return out;
+}
+
+static triple triple_of(const triples* x, int i)
+{
+    const triple out = {OF_NODE(x->x, i), OF_NODE(x->y, i), OF_NODE(x->z, i)};
     return out;
 }
 
@@ -26,7 +32,7 @@ static triples turned_back(__global const double* matrix, long slots, int slot, 
     return out;
 }
 
-// Receivers as seen from the source's own room, or by an edge: where they are, how they move and turn, and their clocks.
+// Receivers as seen from the source's own room, or by what a path turns round: where they are, how they move and turn, and their clocks.
 typedef struct {
     listener ear;
     triples frame[3];
@@ -36,7 +42,7 @@ typedef struct {
 // Those of nodes side by side; of receivers at rest there is one row.
 #define OF_ROWS(field) SIDE_BY_SIDE(row, ->field)
 static receivers_in_image receivers_at(const trajectory* path, __global const double* image_matrix, int slots, int slot,
-                                       triple offset, __global const edge_view* edge, __global const receiver_node* node)
+                                       triple offset, __global const view* seen, __global const receiver_node* node)
 {
     receivers_in_image out;
     __global const receiver_node* row[NODES_AT_ONCE];
@@ -45,27 +51,31 @@ static receivers_in_image receivers_at(const trajectory* path, __global const do
     const triples at = {OF_ROWS(position[0]), OF_ROWS(position[1]), OF_ROWS(position[2])};
     const triples apart = {at.x - offset.x, at.y - offset.y, at.z - offset.z};
     const triples velocity = {OF_ROWS(velocity[0]), OF_ROWS(velocity[1]), OF_ROWS(velocity[2])};
-#if EDGES
-    out.ear.position = seen_at(edge->receiver_turn, edge->receiver_shift, at);
-    out.ear.velocity = turned(edge->receiver_turn, velocity);
+#if TWO_SIDED
+    out.ear.position = seen_at(seen->receiver_turn, seen->receiver_shift, at);
+    out.ear.velocity = turned(seen->receiver_turn, velocity);
 #else
     out.ear.position = turned_back(image_matrix, slots, slot, apart);
     out.ear.velocity = turned_back(image_matrix, slots, slot, velocity);
 #endif
 #if WIND
     const triples wind = {path->wind.x, path->wind.y, path->wind.z};
+#if TWO_SIDED
+    out.ear.wind = turned(seen->receiver_turn, wind);
+#else
     out.ear.wind = turned_back(image_matrix, slots, slot, wind);
+#endif
     out.ear.downwind = DOT(at, wind);
 #endif
 #if RECEIVER_DIRECTIVITY != OMNI
     const triples x = {OF_ROWS(axes[0][0]), OF_ROWS(axes[0][1]), OF_ROWS(axes[0][2])};
-    out.frame[0] = EDGES ? x : turned_back(image_matrix, slots, slot, x);
+    out.frame[0] = TWO_SIDED ? x : turned_back(image_matrix, slots, slot, x);
 #endif
 #if RECEIVER_DIRECTIVITY == SPHERICAL
     const triples y = {OF_ROWS(axes[1][0]), OF_ROWS(axes[1][1]), OF_ROWS(axes[1][2])};
     const triples z = {x.y * y.z - x.z * y.y, x.z * y.x - x.x * y.z, x.x * y.y - x.y * y.x};
-    out.frame[1] = EDGES ? y : turned_back(image_matrix, slots, slot, y);
-    out.frame[2] = EDGES ? z : turned_back(image_matrix, slots, slot, z);
+    out.frame[1] = TWO_SIDED ? y : turned_back(image_matrix, slots, slot, y);
+    out.frame[2] = TWO_SIDED ? z : turned_back(image_matrix, slots, slot, z);
 #endif
     out.clock_error = OF_ROWS(clock_error);
     out.clock_rate = OF_ROWS(clock_rate);

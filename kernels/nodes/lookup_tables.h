@@ -1,13 +1,8 @@
 // Walls and directivities as tables: cubics over an angle, B-splines over a sphere. lookup_tables.py makes them.
 
-// Multiply by cubics on CELLS equal cells of a place from 0 to 1.
-static void apply_cubics(__global const bins* cells, float place, response* r)
+// Multiply by cubics of a cell at a place from 0 to 1 in it.
+static void apply_cubic(__global const bins* c, float u, response* r)
 {
-    const float at = place * CELLS;
-    int cell = (int)at;
-    cell = cell < 0 ? 0 : cell < CELLS ? cell : CELLS - 1;
-    const float u = at - (float)cell;
-    __global const bins* c = cells + cell * 4 * PARTS * BIN_VECTORS;
     response factor;
     for (int part = 0; part < PARTS; part++) {
         for (int b = 0; b < BIN_VECTORS; b++, c++) {
@@ -16,6 +11,15 @@ static void apply_cubics(__global const bins* cells, float place, response* r)
         }
     }
     multiply(r, &factor);
+}
+
+// Multiply by cubics on CELLS equal cells of a place from 0 to 1.
+static void apply_cubics(__global const bins* cells, float place, response* r)
+{
+    const float at = place * CELLS;
+    int cell = (int)at;
+    cell = cell < 0 ? 0 : cell < CELLS ? cell : CELLS - 1;
+    apply_cubic(cells + cell * 4 * PARTS * BIN_VECTORS, at - (float)cell, r);
 }
 
 // Multiply by a cubic B-spline on the faces of a cube about the transducer, SIDE points along each, two beyond an edge.

@@ -30,6 +30,20 @@ static void predict(__global const double* coarse, long slots, double walk_time,
     septic(ends, slopes, predicted);
 }
 
+#if MORE
+// Predict another number, `apart` from one end of walks to the next: a cubic on [-1, 1] between the middle ones, as above.
+static void predict_cubic(__global const double* coarse, long apart, double* c)
+{
+    const double v0 = coarse[0], v1 = coarse[apart], v2 = coarse[2 * apart], v3 = coarse[3 * apart];
+    const double s1 = 0.5 * (v2 + v1), s3 = 0.5 * (v3 + v0), d1 = 0.5 * (v2 - v1), d3 = 0.5 * (v3 - v0);
+    c[0] = (9.0 * s1 - s3) / 8.0;
+    c[1] = (27.0 * d1 - d3) / 24.0;
+    c[2] = (s3 - s1) / 8.0;
+    c[3] = (d3 - 3.0 * d1) / 24.0;
+}
+static reals by_cubic(const double* c, reals u) { return c[0] + u * (c[1] + u * (c[2] + u * c[3])); }
+#endif
+
 #if DELAY_TERMS == 8
 // Write the delay of the block between the middle two nodes, in samples less the whole delay, which is returned.
 static int write_septic(const double* delay, const double* rate, double sampling_rate, double half_block,

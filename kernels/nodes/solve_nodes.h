@@ -11,15 +11,20 @@ typedef struct {
     __global const double* image_matrix;
     triple offset;
     int slots, slot;
-    __global const edge_view* edge;      // that the path turns round
+    __global const view* seen;           // what the path turns round, or is scattered by
+    const pose_table* poses;
     __global const receiver_node* rows;  // of the walk's first node on
     double start, block_time;            // time of the walk's first block, s
     double block_share;                  // two blocks over the walk
     const double* predicted;             // delays over the walk, a septic on [-1, 1]
+    const double* expected;              // of what goes with them, see `predict_more`
     int ready;                           // the group that is solved
     edge_tables tables;                  // of paths over edges
     receivers_in_image receiver[STATIC_RECEIVERS ? 1 : AT_ONCE];
     arrivals node[AT_ONCE];
+#if MORE
+    found_more met[AT_ONCE];
+#endif
 } path_nodes;
 
 // Solve a group of the walk's nodes.
@@ -31,7 +36,7 @@ static void solve_group(path_nodes* s, int group)
         receivers_in_image* receiver = s->receiver + (STATIC_RECEIVERS ? 0 : part);
         const int first = group * GROUP + part * NODES_AT_ONCE;
 #if !STATIC_RECEIVERS
-        *receiver = receivers_at(s->path, s->image_matrix, s->slots, s->slot, s->offset, s->edge, s->rows + first);
+        *receiver = receivers_at(s->path, s->image_matrix, s->slots, s->slot, s->offset, s->seen, s->rows + first);
 #endif
         const double at[4] = {first - 1, first, first + 1, first + 2};
         const reals block = SIDE_BY_SIDE(at, ), u = block * s->block_share - 1.0;
@@ -39,8 +44,11 @@ static void solve_group(path_nodes* s, int group)
 #pragma unroll
         for (int k = 6; k >= 0; k--) expected = expected * u + s->predicted[k];
         s->node[part].delay = expected + receiver->clock_error;
-        SOLVE_DELAY(s->path, s->edge, &receiver->ear, s->start + block * s->block_time + receiver->clock_error, CONVERGED,
-                    s->node + part);
+#if MORE
+        expect_more(s->expected, u, s->met + part);
+#endif
+        SOLVE_DELAY(s->path, s->poses, s->seen, &receiver->ear, s->start + block * s->block_time + receiver->clock_error,
+                    CONVERGED, s->node + part, s->met + part);
     }
 }
 
@@ -57,12 +65,6 @@ static double rate_of_node(const path_nodes* s, int i)
     return OF_NODE(rate, BESIDE_IT(i));
 }
 
-static triple triple_of(const triples* x, int i)
-{
-    const triple out = {OF_NODE(x->x, i), OF_NODE(x->y, i), OF_NODE(x->z, i)};
-    return out;
-}
-
 // The gains at a node of the group, see response.h.
 static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, const surroundings* around, gains* gain,
                            float* unheld)
@@ -71,7 +73,7 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     const int beside = BESIDE_IT(i);
     const double through = OF_NODE(a->delay, beside) * speed_of_sound;
 #if EDGES
-    __global const edge_view* edge = s->edge;
+    __global const view* edge = s->seen;
     const triple from = place_by_edge(edge->source_turn, edge->source_shift, cubic(a->knot[beside], OF_NODE(a->u, beside)));
     const triple to = triple_of(&s->receiver[STATIC_RECEIVERS ? 0 : PART(i)].ear.position, beside);
     double place;
@@ -80,6 +82,22 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, beside),
                           into_room(edge->source_turn, towards_edge(from, place)),
                           times(-1.0, into_room(edge->receiver_turn, towards_edge(to, place))), a->knot[beside], OF_NODE(a->u, beside)};
+#elif SCATTERERS
+    response by_shape;
+    const response* field = s->seen->shape >= CAPSULE ? &by_shape : 0;
+    const scattering* met = s->met + PART(i);
+    const double length = scattered_length(&s->tables, s->seen, met, beside, &by_shape);
+    const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, beside),
+                          triple_of(&a->departure, beside), triple_of(&met->arrival, beside), a->knot[beside], OF_NODE(a->u, beside)};
+#elif BODIES
+    const mirrored* met = s->met + PART(i);
+    const arrival here = {(float)OF_NODE(met->through, beside), (float)length_by_mirrors(met, beside), OF_NODE(a->mach_factor, beside),
+                          triple_of(met->way, beside), triple_of(met->way + BODIES, beside), a->knot[beside], OF_NODE(a->u, beside)};
+    response of_angles[1];
+    const response* field = by_mirrors(around, met, beside, s->slots, s->slot, of_angles) ? of_angles : 0;
+    surroundings others = *around;
+    others.angular = 0;
+    around = &others;
 #else
     const response* field = 0;
     const triple departure = triple_of(&a->departure, beside);

@@ -5,23 +5,21 @@
 
 __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
-                     __global const int* receiver_of,      // [slots]
-                     __global const edge_view* edges,      // [slots], of EDGES
+                     __global const int* receiver_of, __global const view* views,  // [slots]; views of paths that are more than reflected
                      __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
                      int nodes,                            // those of whole walks and some more, the first one before the run
-                     __global const double* coarse_delays,  // [ends of walks][2][slots], of coarse_delays.cl
+                     __global const double* coarse_delays, __global const double* coarse_more,  // as in coarse_delays.cl
                      int first_walk,                       // one walk before the run's first sample
                      __global const double* knots, int knot_count, double first_knot, double knot_rate,
+                     __global const double* poses, __global const int* pose_cells, int pose_count, double first_pose, double pose_rate,
                      double start,                         // time of the run's first sample, s
-                     double sampling_rate, double speed_of_sound,
-                     __global const double* wind,          // [3], m/s
+                     double sampling_rate, double speed_of_sound, __global const double* wind,  // [3], m/s
                      __global const bins* nepers, __global const bins* lead,
                      __global const gains* projection, __global const bins* functions,
                      __global const bins* weight, __global const gains* strengths,
-                     int function_count,                   // at most FUNCTIONS
-                     int angular,                          // walls of a path whose factor depends on the angle, at most
+                     int function_count, int angular,      // at most FUNCTIONS; most walls of a path whose factor depends on the angle
                      double delay_samples,                 // added to the delay
                      double emitted_first, double emitted_last,  // s, outside of which nothing sounds
                      float angular_frequency,              // largest of the signal, rad/s
@@ -29,8 +27,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const bins* wall_tables, __global const bins* source_directivity,
                      __global const bins* receiver_directivities,  // of every kind that is there
                      __global const int* directivity_of,   // [receivers], bands from the first
-                     int blocks, int block_samples, int walk_blocks,
-                     int subblock_samples,
+                     int blocks, int block_samples, int walk_blocks, int subblock_samples,
                      float subblock_share,                 // of a block; 0 where subblocks take all terms of the cubics
                      int oversampling,                     // samples of the branches in one of the run
                      __global int* delay,                  // [blocks][slots]
@@ -43,8 +40,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const bins* transition, __global const bins* faces, __global const bins* waves, double middle)
                                                            // these in edge_field.h
 {
-    const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
-    const int first = walk * walk_blocks, apart = BESIDE;
+    const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1), first = walk * walk_blocks;
     const int last = first + walk_blocks < blocks ? first + walk_blocks : blocks;
     const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
     const triple offset = image_offset_of(image_offset, slots, slot);
@@ -60,11 +56,17 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
 #if SPARSE
     const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
 #endif
-    path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, edges + slot, rows + (STATIC_RECEIVERS ? 0 : first),
-                                start + first * block_time, block_time, 2.0 / walk_blocks, predicted, -1,
+    const pose_table things = {poses, pose_cells, pose_count, first_pose, pose_rate};
+    double expected[8 + 4 * MORE];
+#if MORE
+    predict_more(coarse_more + MORE * (first_walk + walk) * (long)slots + slot, slots, walk_time, expected);
+#endif
+    path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, views + slot, &things,
+                                rows + (STATIC_RECEIVERS ? 0 : first), start + first * block_time, block_time,
+                                2.0 / walk_blocks, predicted, expected, -1,
                                 {transition, faces, waves, middle}};
 #if STATIC_RECEIVERS
-    nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, edges + slot, rows);
+    nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, views + slot, rows);
 #endif
 #if DELAY_TERMS == 4
     smooth_gains slow;
@@ -129,8 +131,8 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             f.longest = delay_now > f.longest ? delay_now : f.longest;
         }
         __global float* c = polynomials + place_of(block, slot, function_count, slots);
-        delay[block * (long)slots + slot] = write_delay(&w, apart, branch_rate, half_block, delay_samples, c);
-        write_terms(powers, heard, function_count, apart, c);
+        delay[block * (long)slots + slot] = write_delay(&w, BESIDE, branch_rate, half_block, delay_samples, c);
+        write_terms(powers, heard, function_count, BESIDE, c);
         if (!heard) continue;
 #if SPARSE
         const double p1 = w.delay[1] * sampling_rate + delay_samples, p2 = w.delay[2] * sampling_rate + delay_samples;

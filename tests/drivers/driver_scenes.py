@@ -151,6 +151,33 @@ def bend(device: str) -> Plan:
 
 
 @scene
+def swinging(device: str) -> Plan:
+    """Paths by a door that depends on the angle, and by a box, in wind: two mirrors that move on a path."""
+    still = world(walls=[POROUS, *REAL[1:]], beams=(clsim.Piston(0.004), clsim.FirstOrder(0.4)), air=WINDY)
+    hinge = clsim.Trajectory.swing((0.06, 0.10, 0.0), (0, 0, 1), [0.0, 0.002, 0.01], [0.0, 0.02, 0.04])
+    door = clsim.Body.box("door", (0.08, 0.0, 0.1), POROUS, hinge, centre=(0.045, 0.0, 0.055))
+    slide = clsim.Body.box("slide", (0.0, 0.08, 0.1), REAL[1], LINE((0.02, 0.05, 0.055), (0.021, 0.05, 0.055), 0.04))
+    of = dataclasses.replace(still, bodies=(door, slide))
+    found = clsim.find_paths(of, 2)
+    return plan(PathSet(of, found.families[-1:]), device, blocks=(96,))
+
+
+@scene
+def sonar(device: str) -> Plan:
+    """Paths by an ellipsoid that turns, a ball, and a point, with a wall on either leg, in wind."""
+    turned = [[0.0, 0.0, 0.0, 1.0], [0.0, 0.1, 0.2, 0.97468]]
+    way = clsim.Trajectory.waypoints([0.0, 0.04], [(0.08, 0.06, 0.05), (0.08, 0.061, 0.05)], turned)
+    things = [
+        clsim.Scatterer.ellipsoid("e", (0.004, 0.012, 0.008), way),
+        clsim.Scatterer.sphere("b", 0.005, FIXED((0.03, 0.1, 0.08)), model="geometrical"),
+        clsim.Scatterer.point("p", -40.0, LINE((0.12, 0.03, 0.03), (0.12, 0.03, 0.031), 0.04)),
+    ]
+    of = dataclasses.replace(world(air=WINDY), scatterers=things)
+    found = clsim.find_paths(of, 0, scattering_order=1).families[-1]
+    return plan(PathSet(of, (found.part(np.arange(0, len(found), 7)),)), device, responses="centre")
+
+
+@scene
 def crowd(device: str) -> Plan:
     """More walls than are looked up by NumPy: a floor, and tiles over and under it."""
     corners, faces = [(-0.1, -0.1, 0.0), (0.3, -0.1, 0.0), (0.3, 0.3, 0.0), (-0.1, 0.3, 0.0)], [(0, 1, 2), (0, 2, 3)]

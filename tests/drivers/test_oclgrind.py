@@ -22,7 +22,8 @@ OPTIONS = {
     "RETARDED": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}, "MACH_EXPONENT": {"0", "1", "2"}, "DELAY_TERMS": {"4", "8"},
     "SOURCE_DIRECTIVITY": {"0", "1", "2"}, "RECEIVER_DIRECTIVITY": {"0", "1", "2"}, "NODES_AT_ONCE": {"1", "4"},
     "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "GROUPED": {"0", "1"}, "ORDER": {"0", "1"},
-    "EDGES": {"0", "1"}, "FREQUENCIES": {"1", "8"}, "WORKERS": {"1", "32"},
+    "EDGES": {"0", "1"}, "SCATTERERS": {"0", "1"}, "BODIES": {"0", "2"}, "MORE": {"0", "6", "8"},
+    "FREQUENCIES": {"1", "8"}, "WORKERS": {"1", "32"},
 }  # fmt: skip
 # Those of programs that share files with others, in which the same options have run.
 OPTIONS_OF = {
@@ -32,18 +33,27 @@ OPTIONS_OF = {
         "SPARSE": {"0", "1"},
         "NODES_AT_ONCE": {"1", "4"},
         "EDGES": {"0", "1"},
+        "SCATTERERS": {"0", "1"},
+        "BODIES": {"0", "2"},
     },
     "pair_tracks": {"AIR_TERMS": {"0", "2"}, "SPARSE": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}},
-    "coarse_delays": {"WIND": {"0", "1"}, "NODES_AT_ONCE": {"1", "4"}, "EDGES": {"0", "1"}},
+    "coarse_delays": {
+        "WIND": {"0", "1"},
+        "NODES_AT_ONCE": {"1", "4"},
+        "EDGES": {"0", "1"},
+        "SCATTERERS": {"0", "1"},
+        "BODIES": {"0", "2"},
+    },
     "intervals": {"WIND": {"0", "1"}, "ORDER": {"0", "1"}},
     "edge_intervals": {"WIND": {"1"}, "ORDER": {"0", "1"}},  # without wind it computes less
 }
 # Constants that no code is chosen by.
 NUMBERS = {
-    "AXIAL", "BATCH", "CELL", "CELLS", "CERTAIN", "CONTRACTED", "CONTRACTIONS", "CUBIC_COLUMNS", "DEPTH", "EVER",
-    "FACE_CELLS", "FUNCTIONS", "GAIN_ERROR", "GRAZE_TIME", "HALF_TURN", "INNER", "KNOT_COLUMNS",
-    "LEAST_SHARE", "MOST", "NODE", "OMNI", "ON_BOUNDARY", "PARALLEL", "POWERS", "RECEIVER_PERTURBATION", "SIDE",
-    "SMOOTH_ERROR", "SOURCE_PERTURBATION", "SPHERICAL", "SUBBLOCK", "SUBBLOCKS", "TAPS", "TILE", "TOUCHING", "VECTORS",
+    "AXIAL", "BATCH", "CAPSULE", "CELL", "CELLS", "CERTAIN", "CONTRACTED", "CONTRACTIONS", "CUBIC_COLUMNS", "DEPTH", "EVER",
+    "FACE_CELLS", "FUNCTIONS", "GAIN_ERROR", "GLINT_FAR", "GLINT_FOUND", "GRAZE_TIME", "HALF_TURN", "INNER", "KNOT_COLUMNS",
+    "LEAST_SHARE", "LONGEST_STEP", "MOST", "NEAR_JUNCTION", "NODE", "OMNI", "ON_BOUNDARY", "PARALLEL", "PENUMBRA", "POINT", "POWERS",
+    "RECEIVER_PERTURBATION", "SETTLED", "SIDE", "SMOOTH_ERROR", "SOURCE_PERTURBATION", "SPHERE", "SPHERICAL", "SUBBLOCK",
+    "SUBBLOCKS", "TAPS", "TILE", "TOUCHING", "VECTORS",
 }  # fmt: skip
 
 

@@ -86,10 +86,20 @@ def rank(module: str) -> int:
     return RANK[module.split(".")[1] if "." in module else "__init__"]
 
 
+def statements(tree: ast.Module) -> Iterable[ast.AST]:
+    """Yield all statements, those within others too; none of their expressions, which are most of a tree."""
+    left: list[ast.AST] = [tree]
+    while left:
+        node = left.pop()
+        yield node
+        for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+            left += getattr(node, part, [])
+
+
 def imported(path: Path) -> set[str]:
     """Return the modules of clsim that a file imports anywhere: inside functions and for types alone, too."""
     found = set()
-    for node in ast.walk(tree_of(path)):
+    for node in statements(tree_of(path)):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{place(path, node)} imports relatively"
             names = [f"{node.module}.{alias.name}" for alias in node.names]

@@ -30,9 +30,17 @@ class ExactEdgePaths(EdgePaths):
         self, index: NDArray[np.int64], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
         factors: list[Any],
     ) -> Any:  # fmt: skip
-        lit, field = self.lit[index], np.zeros(wave.shape, dtype=np.complex128)
-        terms = exact_wedge_terms(self.n[index][:, None], angles, np.where(lit, lit, 1)[:, None], *distances, way, wave)
-        for term, each in enumerate(terms):
-            kept = np.flatnonzero(lit[:, term])
-            field[kept] += (each * factors[term - 2])[kept] if term >= 2 else each[kept]
-        return field
+        return exact_field(self.n[index], self.lit[index], angles, distances, way, wave, factors)
+
+
+def exact_field(
+    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
+    factors: list[Any],
+) -> Any:  # fmt: skip
+    """Return the exact field (P, T, F) of edges over that of the shortest ways, from what `utd_field` takes."""
+    field = np.zeros(wave.shape, dtype=np.complex128)
+    terms = exact_wedge_terms(n[:, None], angles, np.where(lit, lit, 1)[:, None], *distances, way, wave)
+    for term, each in enumerate(terms):
+        kept = np.flatnonzero(lit[:, term])
+        field[kept] += (each * factors[term - 2])[kept] if term >= 2 else each[kept]
+    return field

@@ -204,9 +204,7 @@ class EdgePaths(TwoSidedPaths):
 
         By the angles (P, T, 4) of the partners, the ends' distances from the edges (P, T), and the faces' factors.
         """
-        lit = self.lit[index]
-        weight, root = wedge_terms(self.n[index][:, None], angles, lit[:, None])
-        return sum_of_terms(lit, weight, root, wave * way.breadth[..., None], factors)
+        return utd_field(self.n[index], self.lit[index], angles, distances, way, wave, factors)
 
     def _end_factor(
         self, index: NDArray[np.int64], rows: NDArray[np.int64], way: EdgeWay,
@@ -214,12 +212,38 @@ class EdgePaths(TwoSidedPaths):
     ) -> Any:  # fmt: skip
         """Return what an end sends (n, T, F) over the field of the edge without one, without its detour's phase."""
         some = EdgeWay(way.length[rows], way.apex[rows], way.breadth[rows])
-        end, side = self.end_place[index[rows]][:, None], 1.0 * self.end_side[index[rows]][:, None]
-        detour = end_detour(some, (source[0][rows], source[1][rows]), (receiver[0][rows], receiver[1][rows]), end)
+        ends = (source[0][rows], source[1][rows]), (receiver[0][rows], receiver[1][rows])
+        end = self.end_place[index[rows]][:, None]
         # Towards the start or the stop of the edge its inside is on another side of the end.
         inside = np.where(end > 0.0, end - some.apex, some.apex)
-        root = side * (np.sign(inside) * np.sqrt(detour))
-        return -0.5 * side[..., None] * transition(root[..., None] * np.sqrt(wave[rows]))
+        return end_factor(some, ends, end, inside, self.end_side[index[rows]], wave[rows])
+
+
+def utd_field(
+    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
+    factors: list[Any],
+) -> Any:  # fmt: skip
+    """Return the field (P, T, F) of edges (P,) over that of the shortest ways, see `EdgePaths`.
+
+    By the angles (P, T, 4) of the partners, the ends' distances from the edges (P, T), wave numbers (P, T, F) and the
+    faces' factors.
+    """
+    weight, root = wedge_terms(n[:, None], angles, lit[:, None])
+    return sum_of_terms(lit, weight, root, wave * way.breadth[..., None], factors)
+
+
+def end_factor(
+    way: EdgeWay, ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]], end: Floats, inside: Floats,
+    side: NDArray[np.int8], wave: Floats,
+) -> Any:  # fmt: skip
+    """Return what ends of edges send (P, T, F) over the field of edges without ends, without the detour's phase.
+
+    By r and z of source and receiver (P, T), by where the ends are and how far inside the edges the shortest ways meet
+    them (P, T), m, and by the sides (P,) on which they are taken to be, 1 for inside.
+    """
+    signed = 1.0 * side[:, None]
+    root = signed * (np.sign(inside) * np.sqrt(end_detour(way, *ends, end)))
+    return -0.5 * signed[..., None] * transition(root[..., None] * np.sqrt(wave))
 
 
 def cylindrical(n: Floats, seen: Floats) -> tuple[Floats, Floats, Floats]:

@@ -139,7 +139,7 @@ def find_events(
     """
     moments = np.asarray(times, dtype=np.float64)
     search = _Search(mirrors, motion, medium, retarded)
-    few = _few(moments) if retarded else None
+    few = few_of(moments) if retarded else None
     if few is None:
         return search.solved(walls, moments, None, rounds)[0]
     coarse = search.solved(walls, moments[few], None, rounds)[0]
@@ -153,7 +153,7 @@ def find_events(
     return found
 
 
-def _few(times: Floats) -> NDArray[np.int64] | None:
+def few_of(times: Floats) -> NDArray[np.int64] | None:
     """Return which of many times (T,) near to each other events are first looked for at; None where they are not."""
     if times.ndim != 1 or len(times) < _LEAST or np.any(np.diff(times) <= 0.0):
         return None

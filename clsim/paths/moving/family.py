@@ -69,6 +69,11 @@ class BodyPaths(PathFamily):
         return Mirrors.of(self.scene)
 
     @property
+    def device(self) -> str:
+        """The program for images of events."""
+        return "bodies"
+
+    @property
     def moves(self) -> bool:
         """Whether any body moves or turns."""
         return not all(body.is_static for body in self.scene.bodies)

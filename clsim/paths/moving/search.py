@@ -118,13 +118,13 @@ class BodySearch:
                 f"must be so low that bodies change the length of paths by at most {most:.6g} m/s, but with "
                 f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
             )
-        self._queries = [
+        self.queries = [
             visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
         ]
 
     def pair(self, source: int, receiver: int) -> PairQuery:
         """Return what is looked at between two ends."""
-        scene, (query, longest) = self.scene, self._queries[source]
+        scene, (query, longest) = self.scene, self.queries[source]
         ends: tuple[Source, Receiver] = (scene.sources[source], scene.receivers[receiver])
         moving = [body.trajectory.end for body in scene.bodies if not body.is_static]
         last = float(query.last[receiver])
@@ -184,13 +184,9 @@ class BodySearch:
         self, source: int, pairs: list[PairQuery]
     ) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
         """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
-        query, longest = self._queries[source]
+        query, longest = self.queries[source]
         last = max(pair.times[-1] for pair in pairs)
-        instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
-        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0)
-        waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
-        waiting = waiting if len(waiting) > 1 else [0.0, last]
-        spans = list(pairwise(waiting))[::-1]
+        spans = self.spans(last)[::-1]
         bounds, rows = [0.0], []
         while spans:
             begin, end = spans.pop()
@@ -208,6 +204,13 @@ class BodySearch:
             found.append((np.concatenate(mine), number, cells))
         return found
 
+    def spans(self, last: float) -> list[tuple[float, float]]:
+        """Return stretches of time until a last one, s, in each of which bodies are about one pose."""
+        instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
+        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0)
+        waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
+        return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
+
     def _cell(
         self, query: VisibilityQuery, longest: float, span: tuple[float, float]
     ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -220,8 +223,8 @@ class BodySearch:
         """
         ends, (begin, end) = query.trajectory_tables, span
         middle = 0.5 * (begin - longest + end)
-        slack = 2.0 * self.order * self._moved(middle, np.linspace(begin - longest, end, 9))
-        walls = self._posed(middle)
+        slack = 2.0 * self.order * self.moved(middle, np.linspace(begin - longest, end, 9))
+        walls = self.posed(middle)
         centre, radius = ends.sphere(0, begin - longest, end)
         ears = ends.receiver_spheres(begin, end)
         start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
@@ -236,7 +239,7 @@ class BodySearch:
             parts.append((sequence, batch.receiver[rows]))
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
-    def _moved(self, time: float, others: Floats) -> float:
+    def moved(self, time: float, others: Floats) -> float:
         """Return how far a corner of a body is at other times (n,) from where it is at a time, at the most, m."""
         most = 0.0
         for body in self.scene.bodies:
@@ -246,7 +249,7 @@ class BodySearch:
                 most = max(most, float(np.linalg.norm(away, axis=-1).max()))
         return most
 
-    def _posed(self, time: float) -> Walls:
+    def posed(self, time: float) -> Walls:
         """Return the walls of the room and the faces of bodies as they are at a time, numbered as mirrors."""
         meshes = [self.room, *(body.mesh for body in self.scene.bodies)]
         placed = [self.room.vertices]

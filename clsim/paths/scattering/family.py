@@ -106,6 +106,12 @@ class ScatteredPaths(TwoSidedPaths):
         return things or super(ScatteredPaths, self).is_complex
 
     @property
+    def device(self) -> str | None:
+        """The program for scatterers; none that knows how one fluctuates."""
+        fluctuates = [scatterer.fluctuation is not None for scatterer in self.scene.scatterers]
+        return None if np.array(fluctuates)[self.scatterer].any() else "scatterers"
+
+    @property
     def object_names(self) -> tuple[str, ...]:
         """Names of the scatterers."""
         return tuple(scatterer.name for scatterer in self.scene.scatterers)

@@ -49,6 +49,14 @@ class Leg:
     direction: Floats
     sound: Passage
 
+    def ray(self) -> Floats:
+        """Return the way (..., 3) of the wavefront through the air, along its normal, m."""
+        return self.sound.through[..., None] * self.sound.normal(self.direction)
+
+    def slowness(self) -> Floats:
+        """Return that of the wavefront (...), s/m."""
+        return np.asarray(np.linalg.norm(self.sound.slowness(self.direction), axis=-1))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
@@ -218,10 +226,12 @@ def _solved(
     """Return the ways by Newton's method from what is known of them, and what is known then."""
     body, shape = Body(scatterer, known.glint), ends.heard_at.shape[:2]
     now, late, first_time, weight = np.broadcast_to(times, shape), known.late, known.first_time, known.weight
+    carried: tuple[Floats, Floats] | None = None
+    weight_at_rest: Floats | float = 1.0
     for _ in range(_ROUNDS):
         event = times - late if retarded else now
         image, real, source_velocity = ends.emitted(event - first_time if retarded else event)
-        place, velocity = body.seen(event, image, ends.heard_at, weight)
+        place, velocity = body.seen(event, *(carried or (image, ends.heard_at)), weight)
         second = _leg(medium, place, ends.heard_at, ends.receiver - place)
         first = _leg(medium, image, place, place - real)
         coming, leaving = (leg.sound.growth(leg.direction, velocity) for leg in (first, second))
@@ -230,12 +240,16 @@ def _solved(
             mach = first.sound.growth(ends.leaving(first.direction), source_velocity)
         later, more = second.sound.time - late, first.sound.time - first_time
         if retarded:
-            weight = (1.0 - coming) / (1.0 - leaving)
+            weight = weight_at_rest = (1.0 - coming) / (1.0 - leaving)
             later = later / (1.0 - leaving)
             more = (more + later * (mach - coming)) / (1.0 - mach)
         late, first_time = late + later, first_time + more
         moved = max(np.abs(later).max(initial=0.0), np.abs(more).max(initial=0.0)) if retarded else 0.0
-        if moved <= _CLOSE and body.change <= _SETTLED:
+        again = carried is None and first.sound.carried is not None
+        if first.sound.carried is not None:  # by air that moves: ends are seen where their wavefronts come from
+            carried = place - first.ray(), place + second.ray()
+            weight = weight_at_rest * (second.slowness() / first.slowness())
+        if moved <= _CLOSE and body.change <= _SETTLED and not again:
             break
     else:
         raise InputError(

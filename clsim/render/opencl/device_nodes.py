@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_BOUNDARY
-from clsim.numerics.quaternions import rotate
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
-from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL
+from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL, transition_table
+from clsim.render.opencl.path_kinds import KINDS, OF_GAINS
+from clsim.render.opencl.receiver_nodes import RECEIVER_NODE, receiver_at
 from clsim.render.opencl.surroundings import VECTOR, Surroundings
 from clsim.render.plan import Plan, node_times
 
@@ -26,17 +26,14 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
+    from clsim.paths.family import Rows
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
-    from clsim.scene.ends import Receiver
+    from clsim.tracks.basis import Basis
     from clsim.tracks.tracks import SceneTracks
 
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
-# A receiver at a node, as in nodes/image.h.
-RECEIVER_NODE = np.dtype(
-    [("position", "f8", 3), ("velocity", "f8", 3), ("axes", "f8", (2, 3)), ("clock_error", "f8"), ("clock_rate", "f8")]
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +60,9 @@ class DeviceChunk:
     columns: dict[str, Any]
     field: dict[str, Any]
     bounds: Boundaries
-    coarse_delays: Any
+    coarse: dict[str, Any]
     trajectory: dict[str, Any]
+    poses: dict[str, Any]
     cells: dict[str, Any] | None
     first: int  # sample of the branches
     turn: float  # at which the source's beam turns at most, rad/s
@@ -72,8 +70,6 @@ class DeviceChunk:
 
 class DeviceTracks:
     """Makes block polynomials with ``tracks.cl``."""
-
-    _edges: ClassVar[int] = 0  # whether paths turn round edges
 
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
@@ -101,14 +97,14 @@ class DeviceTracks:
         ]
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._static = {
-            i: _receiver_at(r, np.zeros(1))
+            i: receiver_at(r, np.zeros(1))
             for i, r in enumerate(scene.receivers)
             if math.isinf(r.trajectory.end) and r.electronics is None
         }
         self._all_static = len(self._static) == len(scene.receivers)
         for i, around in enumerate(self._surroundings):
             mine = [pair for pair in tracks.pair_paths if pair.family is family and pair.source == i]
-            around.most_bounces(family.walls[pair.rows] for pair in mine)
+            around.most_bounces(self._met(pair.rows) for pair in mine)
 
     def prepare(
         self,
@@ -127,7 +123,7 @@ class DeviceTracks:
         plan, scene = self._plan, self._tracks.scene
         around, pairs = self._surroundings[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
-        walls = self._family.walls[rows]
+        walls = self._met(rows)
         reflection = np.where(batch.padding[:, None, None], 0.0, around.reflection(walls)).astype(np.float32)
         receiver_of = np.repeat(np.arange(len(batch.pairs), dtype=np.int32), np.diff(batch.first_slot))
         rate = plan.sampling_rate
@@ -144,7 +140,9 @@ class DeviceTracks:
         trajectory = self._trajectory(knots) | {
             "knot_count": len(knots), "first_knot": knot_first, "knot_rate": self._knot_rates[source],
         }  # fmt: skip
-        coarse = self._coarse_delays(source, batch, images | trajectory, start, -(-length // plan.segment) + 3)
+        poses = self._poses(start / rate - longest - spare, (start + length) / rate - shortest + spare)
+        paths = images | trajectory | poses
+        coarse = self._coarse_delays(source, batch, paths, start, -(-length // plan.segment) + 3)
         cells = None
         if activity is not None:
             cells = self._uploaded(following=activity.following, preceding=activity.preceding)
@@ -153,16 +151,32 @@ class DeviceTracks:
         if around.source_kind != OMNI:
             turn = self._knot_rates[source] * _largest_turn(knots[:, CUBIC_COLUMNS : CUBIC_COLUMNS + 3])
         field = self._field(source, rows)
-        return DeviceChunk(source, batch, start, images, columns, field, bounds, coarse, trajectory, cells, first, turn)
+        return DeviceChunk(
+            source, batch, start, images, columns, field, bounds, coarse, trajectory, poses, cells, first, turn
+        )
+
+    def _kinds(self) -> dict[str, int]:
+        """Return the constants of the program that are not 0 for this kind of paths."""
+        return {}
+
+    def _met(self, rows: Rows) -> NDArray[np.signedinteger[Any]]:
+        """Return what reflects paths, as rows of the scene's materials (P, N), -1 for none."""
+        return np.asarray(self._family.walls[rows])
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Return what paths (slots,) see of the ends as the program takes it: images as columns."""
         matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
-        return self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"edges": None}
+        return self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
 
     def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return the walls of paths (slots,) that depend on the angle, see `Surroundings.bounces`."""
-        return self._surroundings[source].bounces(self._family.walls[rows])
+        return self._surroundings[source].bounces(self._met(rows))
+
+    def _transition(self, basis: Basis) -> dict[str, Any]:
+        """Return the table of the transition function at the frequencies of a basis."""
+        waves = basis.nodes / self._tracks.scene.air.speed_of_sound
+        table, middle = transition_table(waves, basis.parts)
+        return self._uploaded(transition=table, waves=waves.astype(np.float32)) | {"middle": middle}
 
     def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Return what the field of paths (slots,) that are more than reflected is made of: nothing, for images."""
@@ -172,22 +186,35 @@ class DeviceTracks:
         """Return the knots of motion as the program takes them."""
         return self._uploaded(knots=knots)
 
-    def _coarse_delays(self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int) -> Any:
-        """Solve the delays at the ends of segments, from which those between are predicted."""
+    def _poses(self, start: float, end: float) -> dict[str, Any]:
+        """Return where things are from a time to another, s, that paths meet: none, for images."""
+        return {"poses": None, "pose_cells": None, "pose_count": 0, "first_pose": 0.0, "pose_rate": 0.0}
+
+    def _coarse_delays(
+        self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int
+    ) -> dict[str, Any]:
+        """Solve the delays at the ends of segments, from which those between are predicted, and what goes with them."""
         import pyopencl as cl
 
         rate, segment = self._plan.sampling_rate, self._plan.segment
         groups = -(-ends // self._together)
         ends = groups * self._together
-        out = cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 16 * ends * batch.count)
+        numbers = {"coarse_delays": 2, "coarse_more": self._kinds().get("MORE", 0)}
+        out = {
+            name: cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 8 * count * ends * batch.count)
+            if count else None
+            for name, count in numbers.items()
+        }  # fmt: skip
         times = (start + segment * np.arange(-1.0, ends - 1)) / rate
         constants = {"RECEIVER_DIRECTIVITY": OMNI, "OMNI": OMNI, "SPHERICAL": SPHERICAL}  # no beams: delays only
+        constants["CUBIC_COLUMNS"] = CUBIC_COLUMNS
         constants |= self._motion_constants(source) | self._exact_constants(source)
         del constants["SMOOTH_ERROR"]
         kernel = self._compiler.kernel("coarse_delays", constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, **self._media[source], delays=out,
+            start=start / rate, walk_time=segment / rate, **self._media[source],
+            delays=out["coarse_delays"], more=out["coarse_more"],
         )  # fmt: skip
         return out
 
@@ -237,12 +264,12 @@ class DeviceTracks:
         filters = self._plan.source_filters[source]
         first, last = filters.emitted_between(rate)
         constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
-        constants |= {"HALF_TURN": math.pi, "ON_BOUNDARY": ON_BOUNDARY}
+        constants |= {"HALF_TURN": math.pi} | OF_GAINS
         kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
             self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
-            **chunk.field,
-            **self._media[source], receivers=receivers, coarse_delays=chunk.coarse_delays, start=start / rate,
+            **chunk.field, **chunk.poses, **chunk.coarse, **self._media[source], receivers=receivers,
+            start=start / rate,
             first_walk=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
             delay_samples=filters.delay_samples, oversampling=filters.oversampling,
             smooth=self._smooth(chunk, receivers, more["block_samples"]),
@@ -252,7 +279,9 @@ class DeviceTracks:
         """Constants of the program in float64."""
         wind = int(self._media[source]["wind"] is not None)
         smooth = np.float32(SMOOTH_ERROR)
-        return {"SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind, "EDGES": self._edges}
+        return KINDS | self._kinds() | {
+            "SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind,
+        }  # fmt: skip
 
     def _smooth(self, chunk: DeviceChunk, receivers: NDArray[Any], block: int) -> float:
         """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 if all are looked at.
@@ -322,7 +351,7 @@ class DeviceTracks:
         times = times[:1] if self._all_static else times
         out = np.empty((len(batch.pairs), len(times)), dtype=RECEIVER_NODE)
         for i, r in enumerate(batch.receiver):
-            out[i] = self._static[r] if r in self._static else _receiver_at(self._tracks.scene.receivers[r], times)
+            out[i] = self._static[r] if r in self._static else receiver_at(self._tracks.scene.receivers[r], times)
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:
@@ -347,15 +376,3 @@ def _largest_turn(axes: Floats) -> float:
     """Return the largest angle between neighbouring axes (..., n, 3), rad."""
     chord = np.linalg.norm(np.diff(axes, axis=-2), axis=-1).max(initial=0.0)
     return 2.0 * math.asin(min(0.5 * float(chord), 1.0))
-
-
-def _receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
-    """Return position, velocity, axes and clock of a receiver, (times,)."""
-    out = np.empty(len(times), dtype=RECEIVER_NODE)
-    out["clock_error"] = receiver.clock_error(times)
-    out["clock_rate"] = receiver.clock_rate
-    true = times + out["clock_error"]
-    out["position"], out["velocity"] = receiver.trajectory.position(true), receiver.trajectory.velocity(true)
-    for i, axis in enumerate(np.eye(3)[:2]):
-        out["axes"][:, i] = rotate(receiver.orientation(true), axis)
-    return out

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import transition
 from clsim.paths.diffraction.ways import EdgeView
 from clsim.render.opencl.device_nodes import DeviceTracks
-from clsim.render.opencl.lookup_tables import CELLS, cubics
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
     from clsim.render.plan import Plan
     from clsim.tracks.tracks import SceneTracks
 
-_MIDDLE_PHASE = 4.0  # rad, of the middle of the table of the transition function at the middle frequency
 # An edge as both ends are seen by it, as in nodes/edge_view.h.
 EDGE_VIEW = np.dtype(
     [("source_turn", "f8", 9), ("source_shift", "f8", 3), ("receiver_turn", "f8", 9), ("receiver_shift", "f8", 3),
@@ -31,26 +27,14 @@ EDGE_VIEW = np.dtype(
 class EdgeTracks(DeviceTracks):
     """Makes block polynomials of `EdgePaths` with ``tracks.cl``."""
 
-    _edges: ClassVar[int] = 1
-
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
         super().__init__(plan, tracks, family, queue, compiler, together)
-        c = tracks.scene.air.speed_of_sound
-        self._transitions = [
-            self._transition(filters.basis.nodes / c, filters.basis.parts) for filters in plan.source_filters
-        ]
+        self._transitions = [self._transition(filters.basis) for filters in plan.source_filters]
 
-    def _transition(self, waves: Floats, parts: int) -> dict[str, Any]:
-        """Return the table of the transition function at waves in a metre (F,), see ``edge_field.h``."""
-        number = 2.0 * np.pi * waves
-        middle = np.sqrt(_MIDDLE_PHASE / np.sqrt(number.min() * number.max()))
-        place = np.linspace(0.0, 1.0, CELLS + 1)
-        values = np.zeros((len(place), len(waves)), dtype=np.complex128)
-        values[1:] = transition((middle * (1.0 / place[1:] - 1.0))[:, None] * np.sqrt(number))
-        table = self._uploaded(transition=cubics(place, values, parts), waves=waves.astype(np.float32))
-        return table | {"middle": float(middle)}
+    def _kinds(self) -> dict[str, int]:
+        return {"EDGES": 1}
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         family, around = self._family, self._surroundings[source]
@@ -65,15 +49,10 @@ class EdgeTracks(DeviceTracks):
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         edges["end"] = np.nan_to_num(family.end_place[rows])
         edges["face"] = around.tables_of(family.faces[rows])
-        return self._uploaded(edges=edges) | {"image_matrix": None, "image_offset": None}
+        return self._uploaded(views=edges) | {"image_matrix": None, "image_offset": None}
 
     def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Return walls that depend on the angle: those of the source's side, and -2 less those of the receiver's."""
-        around = self._surroundings[source]
-        (before, one), (after, other) = (around.bounces(walls) for walls in self._family.walls_of_sides(rows))
-        walls, normals = np.concatenate([before, np.where(after < 0, -1, -2 - after)]), np.concatenate([one, other])
-        first = np.argsort(walls == -1, axis=0, kind="stable")[: len(before)]
-        return np.take_along_axis(walls, first, axis=0), np.take_along_axis(normals, first[:, None], axis=0)
+        return self._surroundings[source].bounces_of_sides(*self._family.walls_of_sides(rows))
 
     def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         factors = self._surroundings[source].reflection(self._family.faces[rows].reshape(-1, 1))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.acoustics.diffraction import transition
 from clsim.paths.response import covered, directivity_gain
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 from clsim.scene.directivity.patterns import Omni
@@ -23,6 +24,7 @@ CELLS = 1024  # of a table over an angle; its cubics are within 1e-9 for a pisto
 FACE_CELLS = 96  # of a table over a sphere along a face of the cube
 SIDE = FACE_CELLS + 5  # its points: those of the cells and two beyond either edge
 _MARGIN = 14  # points beyond an edge that the spline is made of, where 0.27 ** 12 of what is not known there is left
+_MIDDLE_PHASE = 4.0  # rad, of the middle of the table of the transition function at the middle frequency
 OMNI, AXIAL, SPHERICAL = range(3)  # kinds of tables of directivities: none, by angle to an axis, by direction
 
 
@@ -77,6 +79,19 @@ def wall_table(material: Material, frequencies: Floats, speed_of_sound: float, p
     cosine = np.maximum(root, 1e-6)[:, None] ** 2
     factor = material.reflection_at(covered(frequencies, material), cosine, speed_of_sound)
     return cubics(root, _shaped(factor, (CELLS + 1, len(frequencies))), parts)
+
+
+def transition_table(waves: Floats, parts: int) -> tuple[NDArray[np.float32], float]:
+    """Return the table of the transition function at waves in a metre (F,), flat, and its middle, m^(1/2).
+
+    See ``transition_table.h``.
+    """
+    number = 2.0 * np.pi * waves
+    middle = float(np.sqrt(_MIDDLE_PHASE / np.sqrt(number.min() * number.max())))
+    place = np.linspace(0.0, 1.0, CELLS + 1)
+    values = np.zeros((len(place), len(waves)), dtype=np.complex128)
+    values[1:] = transition((middle * (1.0 / place[1:] - 1.0))[:, None] * np.sqrt(number))
+    return cubics(place, values, parts), middle
 
 
 def _shaped(values: Floats | Complexes, shape: tuple[int, ...]) -> Any:

@@ -58,8 +58,11 @@ class PairTracks(DeviceTracks):
         both = pairs(knots)
         return self._uploaded(knots=both[..., 0], rests=both[:, :CUBIC_COLUMNS, 1])
 
-    def _coarse_delays(self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int) -> Any:
+    def _coarse_delays(
+        self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int
+    ) -> dict[str, Any]:
         """Return nothing: nodes are predicted from those before."""
+        return {}
 
     def _launch(
         self, chunk: DeviceChunk, start: int, walks: int, receivers: NDArray[Any], more: dict[str, Any]

@@ -95,6 +95,13 @@ class Surroundings:
             filled[here] += 1
         return wall_of, normal
 
+    def bounces_of_sides(self, before: Walls, after: Walls) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return material and normal of every bounce on the source's side, and -2 less those of the receiver's."""
+        (first, one), (last, other) = (self.bounces(walls) for walls in (before, after))
+        walls, normals = np.concatenate([first, np.where(last < 0, -1, -2 - last)]), np.concatenate([one, other])
+        most = np.argsort(walls == -1, axis=0, kind="stable")[: len(first)]
+        return np.take_along_axis(walls, most, axis=0), np.take_along_axis(normals, most[:, None], axis=0)
+
 
 def air_polynomials(at: SceneResponse, mach: float) -> tuple[Floats, Floats]:
     """Return absorption, 1/m, and lead, rad/m, as polynomials of what motion adds to frequencies.

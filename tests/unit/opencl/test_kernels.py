@@ -12,13 +12,16 @@ from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, upload
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
-from clsim.render.opencl.device_nodes import RECEIVER_NODE
+from clsim.render.opencl.body_nodes import BODY_VIEW
 from clsim.render.opencl.edge_nodes import EDGE_VIEW
 from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
+from clsim.render.opencl.receiver_nodes import RECEIVER_NODE
+from clsim.render.opencl.scatterer_nodes import SCATTERER_VIEW
 from clsim.render.opencl.surroundings import VECTOR
 
 KNOWN = {"CLK_LOCAL_MEM_FENCE", "OPENCL", "FP_CONTRACT", "OFF"}  # of OpenCL C itself
 TYPEDEFS = {"bins", "gains"}  # vectors of float, as wide as constants say
+BY_KIND = {"view"}  # a structure for each kind of paths
 DEPTH = 5
 STRUCTURES = {
     "receiver_node": ("tracks", RECEIVER_NODE),
@@ -34,6 +37,8 @@ STRUCTURES = {
         np.dtype([*((name, "f8", 3) for name in ("start", "across", "out", "along")), ("length", "f8"), ("n", "f8")]),
     ),
     "edge_view": ("tracks", EDGE_VIEW),
+    "scatterer_view": ("tracks", SCATTERER_VIEW),
+    "body_view": ("tracks", BODY_VIEW),
     "table_scale": ("intervals", np.dtype([("first_knot", "f8"), ("knot_rate", "f8"), ("fastest", "f8")])),
 }
 
@@ -66,7 +71,7 @@ def test_arguments_are_those_of_the_signature(program: str) -> None:
     for name, argument in PROGRAMS[program].arguments.items():
         assert bool(argument.shape) == bool(argument.access), name
         if argument.access:
-            assert argument.type.rstrip("248") in {*NUMBERS, *TYPEDEFS, *STRUCTURES}, name
+            assert argument.type.rstrip("248") in {*NUMBERS, *TYPEDEFS, *STRUCTURES, *BY_KIND}, name
         else:
             assert argument.type in NUMBERS, name
 

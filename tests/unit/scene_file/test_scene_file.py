@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exhaustive import few
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scene_fields import leaves, refusal, written
@@ -142,9 +143,13 @@ anything = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(path=st.sampled_from(LEAVES), value=anything)
-def test_fuzzed_fields_give_an_input_error_or_a_scene(path: tuple, value: object) -> None:
+@pytest.mark.parametrize("draws", few([150, 400]))
+def test_fuzzed_fields_give_an_input_error_or_a_scene(draws: int) -> None:
+    given_some = given(path=st.sampled_from(LEAVES), value=anything)(it_is_an_input_error_or_a_scene)
+    settings(max_examples=draws, deadline=None, suppress_health_check=[HealthCheck.too_slow])(given_some)()
+
+
+def it_is_an_input_error_or_a_scene(path: tuple, value: object) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

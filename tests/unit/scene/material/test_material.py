@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exhaustive import few
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -168,9 +169,12 @@ def some_materials() -> st.SearchStrategy[Material]:
     return st.builds(lambda m, rms: m.rough(rms), smooth, st.sampled_from([0.0, 1e-4, 0.1]))
 
 
-@settings(max_examples=100, deadline=None)
-@given(st.data())
-def test_no_wall_sends_back_more_than_it_receives(data):
+@pytest.mark.parametrize("draws", few([100, 400]))
+def test_no_wall_sends_back_more_than_it_receives(draws):
+    settings(max_examples=draws, deadline=None)(given(st.data())(it_sends_back_no_more_than_it_receives))()
+
+
+def it_sends_back_no_more_than_it_receives(data):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClsimWarning)
         material = data.draw(some_materials())

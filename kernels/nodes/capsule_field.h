@@ -1,0 +1,89 @@
+// The field of capsules: twin of `capsule_aspects` and `capsule_field` in acoustics/capsule.py.
+
+#if SCATTERERS && PARTS == 2
+typedef struct {
+    reals way, slope, steep, bend, inward;
+} capsule_ways;
+
+static reals positive(reals x) { return larger(x, (reals)0.0); }
+
+static capsule_ways ways_by(const glint_of* g, triples place, triples normal, triples around, triples along)
+{
+    reals way = 0.0, inward = 0.0, g0 = 0.0, g1 = 0.0, h0 = 0.0, h1 = 0.0, h2 = 0.0;
+    const triples ends[2] = {g->source, g->receiver};
+    for (int i = 0; i < 2; i++) {
+        const triples away = apart(place, ends[i]);
+        const reals squared = DOT(away, away), near = inverse_root(squared);
+        const reals a = DOT(around, away) * near, b = DOT(along, away) * near;
+        way += squared * near;
+        inward -= DOT(normal, away) * near;
+        g0 += a;
+        g1 += b;
+        h0 += (1.0 - a * a) * near;
+        h1 -= a * b * near;
+        h2 += (1.0 - b * b) * near;
+    }
+    const reals steep = larger(h0 + positive(inward) / g->scale.x, (reals)FLATTEST), off = g0 / steep;
+    const capsule_ways out = {way - 0.5 * g0 * off, g1 - h1 * off, steep, positive(h2 - h1 * h1 / steep), inward};
+    return out;
+}
+
+// How much of the surface's pressure counts, by the cosine of the angle of incidence.
+static double obliquity(double cosine)
+{
+    const double held = cosine < 0.0 ? 0.0 : cosine, steep = held / PENUMBRA;
+    return held * (1.0 - exp(-steep * steep * steep));
+}
+
+// Add a part of an end: a weight times the transition function of a root of a way, m^(1/2), later by `late`, m.
+static void add_part(const edge_tables* t, double weight, double root_of_way, double late, response* field)
+{
+    response one;
+    transition_of(t, root_of_way, (float)weight, &one);
+    for (int b = 0; b < BIN_VECTORS; b++) {
+        turn(&one, b, t->waves[b] * (float)(-late));
+        for (int part = 0; part < PARTS; part++) field->part[part][b] += one.part[part][b];
+    }
+}
+
+// The field over the strength, which is returned, m.
+static double capsule_field(const edge_tables* t, const glint_of* g, triples place, int beside, response* field)
+{
+    triples normal;
+    const reals at = split(g, place, &normal), radius = g->scale.x;
+    const reals level = normal.x * normal.x + normal.y * normal.y;
+    const triples flat = {normal.x, normal.y, level > 0.0 ? (reals)0.0 : (reals)1.0};
+    const triples aside = of_length_one(flat), around = {-aside.y, aside.x, (reals)0.0};
+    const capsule_ways here = ways_by(g, place, normal, around, across(normal, around));
+    double on_end = 0.0;
+    for (int part = 0; part < PARTS; part++) {
+        for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
+    }
+    for (int i = 0; i < 2; i++) {
+        const reals sign = i ? (reals)1.0 : (reals)-1.0;
+        const triples junction = plus(scaled(radius, aside), on_axis(sign * reach(g)));
+        const capsule_ways there = ways_by(g, junction, aside, around, on_axis(sign));
+        const double slope = OF_NODE(there.slope, beside), flatter = OF_NODE(there.bend, beside), inward = OF_NODE(there.inward, beside);
+        const double behind = OF_NODE(there.way, beside) - OF_NODE(here.way, beside), late = behind > 0.0 ? behind : 0.0;
+        double sharp = flatter + inward / OF_NODE(radius, beside);
+        sharp = sharp > FLATTEST ? sharp : FLATTEST;
+        if (slope < 0.0) {
+            on_end = 1.0;
+            if (late > 0.0) {  // the parabola that is as late at the junction
+                const double squared = slope * slope, held = squared / (squared + NEAR_JUNCTION * NEAR_JUNCTION);
+                sharp += held * (squared / (2.0 * late) - sharp);
+            }
+        }
+        const double size = slope < 0.0 ? -slope : slope, lit = (slope < 0.0 ? -0.5 : 0.5) * obliquity(0.5 * inward);
+        const double plain = flatter > FLATTEST ? flatter : FLATTEST;
+        add_part(t, lit / sqrt(sharp), size / sqrt(2.0 * sharp), late, field);
+        add_part(t, -lit / sqrt(plain), size / sqrt(2.0 * plain), late, field);
+    }
+    const double inward = OF_NODE(here.inward, beside), pressed = inward > 0.0 ? inward : 0.0;
+    double bend = OF_NODE(here.bend, beside) + on_end * pressed / OF_NODE(radius, beside);
+    bend = bend > FLATTEST ? bend : FLATTEST;
+    const float main = (float)(obliquity(0.5 * pressed) / sqrt(bend));
+    for (int b = 0; b < BIN_VECTORS; b++) field->part[0][b] += main;
+    return 1.0 / sqrt(OF_NODE(here.steep, beside));
+}
+#endif

@@ -1,0 +1,71 @@
+// Where things are that are neither source nor receiver, and how they are turned: cubics between knots that stand at
+// even distances and wherever a motion has a corner. Twin of `pose_knots` in paths/pose_cubics.py.
+
+typedef struct {
+    __global const double* knots;  // rows of a kind's own width
+    __global const int* cells;     // [things][count]: the knot at the beginning of every cell
+    int count;
+    double first, rate;            // time of the first cell, s, and cells per second
+} pose_table;
+
+#if SCATTERERS
+#define POSE_COLUMNS 38  // time of the knot, s, and knots per second until the next one; cubics of position and two axes
+
+// Things at nodes side by side.
+typedef struct {
+    triples place, velocity, axes[3], turning[3];  // turning: by how much the axes change in a second
+} pose;
+
+static triples across(triples a, triples b)
+{
+    const triples out = {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+    return out;
+}
+static triples plus(triples a, triples b)
+{
+    const triples out = {a.x + b.x, a.y + b.y, a.z + b.z};
+    return out;
+}
+static triples scaled(reals by, triples a)
+{
+    const triples out = {by * a.x, by * a.y, by * a.z};
+    return out;
+}
+
+// Where a thing is at times of nodes, and, if it is `turned`, how.
+static pose pose_at(const pose_table* table, int thing, int turned, reals time)
+{
+    __global const int* cells = table->cells + (long)thing * (table->count + 1);
+    __global const double* c[NODES_AT_ONCE];
+    double at[NODES_AT_ONCE], rates[NODES_AT_ONCE];
+#pragma unroll
+    for (int i = 0; i < NODES_AT_ONCE; i++) {
+        const double now = OF_NODE(time, i);
+        int cell = (int)((now - table->first) * table->rate);
+        cell = cell < 0 ? 0 : cell < table->count ? cell : table->count - 1;
+        int knot = cells[cell];
+        const int next = cells[cell + 1];
+        while (knot + 1 < next && now >= table->knots[(knot + 1) * (long)POSE_COLUMNS]) knot++;
+        c[i] = table->knots + knot * (long)POSE_COLUMNS;
+        rates[i] = c[i][1];
+        const double u = (now - c[i][0]) * rates[i];
+        at[i] = u < 0.0 ? 0.0 : u < 1.0 ? u : 1.0;
+        c[i] += 2;
+    }
+    const reals u = SIDE_BY_SIDE(at, ), rate = SIDE_BY_SIDE(rates, );
+    pose out;
+    out.place = cubics(c, u);
+    out.velocity = scaled(rate, cubic_rates(c, u));
+    if (!turned) return out;
+#pragma unroll
+    for (int axis = 0; axis < 2; axis++) {
+#pragma unroll
+        for (int i = 0; i < NODES_AT_ONCE; i++) c[i] += CUBIC_COLUMNS;
+        out.axes[axis] = cubics(c, u);
+        out.turning[axis] = scaled(rate, cubic_rates(c, u));
+    }
+    out.axes[2] = across(out.axes[0], out.axes[1]);
+    out.turning[2] = plus(across(out.turning[0], out.axes[1]), across(out.axes[0], out.turning[1]));
+    return out;
+}
+#endif

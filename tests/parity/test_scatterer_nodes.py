@@ -1,0 +1,159 @@
+"""Nodes of paths by scatterers: the device's against those of the kind of paths itself, in float64 on the host."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from exhaustive import few
+from made_responses import POROUS, OffCentre
+from mutants import Mutants
+
+import clsim
+from clsim.paths.path_set import PathSet
+from clsim.render.opencl import device_nodes, node_programs
+from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
+from clsim.render.opencl.host_nodes import HostTracks
+from clsim.render.opencl.scatterer_nodes import ScattererTracks
+from clsim.render.planning import plan_render
+
+pytestmark = [pytest.mark.usefixtures("device"), pytest.mark.filterwarnings("ignore::clsim.ClsimWarning")]
+RATE = 192e3
+SAMPLES = 9216
+# Gains of the device are taken from every fourth node where that is wrong by -100 dB of a path at most (`SMOOTH_SHARE`);
+# paths add up as the root of the sum of squares. The host's are those of every node.
+TOLERANCE_DB = -100.0
+# Looked at at every node, there is left what is float32: gains on the device, and the table of phases along capsules.
+EVERY_NODE_DB = -120.0
+CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
+WINDY = clsim.Air(wind=(4.0, -3.0, 1.0))
+
+
+def things(phased: bool) -> list[clsim.Scatterer]:
+    """Return an ellipsoid that tumbles, a sphere and a point; with phases of their own a capsule and a sphere by its series, too."""
+    times, angle = np.linspace(-0.1, 0.3, 7), np.linspace(0.0, 0.9, 7)[:, None]
+    turned = np.concatenate([np.sin(angle) * np.array([0.36, 0.48, 0.8]), np.cos(angle)], axis=1)
+    along = np.array([2.0, 1.5, 1.2]) + np.outer(times, [1.0, 0.5, -0.2])
+    tumbling = clsim.Trajectory.waypoints(times, along, turned)
+    swinging = clsim.Trajectory.sampled(
+        lambda t: np.stack([1.6 + 0.2 * np.sin(9.0 * t), 2.2 + 0.0 * t, 1.0 + 0.1 * np.cos(7.0 * t)], 1), 0.3, 200.0
+    )
+    found = [
+        clsim.Scatterer.ellipsoid("tumbling", (0.09, 0.3, 0.15), tumbling),
+        clsim.Scatterer.sphere("swinging", 0.05, swinging, model="geometrical"),
+        clsim.Scatterer.point("point", -20.0, clsim.Trajectory.line((1.0, 2.0, 1.5), (1.4, 1.7, 1.2), 0.3)),
+    ]
+    if phased:
+        found += [
+            clsim.Scatterer.capsule("stick", 0.03, 0.25, tumbling),
+            clsim.Scatterer.sphere("ball", 0.04, swinging),
+        ]
+    return found
+
+
+@cache
+def paths(air: clsim.Air | None = None, phased: bool = False) -> PathSet:
+    """Return what scatterers send from a source to receivers among walls, both of which move fast; one's clock is fast, too."""
+    sweep = clsim.Signal.chirp(34e3, 46e3, 0.06, RATE, window="tukey")
+    way = clsim.Trajectory.line((0.5, 0.6, 0.9), (0.7, 0.9, 1.1), 0.1)
+    ears = [clsim.Trajectory.line((2.8, 0.6, 1.3), (2.6, 0.9, 1.6), 0.1), clsim.Trajectory.fixed((0.6, 2.5, 0.8))]
+    clocks = [clsim.Electronics(clock_ppm=300.0, clock_offset=2e-3), None]
+    scene = clsim.Scene(
+        clsim.Shoebox((3.2, 3.0, 2.4), [POROUS, CURTAIN, clsim.Material.from_reflection(-0.8), POROUS, CURTAIN, CURTAIN]),
+        air or clsim.Air(),
+        [clsim.Source("s", sweep, way, OffCentre(2e-3), aim=(1.0, 0.5, 0.1))],
+        [clsim.Receiver(f"r{i}", ear, clsim.FirstOrder(0.4), aim=(-1.0, 0.1, 0.3), electronics=clock)
+         for i, (ear, clock) in enumerate(zip(ears, clocks, strict=True))],
+        scatterers=things(phased),
+    )  # fmt: skip
+    found = clsim.find_paths(scene, 1, scattering_order=1).families[-1]
+    some = np.flatnonzero(
+        (found.scatterer < 3) | (found.order == 1)
+    )  # of what takes long on the host, direct legs alone
+    return PathSet(scene, (found.part(some),))
+
+
+def heard(of: PathSet, layout: Layout, maker: type, **options: str) -> np.ndarray:
+    """Return what is heard with nodes of a maker; not finite where the engine refuses what it finds."""
+    plan = plan_render(of, RATE, duration=SAMPLES / RATE, convolve_static=False, **options)
+    engine = OpenclEngine(plan, layout)
+    assert type(engine.maker(0)) is maker
+    try:
+        with np.errstate(invalid="ignore"):  # of mutants
+            return engine.render(0, SAMPLES)
+    except clsim.ClsimError as error:
+        assert "lie outside the bounds" in str(error) or "must be seen from both ends" in str(error)
+        return np.full((2, SAMPLES), np.inf)
+
+
+@cache
+def by_host(of: PathSet, **options: str) -> np.ndarray:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.delitem(node_programs.NODE_PROGRAMS, "scatterers")
+        return heard(of, CPU_LAYOUT, HostTracks, **options)
+
+
+def difference_db(
+    air: clsim.Air | None = None, phased: bool = False, layout: Layout = CPU_LAYOUT, **options: str
+) -> float:
+    """Return by how much what is heard with nodes of the device differs, of the receiver where it does most."""
+    got, wanted = heard(paths(air, phased), layout, ScattererTracks, **options), by_host(paths(air, phased), **options)
+    if not np.all(np.isfinite(got)):
+        return np.inf
+    return float(20 * np.log10((np.linalg.norm(got - wanted, axis=1) / np.linalg.norm(wanted, axis=1)).max()))
+
+
+CASES = {
+    "still air": {},
+    "phases": {"phased": True},
+    "as on GPUs": {"layout": GPU_LAYOUT},
+    "wind": {"air": WINDY, "phased": True, "amplitude": "convective"},
+    "at reception": {"air": clsim.Air(dispersion=True), "motion": "quasi-static"},
+}
+
+
+@pytest.mark.parametrize("case", few(CASES))
+def test_device_and_host_make_the_same(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert difference_db(**CASES[case]) < TOLERANCE_DB
+    monkeypatch.setattr(device_nodes, "SMOOTH_SHARE", 0.0)
+    assert difference_db(**CASES[case]) < EVERY_NODE_DB
+
+
+def test_the_scene_has_all_that_such_paths_do() -> None:
+    found = paths(phased=True).families[0]
+    before, after = found.walls_of_sides(np.arange(len(found)))
+    assert np.any(np.any(before >= 0, axis=1) & np.any(after >= 0, axis=1))
+    assert set(np.unique(found.scatterer)) == {0, 1, 2, 3, 4}
+    assert set(np.unique(found.receiver)) == {0, 1}
+
+
+MUTANTS = {
+    "the later leg is as late as both": ("RETARDED ? time - b->late : time", "RETARDED ? time - a->delay : time"),
+    "the weight of the way to the receiver": ("(1.0 - coming) / (1.0 - leaving) * faster;", "(1.0 - coming) * (1.0 - leaving) * faster;"),
+    "Mach number of the scatterer": ("later * (mach - coming)) / (1.0 - mach)", "later * (mach + coming)) / (1.0 + mach)"),
+    "rate of the delay": ("coming - mach - leaving * (1.0 - mach)", "coming - mach - leaving * (1.0 + mach)"),
+    "direction at the source": ("turned_back(seen->source_turn, 1, 0, leaving1)", "leaving1"),
+    "direction at the receiver": ("turned_back(seen->receiver_turn, 1, 0, coming2)", "coming2"),
+    "speed of what turns": ("scaled(o.z, p->turning[2])", "scaled(o.y, p->turning[2])"),
+    "frame of what turns": ("b->receiver.y = DOT(r, p->axes[1])", "b->receiver.y = DOT(r, p->axes[2])"),
+    "the third axis": ("across(out.axes[0], out.axes[1])", "across(out.axes[1], out.axes[0])"),
+    "the specular point": ("(b.bend_both * b.slope_other - b.bend_other * b.slope_one)", "(b.bend_both * b.slope_one - b.bend_other * b.slope_one)"),
+    "curvature": ("bends_at(g, u, (reals)1.0)", "bends_at(g, u, (reals)2.0)"),
+    "along a capsule": ("(b.gz - b.gp * by_p - b.gq * by_q) / bend", "b.gz / bend"),
+    "an end of a capsule": ("flatter + inward / OF_NODE(radius, beside)", "flatter + 2.0 * inward / OF_NODE(radius, beside)"),
+    "phases along a capsule": ("t->waves[b] * (float)(-late)", "t->waves[b] * (float)(late)"),
+    "angle at a sphere": ("2.0 * asin(cosine < 1.0 ? cosine : 1.0)", "1.9 * asin(cosine < 1.0 ? cosine : 1.0)"),
+    "strength of a sphere": ("(1.0 + 0.5 * radius * cosine * OF_NODE(near, beside))", "(1.0 + radius * cosine * OF_NODE(near, beside))"),
+    "grazing incidence": ("OF_NODE(full, beside) * (1.0 - exp(-steep * steep * steep))", "OF_NODE(full, beside) * (1.0 - exp(-steep * steep))"),
+    "strength of a point": ("double strength = seen->strength", "double strength = 2.0 * seen->strength"),
+    "Doppler of the pressure": ("spread *= 1.0 - OF_NODE(b->leaving, beside);\n#endif\n#if MACH_EXPONENT >= 2", "spread *= 1.0 + OF_NODE(b->leaving, beside);\n#endif\n#if MACH_EXPONENT >= 2"),
+    "lengths of both legs": ("squared1 * inverse1 * DOT(leaving1, direction1) * squared2", "squared1 * DOT(leaving1, direction1) * squared2"),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.exhaustive
+def test_mutants_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    mutants = Mutants("tracks", MUTANTS)
+    mutants.play(monkeypatch)
+    assert difference_db(phased=True) < TOLERANCE_DB, "none of them is chosen"
+    assert mutants.unseen(lambda: difference_db(phased=True) < TOLERANCE_DB) == []
