@@ -11,9 +11,11 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
-from clsim.paths.moving.events import find_events
 from clsim.paths.moving.family import BodyPaths
-from clsim.paths.moving.looks import ROUNDS, intervals, looks
+from clsim.paths.moving.looks import looks
+from clsim.paths.moving.mirror_looks import MirrorLook
+from clsim.paths.moving.rates import BodyRates
+from clsim.paths.moving.subdivision import intervals
 from clsim.paths.moving.visibility import Obstacles
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.propagation import UniformAir
+    from clsim.paths.moving.rates import EndRates
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import VisibilityQuery
     from clsim.scene.ends import End, Receiver, Source
@@ -52,16 +55,24 @@ class PairQuery:
         Where they are as validity takes them.
     medium : UniformAir
         What sound travels in.
+    rates : EndRates
+        How fast these and the bodies are.
     times : ndarray (T,)
-        Looks, s.
+        Looks, s, where nothing is certain.
     resolution : float
         To which begins and ends are found, s.
     """
 
     ends: tuple[Motion, Motion]
     medium: UniformAir
+    rates: EndRates
     times: Floats
     resolution: float
+
+    @property
+    def last(self) -> float:
+        """Until when it is looked at, s."""
+        return float(self.times[-1])
 
     def bounded(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
         """Return intervals that reach from the first look or to the last one as endless."""
@@ -118,13 +129,14 @@ class BodySearch:
                 f"must be so low that bodies change the length of paths by at most {most:.6g} m/s, but with "
                 f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
             )
-        self._queries = [
+        self._known: BodyRates | None = None
+        self.queries = [
             visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
         ]
 
     def pair(self, source: int, receiver: int) -> PairQuery:
         """Return what is looked at between two ends."""
-        scene, (query, longest) = self.scene, self._queries[source]
+        scene, (query, longest) = self.scene, self.queries[source]
         ends: tuple[Source, Receiver] = (scene.sources[source], scene.receivers[receiver])
         moving = [body.trajectory.end for body in scene.bodies if not body.is_static]
         last = float(query.last[receiver])
@@ -134,7 +146,13 @@ class BodySearch:
         times = looks(scene.bodies, motions, last, longest, self.search.body_step)
         lifted: Any = tuple(_Lifted(scene, ends[i], PERTURBATIONS[i]) for i in range(2))
         medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
-        return PairQuery(lifted, medium, times, query.resolution)
+        return PairQuery(lifted, medium, self._rates(longest, last).of_ends(motions), times, query.resolution)
+
+    def _rates(self, longest: float, last: float) -> BodyRates:
+        """Return how fast bodies are, from before the first emission until a last time, s."""
+        if self._known is None or longest > -self._known.first or last > self._known.last:
+            self._known = BodyRates.of(self.scene.bodies, longest, last)
+        return self._known
 
     def paths(self) -> BodyPaths:
         """Return every path by bodies.
@@ -163,34 +181,20 @@ class BodySearch:
         self, pair: PairQuery, sequence: NDArray[np.int32], spans: NDArray[np.int64], cells: Floats
     ) -> tuple[NDArray[np.int32], Floats, Floats]:
         """Return the mirrors of paths, and when they are heard, of sequences (n, N) in cells (n,) of time."""
-
-        def status(rows: NDArray[np.int64], times: Floats) -> NDArray[np.bool_]:
-            events = find_events(self.obstacles.mirrors, sequence[rows], pair.ends, pair.medium, times, rounds=ROUNDS)
-            return self.obstacles.there(sequence[rows], events, times)
-
-        parts: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
-        for cell in np.unique(spans):
-            first, last = cells[cell], min(cells[cell + 1], pair.times[-1])
-            inner = pair.times[(pair.times > first) & (pair.times < last)]
-            if last > first or len(pair.times) == 1:
-                here = np.unique([first, *inner, last])
-                rows = np.flatnonzero(spans == cell)
-                path, begin, end = intervals(status, rows, here, pair.resolution)
-                parts.append((rows[path], begin, end))
-        path, begin, end = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        which, begin, end = _runs(sequence, spans, np.minimum(cells, pair.last))
+        looks = MirrorLook(
+            self.obstacles, pair.ends, pair.medium, pair.rates, sequence, self.search.body_step
+        )
+        path, begin, end = intervals(looks.look, looks.status, (which, begin, end), pair.resolution)
         return _merged(sequence[path], *pair.bounded(begin, end))
 
     def _sequences(
         self, source: int, pairs: list[PairQuery]
     ) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
         """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
-        query, longest = self._queries[source]
+        query, longest = self.queries[source]
         last = max(pair.times[-1] for pair in pairs)
-        instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
-        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0)
-        waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
-        waiting = waiting if len(waiting) > 1 else [0.0, last]
-        spans = list(pairwise(waiting))[::-1]
+        spans = self.spans(last)[::-1]
         bounds, rows = [0.0], []
         while spans:
             begin, end = spans.pop()
@@ -208,6 +212,13 @@ class BodySearch:
             found.append((np.concatenate(mine), number, cells))
         return found
 
+    def spans(self, last: float) -> list[tuple[float, float]]:
+        """Return stretches of time until a last one, s, in each of which bodies are about one pose."""
+        instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
+        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0)
+        waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
+        return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
+
     def _cell(
         self, query: VisibilityQuery, longest: float, span: tuple[float, float]
     ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -220,8 +231,8 @@ class BodySearch:
         """
         ends, (begin, end) = query.trajectory_tables, span
         middle = 0.5 * (begin - longest + end)
-        slack = 2.0 * self.order * self._moved(middle, np.linspace(begin - longest, end, 9))
-        walls = self._posed(middle)
+        slack = 2.0 * self.order * self.moved(middle, np.linspace(begin - longest, end, 9))
+        walls = self.posed(middle)
         centre, radius = ends.sphere(0, begin - longest, end)
         ears = ends.receiver_spheres(begin, end)
         start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
@@ -236,7 +247,7 @@ class BodySearch:
             parts.append((sequence, batch.receiver[rows]))
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
-    def _moved(self, time: float, others: Floats) -> float:
+    def moved(self, time: float, others: Floats) -> float:
         """Return how far a corner of a body is at other times (n,) from where it is at a time, at the most, m."""
         most = 0.0
         for body in self.scene.bodies:
@@ -246,7 +257,7 @@ class BodySearch:
                 most = max(most, float(np.linalg.norm(away, axis=-1).max()))
         return most
 
-    def _posed(self, time: float) -> Walls:
+    def posed(self, time: float) -> Walls:
         """Return the walls of the room and the faces of bodies as they are at a time, numbered as mirrors."""
         meshes = [self.room, *(body.mesh for body in self.scene.bodies)]
         placed = [self.room.vertices]
@@ -271,6 +282,22 @@ class BodySearch:
             start=read_only(np.concatenate([begin for _, begin, _, _ in found])),
             end=read_only(np.concatenate([end for _, _, end, _ in found])), surfaces=read_only(surfaces),
         )  # fmt: skip
+
+
+def _runs(
+    sequence: NDArray[np.int32], cell: NDArray[np.int64], bounds: Floats
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return from when to when sequences (n, N) of cells (n,) are to be looked at: rows, and times that touch as one."""
+    number = np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
+    order = np.lexsort((cell, number))
+    number, cell = number[order], cell[order]
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = (number[1:] != number[:-1]) | (cell[1:] != cell[:-1] + 1)
+    starts = np.flatnonzero(first)
+    stops = np.append(starts[1:], len(order))[: len(starts)] - 1
+    begin, end = bounds[cell[starts]], bounds[cell[stops] + 1]
+    real = end > begin
+    return order[starts][real], begin[real], end[real]
 
 
 def _merged(sequence: NDArray[np.int32], begin: Floats, end: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:

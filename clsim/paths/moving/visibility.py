@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.paths.moving.mirrors import ROOM, Mirrors
+from clsim.paths.moving.rates import FAR, lasts
 from clsim.paths.specular.occlusion import INNER
+from clsim.paths.specular.visibility import segments_apart
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.moving.events import Events
+    from clsim.paths.moving.rates import Pace
     from clsim.scene.body import Body
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
@@ -38,6 +41,53 @@ class Legs:
     def part(self, rows: Rows) -> Legs:
         """Return some of them."""
         return Legs(self.start[rows], self.stop[rows], self.left[rows], self.arrived[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegDrift:
+    """At most how fast n legs change, by the time of reception.
+
+    Attributes
+    ----------
+    start, stop : ndarray (n,)
+        How fast their ends move in the room, m/s.
+    dilation : ndarray (n,)
+        Of times at which sound is on them to that of reception.
+    held : ndarray (n, B, 2) bool
+        Whether bodies hold their starts and stops where they are.
+    pace : Pace
+        Of all that moves.
+    """
+
+    start: Floats
+    stop: Floats
+    dilation: Floats
+    held: Bools
+    pace: Pace
+
+    def part(self, rows: Rows) -> LegDrift:
+        """Return that of some of them."""
+        return LegDrift(
+            self.start[rows], self.stop[rows], self.dilation[rows], self.held[rows], self.pace.part(rows)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalDrift:
+    """At most how fast n legs change as a body sees them: their ends, and what is between them by more than these, m/s.
+
+    They are off the straight line from one end to the other by `curved`, m, and that matters for `half`, s.
+    """
+
+    start: Floats
+    stop: Floats
+    extra: Floats
+    curved: Floats
+    half: Floats
+
+    def part(self, rows: Rows) -> LocalDrift:
+        """Return that of some of them."""
+        return LocalDrift(*(getattr(self, f.name)[rows] for f in fields(LocalDrift)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,38 +132,60 @@ class Obstacles:
 
     def blocked(self, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
         """Return which legs (n,) between mirrors, -1 for none, a wall or a body is in the way of, (n,)."""
-        found = np.zeros(len(legs.left), dtype=bool)
+        return self.looked(legs, first, last, None)[0]
+
+    def looked(
+        self, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: LegDrift | None
+    ) -> tuple[Bools, Floats]:
+        """Return which legs are blocked, as `blocked`, and for how long that is certain, (n,) s."""
+        found, sure = np.zeros(len(legs.left), dtype=bool), np.full(len(legs.left), FAR)
         if not self.convex:
             plane = np.append(self.walls.plane, -1)
             ends = [plane[np.where(x < len(self.walls), x, -1)] for x in (first, last)]
+            local = None if drift is None else local_drift(None, legs, legs.start, legs.stop, drift)
             for wall in range(len(self.walls)):
                 rows = np.flatnonzero(~found & (ends[0] != plane[wall]) & (ends[1] != plane[wall]))
-                rows = rows[_crossed(self.walls, wall, legs.start[rows], legs.stop[rows])]
-                found[rows] = self.walls.holds(wall, _met(self.walls, wall, legs.part(rows))) if len(rows) else False
+                some, slack = legs.part(rows), None if local is None else local.part(rows)
+                hit, lasts = _faced(self.walls, wall, some.start, some.stop, None, slack)
+                found[rows], sure[rows] = hit, np.where(hit, lasts, np.minimum(sure[rows], lasts))
         for body, (thing, face) in enumerate(zip(self.mirrors.bodies, self.mirrors.first.tolist(), strict=True)):
             rows = np.flatnonzero(~found)
-            local = [np.where(self.mirrors.owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last)]
-            local = [np.where(x[rows] < 0, -1, own) for x, own in zip((first, last), local, strict=True)]
-            found[rows] = hidden_by(thing, legs.part(rows), *local)
-        return found
+            local_ends = [np.where(self.mirrors.owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last)]
+            local_ends = [np.where(x[rows] < 0, -1, own) for x, own in zip((first, last), local_ends, strict=True)]
+            slack_of = None if drift is None else (body, drift.part(rows))
+            hit, lasts = hidden_by(thing, legs.part(rows), local_ends[0], local_ends[1], slack_of)
+            found[rows], sure[rows] = hit, np.where(hit, lasts, np.minimum(sure[rows], lasts))
+        return found, sure
+
+    def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
+        """Return which places (n, 3) at times (n,) are on a mirror, how far from its border, m, and from its origin, m."""
+        walls, face, own = self._of(surface, places, times)
+        apart = _edges_apart(walls, face, own, own)
+        for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
+            apart = np.minimum(apart, _edges_apart(walls, int(twin), own, own))
+        return self._holds(surface, places, times), apart, np.linalg.norm(own, axis=1)
+
+    def _of(self, surface: int, places: Floats, times: Floats) -> tuple[Walls, int, Floats]:
+        """Return a mirror as a wall of its room or body, and places at times in the coordinates of that."""
+        body = int(self.mirrors.owner[surface])
+        if body == ROOM:
+            return self.walls, surface, places
+        thing = self.mirrors.bodies[body]
+        return thing.mesh.walls, surface - int(self.mirrors.first[body]), thing.seen(places, times)
 
     def _holds(self, surface: int, places: Floats, times: Floats) -> Bools:
         """Return which places (n, 3) in the plane of a mirror at times (n,) are on it."""
-        body = int(self.mirrors.owner[surface])
-        if body == ROOM:
-            walls, face = self.walls, surface
-        else:
-            thing = self.mirrors.bodies[body]
-            walls, face = thing.mesh.walls, surface - int(self.mirrors.first[body])
-            places = thing.seen(places, times)
+        walls, face, places = self._of(surface, places, times)
         held = walls.holds(face, places)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
             held &= ~walls.holds(int(twin), places)
         return held
 
 
-def hidden_by(body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
-    """Return which legs a body is in the way of.
+def hidden_by(
+    body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: tuple[int, LegDrift] | None = None
+) -> tuple[Bools, Floats]:
+    """Return which legs a body is in the way of, and for how long that is certain, (n,) s.
 
     Parameters
     ----------
@@ -123,6 +195,8 @@ def hidden_by(body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -
         n of them.
     first, last : ndarray (n,) int
         Faces of the body that they begin and end at, which are in the way of none, -1 for none.
+    drift : tuple of int and LegDrift, optional
+        Number of the body, and how fast legs change; without it nothing is certain.
 
     Notes
     -----
@@ -131,24 +205,116 @@ def hidden_by(body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -
     curve touches, and not the ends, is not seen.
     """
     walls, found = body.mesh.walls, np.zeros(len(legs.left), dtype=bool)
-    near = np.flatnonzero(
-        _apart(body.trajectory.position(0.5 * (legs.left + legs.arrived)), legs) <= _reach(body, legs)
-    )
+    beside = _apart(body.trajectory.position(0.5 * (legs.left + legs.arrived)), legs) - _reach(body, legs)
+    sure, around = np.zeros(len(found)), beside <= 0.0
+    if drift is not None:
+        number, all_drift = drift
+        moved = np.maximum(all_drift.start, all_drift.stop) + all_drift.dilation * all_drift.pace.speed[:, number]
+        sure = lasts(np.maximum(beside, 0.0), moved)
+        around = sure < all_drift.pace.half
+    near = np.flatnonzero(around)
     some = legs.part(near)
     start, stop = body.seen(some.start, some.left), body.seen(some.stop, some.arrived)
+    local = None if drift is None else local_drift(number, some, start, stop, all_drift.part(near))
     plane = np.append(walls.plane, -1)
-    ends = plane[first[near]], plane[last[near]]
+    ends, free = (plane[first[near]], plane[last[near]]), np.full(len(near), FAR)
     for face in range(len(walls)):
         rows = np.flatnonzero(~found[near] & (ends[0] != plane[face]) & (ends[1] != plane[face]))
-        rows = rows[_crossed(walls, face, start[rows], stop[rows])]
-        if not len(rows):
-            continue
-        ways = Legs(start[rows], stop[rows], some.left[rows], some.arrived[rows])
-        places = _met(walls, face, ways)
-        if body.trajectory.turns:
-            places = _met_turning(body, face, some.part(rows), ways)
-        found[near[rows]] = walls.holds(face, places)
-    return found
+        turning = (body, some.part(rows)) if body.trajectory.turns else None
+        hit, certain = _faced(walls, face, start[rows], stop[rows], turning, None if local is None else local.part(rows))
+        found[near[rows]], free[rows] = hit, np.where(hit, certain, np.minimum(free[rows], certain))
+    sure[near] = np.where(found[near], free, np.maximum(sure[near], free)) if drift is not None else 0.0
+    return found, sure
+
+
+def local_drift(body: int | None, legs: Legs, start: Floats, stop: Floats, drift: LegDrift) -> LocalDrift:
+    """Return how fast legs from places to others (n, 3), as a body sees them, change; None for the room.
+
+    Notes
+    -----
+    A point x of a leg at a fixed share moves by no more than the shares of its ends. The body's own field of velocities
+    is linear in x, but for how it changes while sound is on the leg, by its accelerations, and for what it is faster at
+    one end by the dilation of time. Seen from the body the leg is curved by
+    ``(2 w d T + T² (a + 2 w v + (w² + l) y)) / 8`` at the most.
+    """
+    pace, late = drift.pace, drift.dilation
+    if body is None:
+        return LocalDrift(drift.start, drift.stop, np.zeros(len(late)), np.zeros(len(late)), pace.half)
+    speed, turn, gain, lift, jolt, twist = (
+        x[:, body] for x in (pace.speed, pace.turn, pace.gain, pace.lift, pace.jolt, pace.twist)
+    )
+    ends, far = [], np.zeros(len(late))
+    for i, (place, moved) in enumerate(((start, drift.start), (stop, drift.stop))):
+        away = np.linalg.norm(place, axis=1) + pace.half * (moved + late * speed)
+        ends.append(np.where(drift.held[:, body, i], 0.0, moved + late * (speed + turn * away)))
+        far = np.maximum(far, away)
+    length = np.linalg.norm(legs.stop - legs.start, axis=1) + pace.half * (drift.start + drift.stop)
+    while_on = np.abs(legs.arrived - legs.left) + 2.0 * pace.half * (late - 1.0)
+    uneven = jolt + twist * far
+    extra = while_on * (gain + lift * far) + uneven + 2.0 * (late - 1.0) * (speed + turn * far)
+    curved = 2.0 * turn * length * while_on + while_on**2 * (gain + 2.0 * turn * speed + (lift + turn**2) * far)
+    return LocalDrift(ends[0], ends[1], extra, 0.125 * curved + 0.25 * while_on * uneven, pace.half)
+
+
+def _faced(
+    walls: Walls, face: int, start: Floats, stop: Floats, turning: tuple[Body, Legs] | None, drift: LocalDrift | None
+) -> tuple[Bools, Floats]:
+    """Return which ways (n,), in its own coordinates, a face is in the way of, and for how long that is certain, s.
+
+    Notes
+    -----
+    What blocks does so while both ends keep their sides and the place where the way meets the face does not cross its
+    border. What is free stays so while both ends keep to one side; or while a way that goes beside the face does not
+    touch its border, in the plane or in space. Before an end that faces the face meets it, none of these fails.
+    """
+    heights = _heights(walls, face, start, stop)
+    hit, crossed = np.zeros(len(start), dtype=bool), np.flatnonzero(_crossed(walls, face, start, stop))
+    own = Legs(start[crossed], stop[crossed], np.empty(0), np.empty(0))
+    places = _met(walls, face, own)
+    if turning is not None:
+        body, legs = turning
+        legs = legs.part(crossed)
+        places = _met_turning(body, face, legs, Legs(own.start, own.stop, legs.left, legs.arrived))
+    hit[crossed] = walls.holds(face, places)
+    if drift is None:
+        return hit, np.zeros(len(hit))
+    fast = np.maximum(drift.start, drift.stop) + drift.extra
+    sides = np.minimum(lasts(np.abs(heights[0]), drift.start), lasts(np.abs(heights[1]), drift.stop))
+    away = np.linalg.norm(_nearest(walls.centre[face], start, stop) - walls.centre[face], axis=1)
+    sure = lasts(np.maximum(away - walls.radius[face] - drift.curved, 0.0), fast)
+    same = heights[0] * heights[1] > 0.0
+    sure = np.where(same, np.maximum(sure, sides), sure)
+    open_ = np.flatnonzero((sure < drift.half) & ~hit)
+    reach = _beside(walls, face, start[open_], stop[open_], [h[open_] for h in heights])
+    sure[open_] = np.maximum(sure[open_], lasts(np.maximum(reach - drift.curved[open_], 0.0), fast[open_]))
+    if len(crossed):
+        border = lasts(_edges_apart(walls, face, places, places), _slides(heights, own, crossed, drift))
+        sure[crossed] = np.where(hit[crossed], np.minimum(border, sides[crossed]), np.maximum(sure[crossed], border))
+    return hit, sure
+
+
+def _beside(walls: Walls, face: int, start: Floats, stop: Floats, heights: list[Floats]) -> Floats:
+    """Return distances (n,) of straight ways that do not meet a face from it, m."""
+    apart = _edges_apart(walls, face, start, stop)
+    for place, height in zip((start, stop), heights, strict=True):
+        foot = place - height[:, None] * walls.normal[face]
+        apart = np.where(walls.holds(face, foot), np.minimum(apart, np.abs(height)), apart)
+    return apart
+
+
+def _slides(heights: list[Floats], own: Legs, crossed: Rows, drift: LocalDrift) -> Floats:
+    """Return how fast the places move, at most, at which ways meet the plane of a face, (n,) m/s."""
+    first, last = (height[crossed] for height in heights)
+    share = first / (first - last)
+    moved = (1.0 - share) * drift.start[crossed] + share * drift.stop[crossed] + drift.extra[crossed]
+    length = np.linalg.norm(own.stop - own.start, axis=1)
+    slope = np.abs(first - last) - 4.0 * drift.curved[crossed]
+    return np.asarray(np.where(slope > 0.0, moved * (1.0 + length / np.where(slope > 0.0, slope, 1.0)), FAR))
+
+
+def _edges_apart(walls: Walls, face: int, start: Floats, stop: Floats) -> Floats:
+    """Return the distances (n,) of straight ways from the border of a face, m."""
+    return np.asarray(segments_apart(walls.edges_of(face), start, stop).min(axis=1, initial=np.inf))
 
 
 def _reach(body: Body, legs: Legs) -> Floats:
@@ -159,10 +325,14 @@ def _reach(body: Body, legs: Legs) -> Floats:
 
 def _apart(points: Floats, legs: Legs) -> Floats:
     """Return the distances (n,) of points from legs, m."""
-    along = legs.stop - legs.start
-    share = np.sum((points - legs.start) * along, axis=1) / np.maximum(np.sum(along * along, axis=1), 1e-300)
-    nearest = legs.start + np.clip(share, 0.0, 1.0)[:, None] * along
-    return np.asarray(np.linalg.norm(points - nearest, axis=1))
+    return np.asarray(np.linalg.norm(points - _nearest(points, legs.start, legs.stop), axis=1))
+
+
+def _nearest(points: Floats, start: Floats, stop: Floats) -> Floats:
+    """Return the places (n, 3) of ways that are nearest to points, m."""
+    along = stop - start
+    share = np.sum((points - start) * along, axis=1) / np.maximum(np.sum(along * along, axis=1), 1e-300)
+    return np.asarray(start + np.clip(share, 0.0, 1.0)[:, None] * along)
 
 
 def _heights(walls: Walls, wall: int, *places: Floats) -> list[Floats]:
