@@ -88,19 +88,21 @@ class MirrorLook:
         slide = self._slides(walls, change, pace, far)
         sure = np.zeros(len(walls))
         gone = np.flatnonzero(~met)
-        sure[gone] = _absent(line, change, holds, lasts(apart, slide))[gone]
+        absent = np.minimum(_absent(line, change, holds, lasts(apart, slide)), change.holds)
+        sure[gone] = np.maximum(absent, self._behind(walls, line, pace, delay))[gone]
         there, some = met, np.flatnonzero(met)
         if len(some):
             ways = np.linalg.norm(np.diff(line.place[some], axis=1), axis=2)
             closing = change.place[some, 1:] + change.place[some, :-1]
             kept = np.minimum(lasts(apart, slide)[some].min(axis=1, initial=FAR), lasts(ways, closing).min(axis=1))
+            kept = np.minimum(kept, change.holds[some])
             there[some], sure[some] = self._free(walls[some], line, change, pace, some, kept)
-        certain = np.minimum(sure, change.holds)
+        certain = sure
         jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
         certain = np.where(jumps & (certain < half), 0.0, certain)
-        loose = np.minimum(lasts(np.full(len(walls), 0.5 * self.step), pace.all_ways), FAR)
+        loose = np.minimum(lasts(np.full(len(walls), self.step), pace.all_ways), FAR)
         fastest = np.minimum(change.place.max(axis=1), FAR) + pace.all_ways
-        return there, certain, np.where(change.holds > 0.0, taken_for(certain, fastest), loose)
+        return there, certain, np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
 
     def _on_faces(self, walls: NDArray[np.int32], line: Line) -> tuple[Bools, Floats, Floats]:
         """Return which hits (n, N) are on their faces, how far from these' borders, and from the origins of bodies, m."""
@@ -111,6 +113,35 @@ class MirrorLook:
                 when = line.now[p] + line.time[p, k + 1]
                 holds[p, k], apart[p, k], far[p, k] = self.obstacles.border(surface, line.place[p, k + 1], when)
         return holds, apart, far
+
+    def _behind(self, walls: NDArray[np.int32], line: Line, pace: Pace, delay: Floats) -> Floats:
+        """Return for how long a face that moves surely has source and receiver on both its sides, (n,) s.
+
+        Notes
+        -----
+        That is asked of paths that one moving face alone reflects: all images by walls rest as the ends do, and
+        whenever sound may meet the face, it is in a pose that differs from one of these by no more than it moves.
+        """
+        mirrors, sure = self.obstacles.mirrors, np.zeros(len(walls))
+        moving = np.append([not body.is_static for body in mirrors.bodies], False)[mirrors.owner[walls]]
+        if self.medium.wind is not None:
+            return sure
+        rows = np.flatnonzero(np.sum(moving, axis=1) == 1)
+        k = np.argmax(moving[rows], axis=1)
+        surface = walls[rows, k]
+        for face in np.unique(surface).tolist():
+            p = np.flatnonzero(surface == face)
+            n, body = rows[p], int(mirrors.owner[face])
+            when = line.now[n] - 0.5 * delay[n]
+            own = [mirrors.bodies[body].seen(x[n, k[p]], when) for x in (line.start, line.stop)]
+            heights = [x @ mirrors.normal[face] - mirrors.offset[face] for x in own]
+            found = np.full(len(n), FAR)
+            for height, place, end in zip(heights, own, (pace.source[n], pace.receiver[n]), strict=True):
+                faced = pace.speed[n, body] + pace.turn[n, body] * (np.linalg.norm(place, axis=1) + pace.half[n] * end)
+                off = np.abs(height) - _EARLIER * delay[n] * (faced + end)
+                found = np.minimum(found, lasts(np.maximum(off, 0.0), _EARLIER * (faced + end)))
+            sure[n] = np.where(heights[0] * heights[1] < 0.0, found, 0.0)
+        return sure
 
     def _slides(self, walls: NDArray[np.int32], change: Drift, pace: Pace, far: Floats) -> Floats:
         """Return how fast hits (n, N) move as their faces see them, m/s."""
@@ -141,7 +172,8 @@ class MirrorLook:
             )  # fmt: skip
             blocked, certain = self.obstacles.looked(legs, padded[rows, leg], padded[rows, leg + 1], changes)
             free[rows] = ~blocked
-            sure[rows] = np.where(blocked, np.minimum(certain, kept[rows]), np.minimum(sure[rows], certain))
+            certain = np.minimum(certain, kept[rows])
+            sure[rows] = np.where(blocked, certain, np.minimum(sure[rows], certain))
         return free, sure
 
 

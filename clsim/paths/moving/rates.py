@@ -233,7 +233,8 @@ def _body_cells(body: Body, first: float, last: float) -> tuple[Peaks, Floats]:
     bounds = _cells(first, last, np.concatenate([breaks, *([t - CONTINUATION, t, t + CONTINUATION] for t in stands)]))
     values, before, after = np.empty((len(bounds) - 1, 4)), [], []
     for i in range(0, len(values), _SLICE):
-        begin, end = bounds[:-1][i : i + _SLICE], np.nextafter(bounds[1:][i : i + _SLICE], -np.inf)
+        begin, end = bounds[:-1][i : i + _SLICE], bounds[1:][i : i + _SLICE]
+        begin, end = np.nextafter(begin, np.inf), np.nextafter(end, -np.inf)  # velocities jump at bounds
         values[i : i + _SLICE], ends = _cubic_peaks(body, begin, end)
         after.append(ends[0])
         before.append(ends[1])

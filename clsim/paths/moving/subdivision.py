@@ -108,7 +108,7 @@ def _divided(look: Look, which: Rows, gaps: Gaps) -> Gaps:
 
 def _open(gaps: Gaps) -> Gaps:
     """Return the gaps that have a length, and those at which something changes."""
-    kept = (gaps[2] > gaps[1]) | ((gaps[3] != gaps[4]) & (gaps[2] >= gaps[1]))
+    kept = (gaps[2] > gaps[1]) | (gaps[3] != gaps[4])
     return tuple(x[kept] for x in gaps)  # type: ignore[return-value]
 
 

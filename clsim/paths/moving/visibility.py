@@ -143,18 +143,15 @@ class Obstacles:
             plane = np.append(self.walls.plane, -1)
             ends = [plane[np.where(x < len(self.walls), x, -1)] for x in (first, last)]
             local = None if drift is None else local_drift(None, legs, legs.start, legs.stop, drift)
-            for wall in range(len(self.walls)):
-                rows = np.flatnonzero(~found & (ends[0] != plane[wall]) & (ends[1] != plane[wall]))
-                some, slack = legs.part(rows), None if local is None else local.part(rows)
-                hit, lasts = _faced(self.walls, wall, some.start, some.stop, None, slack)
-                found[rows], sure[rows] = hit, np.where(hit, lasts, np.minimum(sure[rows], lasts))
+            skipped = (ends[0][:, None] == self.walls.plane) | (ends[1][:, None] == self.walls.plane)
+            found, sure = _faced(self.walls, skipped, legs.start, legs.stop, None, local)
         for body, (thing, face) in enumerate(zip(self.mirrors.bodies, self.mirrors.first.tolist(), strict=True)):
             rows = np.flatnonzero(~found)
             local_ends = [np.where(self.mirrors.owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last)]
             local_ends = [np.where(x[rows] < 0, -1, own) for x, own in zip((first, last), local_ends, strict=True)]
             slack_of = None if drift is None else (body, drift.part(rows))
-            hit, lasts = hidden_by(thing, legs.part(rows), local_ends[0], local_ends[1], slack_of)
-            found[rows], sure[rows] = hit, np.where(hit, lasts, np.minimum(sure[rows], lasts))
+            hit, certain = hidden_by(thing, legs.part(rows), local_ends[0], local_ends[1], slack_of)
+            found[rows], sure[rows] = hit, np.where(hit, certain, np.minimum(sure[rows], certain))
         return found, sure
 
     def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
@@ -217,13 +214,11 @@ def hidden_by(
     start, stop = body.seen(some.start, some.left), body.seen(some.stop, some.arrived)
     local = None if drift is None else local_drift(number, some, start, stop, all_drift.part(near))
     plane = np.append(walls.plane, -1)
-    ends, free = (plane[first[near]], plane[last[near]]), np.full(len(near), FAR)
-    for face in range(len(walls)):
-        rows = np.flatnonzero(~found[near] & (ends[0] != plane[face]) & (ends[1] != plane[face]))
-        turning = (body, some.part(rows)) if body.trajectory.turns else None
-        hit, certain = _faced(walls, face, start[rows], stop[rows], turning, None if local is None else local.part(rows))
-        found[near[rows]], free[rows] = hit, np.where(hit, certain, np.minimum(free[rows], certain))
-    sure[near] = np.where(found[near], free, np.maximum(sure[near], free)) if drift is not None else 0.0
+    ends = plane[first[near]], plane[last[near]]
+    skipped = (ends[0][:, None] == walls.plane) | (ends[1][:, None] == walls.plane)
+    turning = (body, some) if body.trajectory.turns else None
+    found[near], certain = _faced(walls, skipped, start, stop, turning, local)
+    sure[near] = np.where(found[near], certain, np.maximum(sure[near], certain))
     return found, sure
 
 
@@ -257,40 +252,61 @@ def local_drift(body: int | None, legs: Legs, start: Floats, stop: Floats, drift
 
 
 def _faced(
-    walls: Walls, face: int, start: Floats, stop: Floats, turning: tuple[Body, Legs] | None, drift: LocalDrift | None
-) -> tuple[Bools, Floats]:
-    """Return which ways (n,), in its own coordinates, a face is in the way of, and for how long that is certain, s.
+    walls: Walls, skipped: Bools, start: Floats, stop: Floats, turning: tuple[Body, Legs] | None,
+    drift: LocalDrift | None,
+) -> tuple[Bools, Floats]:  # fmt: skip
+    """Return which ways (n,), in their own coordinates, faces are in the way of, and for how long that is certain, s.
+
+    Those that are `skipped` (n, faces) are in the way of none.
 
     Notes
     -----
     What blocks does so while both ends keep their sides and the place where the way meets the face does not cross its
     border. What is free stays so while both ends keep to one side; or while a way that goes beside the face does not
-    touch its border, in the plane or in space. Before an end that faces the face meets it, none of these fails.
+    touch its border, in the plane or in space.
     """
-    heights = _heights(walls, face, start, stop)
-    hit, crossed = np.zeros(len(start), dtype=bool), np.flatnonzero(_crossed(walls, face, start, stop))
-    own = Legs(start[crossed], stop[crossed], np.empty(0), np.empty(0))
-    places = _met(walls, face, own)
-    if turning is not None:
-        body, legs = turning
-        legs = legs.part(crossed)
-        places = _met_turning(body, face, legs, Legs(own.start, own.stop, legs.left, legs.arrived))
-    hit[crossed] = walls.holds(face, places)
+    heights = [x @ walls.normal.T - walls.offset for x in (start, stop)]
+    hit, crossed = np.zeros(skipped.shape, dtype=bool), _crossed(*heights) & ~skipped
+    way, face = np.nonzero(crossed)
+    share = heights[0][way, face] / (heights[0][way, face] - heights[1][way, face])
+    places = start[way] + share[:, None] * (stop[way] - start[way])
+    if turning is not None and len(way):
+        places = _met_turning(walls, turning, way, face, share, [h[way, face] for h in heights])
+    for each in np.unique(face).tolist():
+        these = np.flatnonzero(face == each)
+        hit[way[these], each] = walls.holds(each, places[these])
+    found = np.any(hit, axis=1)
     if drift is None:
-        return hit, np.zeros(len(hit))
-    fast = np.maximum(drift.start, drift.stop) + drift.extra
-    sides = np.minimum(lasts(np.abs(heights[0]), drift.start), lasts(np.abs(heights[1]), drift.stop))
-    away = np.linalg.norm(_nearest(walls.centre[face], start, stop) - walls.centre[face], axis=1)
-    sure = lasts(np.maximum(away - walls.radius[face] - drift.curved, 0.0), fast)
-    same = heights[0] * heights[1] > 0.0
-    sure = np.where(same, np.maximum(sure, sides), sure)
-    open_ = np.flatnonzero((sure < drift.half) & ~hit)
-    reach = _beside(walls, face, start[open_], stop[open_], [h[open_] for h in heights])
-    sure[open_] = np.maximum(sure[open_], lasts(np.maximum(reach - drift.curved[open_], 0.0), fast[open_]))
-    if len(crossed):
-        border = lasts(_edges_apart(walls, face, places, places), _slides(heights, own, crossed, drift))
-        sure[crossed] = np.where(hit[crossed], np.minimum(border, sides[crossed]), np.maximum(sure[crossed], border))
-    return hit, sure
+        return found, np.zeros(len(found))
+    sides = np.minimum(*(lasts(np.abs(h), x[:, None]) for h, x in zip(heights, (drift.start, drift.stop), strict=True)))
+    sure = _past(walls, heights, (start, stop), drift, sides, skipped | found[:, None])
+    used = ~found[way] | hit[way, face]
+    way, face, places, share = way[used], face[used], places[used], share[used]
+    border = np.empty(len(way))
+    for each in np.unique(face).tolist():
+        these = np.flatnonzero(face == each)
+        border[these] = _edges_apart(walls, each, places[these], places[these])
+    border = lasts(border, _slides([h[way, face] for h in heights], (start[way], stop[way]), share, drift.part(way)))
+    sure[way, face] = np.where(hit[way, face], np.minimum(border, sides[way, face]), np.maximum(sure[way, face], border))
+    blocked = np.where(hit, sure, 0.0).max(axis=1, initial=0.0)
+    return found, np.where(found, blocked, np.where(skipped, FAR, sure).min(axis=1, initial=FAR))
+
+
+def _past(
+    walls: Walls, heights: list[Floats], ends: tuple[Floats, Floats], drift: LocalDrift, sides: Floats, done: Bools
+) -> Floats:
+    """Return for how long ways surely go past faces (n, faces), but for those that are done, s."""
+    start, stop = ends
+    fast = (np.maximum(drift.start, drift.stop) + drift.extra)[:, None]
+    apart = np.linalg.norm(_nearest(walls.centre, start[:, None], stop[:, None]) - walls.centre, axis=2)
+    sure = lasts(np.maximum(apart - walls.radius - drift.curved[:, None], 0.0), np.broadcast_to(fast, apart.shape))
+    sure = np.where(heights[0] * heights[1] > 0.0, np.maximum(sure, sides), sure)
+    way, face = np.nonzero((sure < drift.half[:, None]) & ~done)
+    for each in np.unique(face).tolist():
+        p = way[face == each]
+        reach = _beside(walls, each, start[p], stop[p], [h[p, each] for h in heights]) - drift.curved[p]
+        sure[p, each] = np.maximum(sure[p, each], lasts(np.maximum(reach, 0.0), fast[p, 0]))
+    return sure
 
 
 def _beside(walls: Walls, face: int, start: Floats, stop: Floats, heights: list[Floats]) -> Floats:
@@ -302,13 +318,11 @@ def _beside(walls: Walls, face: int, start: Floats, stop: Floats, heights: list[
     return apart
 
 
-def _slides(heights: list[Floats], own: Legs, crossed: Rows, drift: LocalDrift) -> Floats:
-    """Return how fast the places move, at most, at which ways meet the plane of a face, (n,) m/s."""
-    first, last = (height[crossed] for height in heights)
-    share = first / (first - last)
-    moved = (1.0 - share) * drift.start[crossed] + share * drift.stop[crossed] + drift.extra[crossed]
-    length = np.linalg.norm(own.stop - own.start, axis=1)
-    slope = np.abs(first - last) - 4.0 * drift.curved[crossed]
+def _slides(heights: list[Floats], ends: tuple[Floats, Floats], share: Floats, drift: LocalDrift) -> Floats:
+    """Return how fast the places move, at most, at which ways meet the planes of faces, (n,) m/s."""
+    moved = (1.0 - share) * drift.start + share * drift.stop + drift.extra
+    length = np.linalg.norm(ends[1] - ends[0], axis=1)
+    slope = np.abs(heights[0] - heights[1]) - 4.0 * drift.curved
     return np.asarray(np.where(slope > 0.0, moved * (1.0 + length / np.where(slope > 0.0, slope, 1.0)), FAR))
 
 
@@ -329,37 +343,28 @@ def _apart(points: Floats, legs: Legs) -> Floats:
 
 
 def _nearest(points: Floats, start: Floats, stop: Floats) -> Floats:
-    """Return the places (n, 3) of ways that are nearest to points, m."""
+    """Return the places (..., 3) of ways that are nearest to points, m."""
     along = stop - start
-    share = np.sum((points - start) * along, axis=1) / np.maximum(np.sum(along * along, axis=1), 1e-300)
-    return np.asarray(start + np.clip(share, 0.0, 1.0)[:, None] * along)
+    share = np.sum((points - start) * along, axis=-1) / np.maximum(np.sum(along * along, axis=-1), 1e-300)
+    return np.asarray(start + np.clip(share, 0.0, 1.0)[..., None] * along)
 
 
-def _heights(walls: Walls, wall: int, *places: Floats) -> list[Floats]:
-    return [x @ walls.normal[wall] - walls.offset[wall] for x in places]
-
-
-def _crossed(walls: Walls, wall: int, start: Floats, stop: Floats) -> Bools:
-    """Return which ways go through the plane of a wall strictly between their ends."""
-    first, last = _heights(walls, wall, start, stop)
+def _crossed(first: Floats, last: Floats) -> Bools:
+    """Return which ways go through planes, strictly between their ends, at these heights over them."""
     crosses = first * last < 0.0
     share = first / np.where(crosses, first - last, 1.0)
     return np.asarray(crosses & (share > INNER) & (share < 1.0 - INNER))
 
 
-def _met(walls: Walls, wall: int, legs: Legs) -> Floats:
-    """Return where straight ways through its plane meet a wall, (n, 3) m."""
-    first, last = _heights(walls, wall, legs.start, legs.stop)
-    return np.asarray(legs.start + (first / (first - last))[:, None] * (legs.stop - legs.start))
-
-
-def _met_turning(body: Body, face: int, legs: Legs, own: Legs) -> Floats:
-    """Return where legs through its plane meet a face of a body that turns, as the body sees it, (n, 3) m."""
-    first, last = _heights(body.mesh.walls, face, own.start, own.stop)
-    share = first / (first - last)
-    for _ in range(_STEPS):
-        time = legs.left + share * (legs.arrived - legs.left)
-        place = body.seen(legs.start + share[:, None] * (legs.stop - legs.start), time)
-        share = np.clip(share + _heights(body.mesh.walls, face, place)[0] / (first - last), 0.0, 1.0)
-    time = legs.left + share * (legs.arrived - legs.left)
-    return body.seen(legs.start + share[:, None] * (legs.stop - legs.start), time)
+def _met_turning(
+    walls: Walls, turning: tuple[Body, Legs], way: Rows, face: Rows, share: Floats, heights: list[Floats]
+) -> Floats:
+    """Return where legs through their planes meet faces of a body that turns, as the body sees it, (n, 3) m."""
+    body, legs = turning[0], turning[1].part(way)
+    normal, offset, apart = walls.normal[face], walls.offset[face], heights[0] - heights[1]
+    for step in range(_STEPS + 1):
+        place = legs.start + share[:, None] * (legs.stop - legs.start)
+        own = body.seen(place, legs.left + share * (legs.arrived - legs.left))
+        if step < _STEPS:
+            share = np.clip(share + (np.sum(own * normal, axis=1) - offset) / apart, 0.0, 1.0)
+    return own
