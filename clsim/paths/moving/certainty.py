@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.moving.mirrors import ROOM, dot
-from clsim.paths.moving.rates import FAR, lasts
+from clsim.paths.moving.rates import FAR, lasts, middle_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
 _MOST_DILATION = 1.25  # of a second of emission to one of reception that is taken first, and checked
 _MOST_SLIDE = 0.25  # of the speed of sound, at which places on mirrors that turn move on, the same
-_REACH = 2.0  # radii of a body, beyond which mirrors are not continued
 _MARGIN = 0.25  # of a path's length, by which where it is reflected may slide before bounds no longer hold
 _LESS = 0.8  # of that margin: both length and share may change
 _TAME = 1e-4  # m, by which events may lie off the line for the bounds to hold of where mirrors are met
@@ -108,7 +107,12 @@ def straightened(mirrors: Mirrors, walls: NDArray[Any], events: Events, now: Flo
     share = -far / np.where(rise == 0.0, 1e-300, rise)
     share = np.clip(share, -FAR, FAR)
     place, time = np.empty((count, order + 2, 3)), np.empty((count, order + 2))
-    place[:, 0], place[:, -1], time[:, 0], time[:, -1] = events.place[:, 0, 0], events.place[:, 0, -1], start[:, 0, 0], 0.0
+    place[:, 0], place[:, -1], time[:, 0], time[:, -1] = (
+        events.place[:, 0, 0],
+        events.place[:, 0, -1],
+        start[:, 0, 0],
+        0.0,
+    )
     met = start[:, 1:] + np.clip(share, -1e3, 1e3)[..., None] * (stop[:, 1:] - start[:, 1:])
     time[:, 1:-1] = met[..., 0]
     place[:, 1:-1] = met[..., 1:] + met[..., :1] * wind
@@ -196,9 +200,13 @@ def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium:
     even = (first.dilation <= crude[0]) | np.pad(resting, ((0, 0), (1, 1)))
     ok = np.all(even, axis=1) & np.all((first.place[:, 1:-1] <= crude[1]) | (moves.turn == 0.0), axis=1)
     ok &= np.all(line.tame | (moves.turn == 0.0), axis=1) | ~there
-    found = _drift(moves, line, pace, (np.minimum(first.dilation, crude[0]), np.minimum(first.place[:, 1:-1], crude[1])), c, wind)
+    found = _drift(
+        moves, line, pace, (np.minimum(first.dilation, crude[0]), np.minimum(first.place[:, 1:-1], crude[1])), c, wind
+    )
     stretch = c * (found.dilation[:, 0] - 1.0) / np.maximum(line.length, 1e-9)
-    slides = np.where(there[:, None], found.share + stretch[:, None], np.maximum(found.start / moves.start, found.stop / moves.stop))
+    slides = np.where(
+        there[:, None], found.share + stretch[:, None], np.maximum(found.start / moves.start, found.stop / moves.stop)
+    )
     slides = np.where(turns, slides, 0.0).max(axis=1, initial=0.0)
     holds = np.where(ok, lasts(np.full(len(walls), _LESS * _MARGIN), slides), 0.0)
     return Drift(found.dilation, found.place, found.share, found.start, found.stop, holds)
@@ -210,31 +218,38 @@ def _motions(
     """Return how mirrors move: on a body's faces as its points do, else as far off as mirrors are continued."""
     owner = mirrors.owner[walls]
     moving, body = owner != ROOM, np.maximum(owner, 0)
-    radius, lever = (np.array([getattr(b, name) for b in mirrors.bodies])[body] for name in ("radius", "lever"))
+    middles = [middle_of(b) for b in mirrors.bodies]
+    limit, lever = (np.array([getattr(m, name) for m in middles])[body] for name in ("limit", "lever"))
     rows = np.arange(len(walls))[:, None]
     speed, turn, gain, lift, jolt, twist = (
-        np.where(moving, getattr(pace, name)[rows, body], 0.0) for name in ("speed", "turn", "gain", "lift", "jolt", "twist")
+        np.where(moving, getattr(pace, name)[rows, body], 0.0)
+        for name in ("speed", "turn", "gain", "lift", "jolt", "twist")
     )
-    arm = np.where(there[:, None], np.maximum(lever, 0.0), _REACH * radius)
+    arm = np.where(there[:, None], lever, limit)
     when = np.where(moving, line.time[:, 1:-1], 0.0)
-    origin = np.zeros((*walls.shape, 3))
+    middle = np.zeros((*walls.shape, 3))
     for number, thing in enumerate(mirrors.bodies):
         p, k = np.nonzero(owner == number)
-        origin[p, k] = thing.trajectory.position(line.now[p] + when[p, k])
-    far, near = ((1.0 + _MARGIN) * (np.linalg.norm(x - origin, axis=2) + _REACH * radius) for x in (line.start, line.stop))
+        middle[p, k] = thing.placed(middles[number].place, line.now[p] + when[p, k])
+    far, near = ((1.0 + _MARGIN) * (np.linalg.norm(x - middle, axis=2) + limit) for x in (line.start, line.stop))
     inside = np.minimum(np.abs(line.share) + _MARGIN, 1.0), np.minimum(np.abs(1.0 - line.share) + _MARGIN, 1.0)
     length = line.length[:, None]
     start, stop = (np.where(there[:, None], x * length, y) for x, y in zip(inside, (far, near), strict=True))
     moved = speed + turn * arm
-    away = np.where(line.tame, 0.0, np.linalg.norm(line.place[:, 1:-1] - origin, axis=2) + _REACH * radius)
+    away = np.where(line.tame, 0.0, np.linalg.norm(line.place[:, 1:-1] - middle, axis=2) + limit)
     return _Mirrored(
-        moved, turn, gain + lift * arm + 2.0 * turn * moved, jolt + twist * arm, (moved + wind) / c, away * turn, start, stop
+        moved,
+        turn,
+        gain + lift * arm + 2.0 * turn * moved,
+        jolt + twist * arm,
+        (moved + wind) / c,
+        away * turn,
+        start,
+        stop,
     )
 
 
-def _drift(
-    moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats], c: float, wind: float
-) -> Drift:
+def _drift(moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats], c: float, wind: float) -> Drift:
     """Return bounds from cruder ones, of the dilation (n, N + 2) and of how fast places on mirrors move (n, N), m/s."""
     dilation, late, slide = crude[0][:, 0], crude[0][:, 1:-1], crude[1]
     mach, order = moves.mach, moves.mach.shape[1]

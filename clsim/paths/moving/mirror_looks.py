@@ -11,7 +11,7 @@ from clsim.paths.moving.certainty import drift, straightened
 from clsim.paths.moving.events import find_events
 from clsim.paths.moving.looks import ROUNDS
 from clsim.paths.moving.mirrors import ROOM
-from clsim.paths.moving.rates import FAR, lasts, taken_for
+from clsim.paths.moving.rates import FAR, lasts, middle_of, taken_for
 from clsim.paths.moving.visibility import LegDrift, Legs
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class MirrorLook:
         return there, certain, np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
 
     def _on_faces(self, walls: NDArray[np.int32], line: Line) -> tuple[Bools, Floats, Floats]:
-        """Return which hits (n, N) are on their faces, how far from these' borders, and from the origins of bodies, m."""
+        """Return which hits (n, N) are on their faces, how far from these' borders, and from the middles of bodies, m."""
         holds, apart, far = np.zeros(walls.shape, dtype=bool), np.zeros(walls.shape), np.zeros(walls.shape)
         for k in range(walls.shape[1]):
             for surface in np.unique(walls[:, k]).tolist():
@@ -137,7 +137,8 @@ class MirrorLook:
             heights = [x @ mirrors.normal[face] - mirrors.offset[face] for x in own]
             found = np.full(len(n), FAR)
             for height, place, end in zip(heights, own, (pace.source[n], pace.receiver[n]), strict=True):
-                faced = pace.speed[n, body] + pace.turn[n, body] * (np.linalg.norm(place, axis=1) + pace.half[n] * end)
+                away = np.linalg.norm(place - middle_of(mirrors.bodies[body]).place, axis=1) + pace.half[n] * end
+                faced = pace.speed[n, body] + pace.turn[n, body] * away
                 off = np.abs(height) - _EARLIER * delay[n] * (faced + end)
                 found = np.minimum(found, lasts(np.maximum(off, 0.0), _EARLIER * (faced + end)))
             sure[n] = np.where(heights[0] * heights[1] < 0.0, found, 0.0)

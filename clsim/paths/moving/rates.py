@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.arrays import read_only
+
 from clsim.numerics.quaternions import cross_product, rotate
+from clsim.paths.moving.mirrors import FARTHEST
 from clsim.scene.motion.carried import seen_by
 from clsim.scene.motion.curves import CONTINUATION
 
@@ -26,7 +29,10 @@ _CELL = 1e-3  # s, in each of which motions are bounded
 _MOST_CELLS = 1_000_000
 _SLICE = 16_384  # cells bounded at a time
 _APART = 0.01  # of a cell; nearer to where velocities jump none begins
-_SPEED_SPARE, _ACCELERATION_SPARE = 8.0, 64.0  # what an error in the middle of a cubic says of its derivatives, and twice
+_SPEED_SPARE, _ACCELERATION_SPARE = (
+    8.0,
+    64.0,
+)  # what an error in the middle of a cubic says of its derivatives, and twice
 _BEFORE = 0.06  # s, before the earliest emission
 
 _ROUNDING = 1e-9  # m/s, rad/s
@@ -48,6 +54,37 @@ def taken_for(sure: Floats, fastest: Floats) -> Floats:
     path may run along it.
     """
     return np.where(sure * fastest < _GRAZE, _GRAZE_TIME, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Middle:
+    """The middle of a body, from which its motion is bounded.
+
+    Attributes
+    ----------
+    place : ndarray (3,)
+        In the body's own coordinates, m.
+    radius, lever : float
+        How far points of the body are from it at most, and from axes through it about which the body turns, m.
+    limit : float
+        The same of places at which mirrors are taken from the body's motion, m.
+    """
+
+    place: Floats
+    radius: float
+    lever: float
+    limit: float
+
+
+@lru_cache(maxsize=256)
+def middle_of(body: Body) -> Middle:
+    """Return the middle of a body."""
+    corners, turning = body.mesh.vertices, body.trajectory.turning
+    place = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    away = corners - place
+    lever = 0.0 if turning is None else turning.lever(away)
+    limit = FARTHEST * body.radius + float(np.linalg.norm(place))
+    return Middle(read_only(place), float(np.linalg.norm(away, axis=1).max()), lever, limit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,11 +137,11 @@ class Pace:
     source, receiver : ndarray (n,)
         Speeds of the ends, m/s.
     speed, turn : ndarray (n, B)
-        Speeds of the origins of bodies, m/s, and angular velocities, rad/s.
+        Speeds of the middles of bodies, m/s, and angular velocities, rad/s.
     gain, lift : ndarray (n, B)
-        Accelerations of the origins, m/s², and by how much those of other points may differ for each metre, 1/s².
+        Accelerations of the middles, m/s², and by how much those of other points may differ for each metre, 1/s².
     jolt, twist : ndarray (n, B)
-        By how much velocities of the origins, m/s, and angular velocities, rad/s, jump within them in all.
+        By how much velocities of the middles, m/s, and angular velocities, rad/s, jump within them in all.
     held : ndarray (B, 2) bool
         Whether bodies hold source and receiver where they are.
     """
@@ -191,7 +228,8 @@ class EndRates:
         for i, (peaks, jumps) in enumerate(zip(table.peaks, table.jumps, strict=True)):
             columns[:4, :, i] = peaks.over(emitted, end).T
             columns[4:, :, i] = (
-                jumps[np.searchsorted(peaks.bounds, end, "right")] - jumps[np.searchsorted(peaks.bounds, emitted, "left")]
+                jumps[np.searchsorted(peaks.bounds, end, "right")]
+                - jumps[np.searchsorted(peaks.bounds, emitted, "left")]
             ).T
         source, receiver = (peaks.over(emitted, end)[:, 0] for peaks in self.ends)
         return Pace(half, source, receiver, *columns, self.held)
@@ -210,7 +248,9 @@ def _cells(first: float, last: float, breaks: Floats) -> Floats:
     even, step = np.linspace(first, last, count + 1), (last - first) / count
     breaks = np.unique(breaks[(breaks > first + _APART * step) & (breaks < last - _APART * step)])
     if len(breaks):
-        near = np.minimum(*(np.abs(even - breaks[np.clip(np.searchsorted(breaks, even) - i, 0, len(breaks) - 1)]) for i in (0, 1)))
+        near = np.minimum(
+            *(np.abs(even - breaks[np.clip(np.searchsorted(breaks, even) - i, 0, len(breaks) - 1)]) for i in (0, 1))
+        )
         even = even[near > _APART * step]
     return np.union1d(even, breaks)
 
@@ -220,7 +260,7 @@ def _body_cells(body: Body, first: float, last: float) -> tuple[Peaks, Floats]:
 
     Notes
     -----
-    The origin and the three axes go from one bound of a cell to the next as cubics with their velocities at both. A
+    The middle and the three axes go from one bound of a cell to the next as cubics with their velocities at both. A
     cubic's derivatives lie within their Bézier points. What a cubic misses, 1/384 of the fourth derivative by the
     fourth power of the cell's length, is measured in its middle; it leaves 3.1 times that over the length of the
     velocity, and 32 times that over its square of the acceleration, of which twice are added.
@@ -241,11 +281,13 @@ def _body_cells(body: Body, first: float, last: float) -> tuple[Peaks, Floats]:
     jump = np.linalg.norm(np.concatenate(after)[1:] - np.concatenate(before)[:-1], axis=2)
     told = np.stack([jump[:, 0], np.sqrt(0.5 * np.sum(jump[:, 1:] ** 2, axis=1))], axis=1)
     told[told < _ROUNDING] = 0.0
-    return Peaks.of(bounds, values), np.concatenate([np.zeros((2, 2)), np.cumsum(told, axis=0), np.sum(told, axis=0)[None]])
+    return Peaks.of(bounds, values), np.concatenate(
+        [np.zeros((2, 2)), np.cumsum(told, axis=0), np.sum(told, axis=0)[None]]
+    )
 
 
 def _cubic_peaks(body: Body, begin: Floats, end: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
-    """Return speed, turn, gain and lift (n, 4) within cells, and velocities (n, 4, 3) of origin and axes at both ends."""
+    """Return speed, turn, gain and lift (n, 4) within cells, and velocities (n, 4, 3) of middle and axes at both ends."""
     (p, u), (q, v) = (_state(body, t) for t in (begin, end))
     length = (end - begin)[:, None, None]
     middle = _state(body, 0.5 * (begin + end))[0]
@@ -254,17 +296,21 @@ def _cubic_peaks(body: Body, begin: Floats, end: Floats) -> tuple[Floats, tuple[
     speed = np.max([np.linalg.norm(x, axis=2) for x in (u, 3.0 * mean - u - v, v)], axis=0)
     speed += _SPEED_SPARE * missed / length[..., 0]
     bends = ((6.0 * mean - 4.0 * u - 2.0 * v) / length, (2.0 * u + 4.0 * v - 6.0 * mean) / length)
-    gain = np.max([np.linalg.norm(x, axis=2) for x in bends], axis=0) + _ACCELERATION_SPARE * missed / length[..., 0] ** 2
+    gain = (
+        np.max([np.linalg.norm(x, axis=2) for x in bends], axis=0) + _ACCELERATION_SPARE * missed / length[..., 0] ** 2
+    )
     turn = np.sqrt(0.5 * np.sum(speed[:, 1:] ** 2, axis=1))
     lift = np.sqrt(np.sum(gain[:, 1:] ** 2, axis=1))
     return np.stack([speed[:, 0], turn, gain[:, 0], lift], axis=1), (u, v)
 
 
 def _state(body: Body, times: Floats) -> tuple[Floats, Floats]:
-    """Return places and velocities (n, 4, 3) of the origin of a body, and its axes and how these change."""
+    """Return places and velocities (n, 4, 3) of the middle of a body, and its axes and how these change."""
     motion = body.trajectory
     place, velocity = np.empty((2, len(times), 4, 3))
-    place[:, 0], velocity[:, 0] = motion.position(times), motion.velocity(times)
-    place[:, 1:] = rotate(motion.orientation(times)[:, None], np.eye(3))
-    velocity[:, 1:] = cross_product(motion.angular_velocity(times)[:, None], place[:, 1:])
+    turning, turned = motion.angular_velocity(times), motion.orientation(times)
+    arm = rotate(turned, middle_of(body).place)
+    place[:, 0], velocity[:, 0] = motion.position(times) + arm, motion.velocity(times) + cross_product(turning, arm)
+    place[:, 1:] = rotate(turned[:, None], np.eye(3))
+    velocity[:, 1:] = cross_product(turning[:, None], place[:, 1:])
     return place, velocity

@@ -182,9 +182,7 @@ class BodySearch:
     ) -> tuple[NDArray[np.int32], Floats, Floats]:
         """Return the mirrors of paths, and when they are heard, of sequences (n, N) in cells (n,) of time."""
         which, begin, end = _runs(sequence, spans, np.minimum(cells, pair.last))
-        looks = MirrorLook(
-            self.obstacles, pair.ends, pair.medium, pair.rates, sequence, self.search.body_step
-        )
+        looks = MirrorLook(self.obstacles, pair.ends, pair.medium, pair.rates, sequence, self.search.body_step)
         path, begin, end = intervals(looks.look, looks.status, (which, begin, end), pair.resolution)
         return _merged(sequence[path], *pair.bounded(begin, end))
 
@@ -288,7 +286,9 @@ def _runs(
     sequence: NDArray[np.int32], cell: NDArray[np.int64], bounds: Floats
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Return from when to when sequences (n, N) of cells (n,) are to be looked at: rows, and times that touch as one."""
-    number = np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
+    number = (
+        np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
+    )
     order = np.lexsort((cell, number))
     number, cell = number[order], cell[order]
     first = np.ones(len(order), dtype=bool)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.moving.mirrors import ROOM, Mirrors
-from clsim.paths.moving.rates import FAR, lasts
+from clsim.paths.moving.rates import FAR, lasts, middle_of
 from clsim.paths.specular.occlusion import INNER
 from clsim.paths.specular.visibility import segments_apart
 
@@ -67,9 +67,7 @@ class LegDrift:
 
     def part(self, rows: Rows) -> LegDrift:
         """Return that of some of them."""
-        return LegDrift(
-            self.start[rows], self.stop[rows], self.dilation[rows], self.held[rows], self.pace.part(rows)
-        )
+        return LegDrift(self.start[rows], self.stop[rows], self.dilation[rows], self.held[rows], self.pace.part(rows))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,12 +153,14 @@ class Obstacles:
         return found, sure
 
     def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
-        """Return which places (n, 3) at times (n,) are on a mirror, how far from its border, m, and from its origin, m."""
+        """Return which places (n, 3) at times (n,) are on a mirror, how far from its border and its body's middle, m."""
         walls, face, own = self._of(surface, places, times)
         apart = _edges_apart(walls, face, own, own)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
             apart = np.minimum(apart, _edges_apart(walls, int(twin), own, own))
-        return self._holds(surface, places, times), apart, np.linalg.norm(own, axis=1)
+        body = int(self.mirrors.owner[surface])
+        middle = 0.0 if body == ROOM else middle_of(self.mirrors.bodies[body]).place
+        return self._holds(surface, places, times), apart, np.linalg.norm(own - middle, axis=1)
 
     def _of(self, surface: int, places: Floats, times: Floats) -> tuple[Walls, int, Floats]:
         """Return a mirror as a wall of its room or body, and places at times in the coordinates of that."""
@@ -202,7 +202,9 @@ def hidden_by(
     curve touches, and not the ends, is not seen.
     """
     walls, found = body.mesh.walls, np.zeros(len(legs.left), dtype=bool)
-    beside = _apart(body.trajectory.position(0.5 * (legs.left + legs.arrived)), legs) - _reach(body, legs)
+    middle = middle_of(body)
+    reach = _SPARE * middle.radius + 0.5 * body.peak_speed * np.abs(legs.arrived - legs.left)
+    beside = _apart(body.placed(middle.place, 0.5 * (legs.left + legs.arrived)), legs) - reach
     sure, around = np.zeros(len(found)), beside <= 0.0
     if drift is not None:
         number, all_drift = drift
@@ -212,7 +214,11 @@ def hidden_by(
     near = np.flatnonzero(around)
     some = legs.part(near)
     start, stop = body.seen(some.start, some.left), body.seen(some.stop, some.arrived)
-    local = None if drift is None else local_drift(number, some, start, stop, all_drift.part(near))
+    local = (
+        None
+        if drift is None
+        else local_drift(number, some, start - middle.place, stop - middle.place, all_drift.part(near))
+    )
     plane = np.append(walls.plane, -1)
     ends = plane[first[near]], plane[last[near]]
     skipped = (ends[0][:, None] == walls.plane) | (ends[1][:, None] == walls.plane)
@@ -223,7 +229,7 @@ def hidden_by(
 
 
 def local_drift(body: int | None, legs: Legs, start: Floats, stop: Floats, drift: LegDrift) -> LocalDrift:
-    """Return how fast legs from places to others (n, 3), as a body sees them, change; None for the room.
+    """Return how fast legs from places to others (n, 3), as a body sees them from its middle, change; None for the room.
 
     Notes
     -----
@@ -287,7 +293,9 @@ def _faced(
         these = np.flatnonzero(face == each)
         border[these] = _edges_apart(walls, each, places[these], places[these])
     border = lasts(border, _slides([h[way, face] for h in heights], (start[way], stop[way]), share, drift.part(way)))
-    sure[way, face] = np.where(hit[way, face], np.minimum(border, sides[way, face]), np.maximum(sure[way, face], border))
+    sure[way, face] = np.where(
+        hit[way, face], np.minimum(border, sides[way, face]), np.maximum(sure[way, face], border)
+    )
     blocked = np.where(hit, sure, 0.0).max(axis=1, initial=0.0)
     return found, np.where(found, blocked, np.where(skipped, FAR, sure).min(axis=1, initial=FAR))
 
@@ -329,12 +337,6 @@ def _slides(heights: list[Floats], ends: tuple[Floats, Floats], share: Floats, d
 def _edges_apart(walls: Walls, face: int, start: Floats, stop: Floats) -> Floats:
     """Return the distances (n,) of straight ways from the border of a face, m."""
     return np.asarray(segments_apart(walls.edges_of(face), start, stop).min(axis=1, initial=np.inf))
-
-
-def _reach(body: Body, legs: Legs) -> Floats:
-    """Return within which distance of the body's origin half way legs may meet it, m."""
-    moved = body.peak_speed * 0.5 * np.abs(legs.arrived - legs.left)
-    return np.asarray(_SPARE * body.radius + moved)
 
 
 def _apart(points: Floats, legs: Legs) -> Floats:
