@@ -44,8 +44,9 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
 
-_MOST_DILATION = 1.25  # of a second of emission to one of reception that is taken first, and checked
-_MOST_SLIDE = 0.25  # of the speed of sound, at which places on mirrors that turn move on, the same
+_MOST_DILATION = 2.0  # of a second of emission to one of reception that is taken first, and checked
+_MOST_SLIDE = 0.5  # of the speed of sound, at which places on mirrors that turn move on, the same
+_ROUNDS = 2  # in which bounds are made narrower
 _MARGIN = 0.25  # of a path's length, by which where it is reflected may slide before bounds no longer hold
 _LESS = 0.8  # of that margin: both length and share may change
 _TAME = 1e-4  # m, by which events may lie off the line for the bounds to hold of where mirrors are met
@@ -174,6 +175,7 @@ class _Mirrored:
     away: Floats
     start: Floats
     stop: Floats
+    spare: Floats
 
 
 def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium: UniformAir, there: Bools) -> Drift:
@@ -200,13 +202,15 @@ def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium:
     even = (first.dilation <= crude[0]) | np.pad(resting, ((0, 0), (1, 1)))
     ok = np.all(even, axis=1) & np.all((first.place[:, 1:-1] <= crude[1]) | (moves.turn == 0.0), axis=1)
     ok &= np.all(line.tame | (moves.turn == 0.0), axis=1) | ~there
-    found = _drift(
-        moves, line, pace, (np.minimum(first.dilation, crude[0]), np.minimum(first.place[:, 1:-1], crude[1])), c, wind
-    )
+    found = first
+    for _ in range(_ROUNDS):
+        known = np.minimum(found.dilation, crude[0]), np.minimum(found.place[:, 1:-1], crude[1])
+        found = _drift(moves, line, pace, known, c, wind)
     stretch = c * (found.dilation[:, 0] - 1.0) / np.maximum(line.length, 1e-9)
     slides = np.where(
-        there[:, None], found.share + stretch[:, None], np.maximum(found.start / moves.start, found.stop / moves.stop)
+        line.tame, found.share + stretch[:, None], np.maximum(found.start / moves.start, found.stop / moves.stop)
     )
+    slides = np.maximum(slides, _MARGIN * (found.place[:, 1:-1] + _MOST_DILATION * moves.speed) / moves.spare)
     slides = np.where(turns, slides, 0.0).max(axis=1, initial=0.0)
     holds = np.where(ok, lasts(np.full(len(walls), _LESS * _MARGIN), slides), 0.0)
     return Drift(found.dilation, found.place, found.share, found.start, found.stop, holds)
@@ -225,18 +229,20 @@ def _motions(
         np.where(moving, getattr(pace, name)[rows, body], 0.0)
         for name in ("speed", "turn", "gain", "lift", "jolt", "twist")
     )
-    arm = np.where(there[:, None], lever, limit)
     when = np.where(moving, line.time[:, 1:-1], 0.0)
     middle = np.zeros((*walls.shape, 3))
     for number, thing in enumerate(mirrors.bodies):
         p, k = np.nonzero(owner == number)
         middle[p, k] = thing.placed(middles[number].place, line.now[p] + when[p, k])
+    off = np.linalg.norm(line.place[:, 1:-1] - middle, axis=2)
+    spare = np.where(there[:, None] | ~line.tame, FAR, _MARGIN * off + lever)
+    arm = np.where(there[:, None], lever, np.where(line.tame, off + spare, limit))
     far, near = ((1.0 + _MARGIN) * (np.linalg.norm(x - middle, axis=2) + limit) for x in (line.start, line.stop))
-    inside = np.minimum(np.abs(line.share) + _MARGIN, 1.0), np.minimum(np.abs(1.0 - line.share) + _MARGIN, 1.0)
-    length = line.length[:, None]
-    start, stop = (np.where(there[:, None], x * length, y) for x, y in zip(inside, (far, near), strict=True))
+    shares = (np.abs(x) + _MARGIN for x in (line.share, 1.0 - line.share))
+    shares = (np.where(there[:, None], np.minimum(x, 1.0), x) for x in shares)
+    start, stop = (np.where(line.tame, x * line.length[:, None], y) for x, y in zip(shares, (far, near), strict=True))
     moved = speed + turn * arm
-    away = np.where(line.tame, 0.0, np.linalg.norm(line.place[:, 1:-1] - middle, axis=2) + limit)
+    away = np.where(line.tame, 0.0, off + limit)
     return _Mirrored(
         moved,
         turn,
@@ -246,6 +252,7 @@ def _motions(
         away * turn,
         start,
         stop,
+        spare,
     )
 
 

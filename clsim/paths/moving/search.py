@@ -21,6 +21,7 @@ from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.specular.mesh import BEAM_LIMIT, visibility_query
 from clsim.paths.specular.occlusion import air_sides
+from clsim.paths.specular.wall_lookup import WallLookup
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.carried import even_ways
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
-_POSES = 0.1  # m, which bodies go from one pose in which sequences are looked for to the next
+_POSES = 0.3  # m, which images by bodies go, half way, from one pose in which sequences are looked for to the next
 _RATE = 1000.0  # Hz, at which speeds are looked at
 _SHORTEST = 1e-3  # s between poses
 _FASTEST = 0.5  # of the speed of sound, of bodies and sources on a path together
@@ -213,7 +214,9 @@ class BodySearch:
     def spans(self, last: float) -> list[tuple[float, float]]:
         """Return stretches of time until a last one, s, in each of which bodies are about one pose."""
         instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
-        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0)
+        size = self.room.walls.size
+        turning = [np.linalg.norm(body.trajectory.angular_velocity(instants), axis=-1) for body in self.scene.bodies]
+        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0) + size * np.sum(turning, axis=0)
         waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
         return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
 
@@ -224,8 +227,13 @@ class BodySearch:
 
         Notes
         -----
-        Beams run between balls that hold the ends. Bodies that go by d from the pose, at the most, while sound may meet
-        them displace images by 2 d each: balls are as much larger.
+        Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, each reflection
+        at the place of the face at which it is: a line from ball to ball that is in all apertures, but bends at mirrors
+        that are off their pose: by 2 a where they are turned by a, by 2 V / c as they move, and by what they are
+        displaced, d, at both ends of a leg. A beam reaches all that lines from its ball through its last aperture do.
+        Drawn on backwards, each leg passes the source by no more than the bends before it times the way to them. So no
+        sequence is lost by a ball that is as much larger, but where the leg between two mirrors is shorter than they are
+        displaced. What bodies hide in the pose they may not hide: nothing is taken to be hidden.
         """
         ends, (begin, end) = query.trajectory_tables, span
         middle = 0.5 * (begin - longest + end)
@@ -235,7 +243,7 @@ class BodySearch:
         ears = ends.receiver_spheres(begin, end)
         start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
         ears = BoundingSpheres(ears.centre, ears.radius + slack)
-        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, sides=air_sides(walls, start))
+        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), _Unhidden(walls))
         first, width = len(self.scene.room.faces), max(self.order, 1)
         parts = [(np.empty((0, width), dtype=np.int32), np.empty(0, dtype=np.int64))]
         for batch in tree.candidates(self.order):
@@ -246,13 +254,22 @@ class BodySearch:
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     def moved(self, time: float, others: Floats) -> float:
-        """Return how far a corner of a body is at other times (n,) from where it is at a time, at the most, m."""
-        most = 0.0
+        """Return how far images by bodies are at most off those at a time, from the first to the last of others (n,), m.
+
+        That is half of it: by how much a corner goes, and how far the way to the body turns, on the mean of all ways to
+        reflections, each no longer than the room for every leg.
+        """
+        most, between = 0.0, 0.5 * float(np.diff(others).max(initial=0.0))
+        way = 0.5 * (self.order + 1) * self.room.walls.size
         for body in self.scene.bodies:
-            corners = body.mesh.vertices
             if not body.is_static:
+                corners, motion = body.mesh.vertices, body.trajectory
                 away = body.placed(corners[None], others[:, None]) - body.placed(corners, np.array(time))
-                most = max(most, float(np.linalg.norm(away, axis=-1).max()))
+                cosine = np.abs(motion.orientation(others) @ motion.orientation(np.array(time)))
+                speed = float(body.speed(others).max())
+                turned = float(2.0 * np.arccos(np.minimum(cosine, 1.0)).max()) + motion.peak_turn * between
+                gone = float(np.linalg.norm(away, axis=-1).max()) + speed * between
+                most = max(most, gone + way * (turned + speed / self.scene.air.slowest))
         return most
 
     def posed(self, time: float) -> Walls:
@@ -280,6 +297,15 @@ class BodySearch:
             start=read_only(np.concatenate([begin for _, begin, _, _ in found])),
             end=read_only(np.concatenate([end for _, _, end, _ in found])), surfaces=read_only(surfaces),
         )  # fmt: skip
+
+
+class _Unhidden(WallLookup):
+    """Looks up walls of which none hides another."""
+
+    def crossings(self, start: Floats, stop: Floats) -> tuple[Any, Any, Any]:
+        """Return none."""
+        none = np.empty(0, dtype=np.int64)
+        return none, none, none
 
 
 def _runs(
