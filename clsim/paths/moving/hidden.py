@@ -18,6 +18,8 @@ from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
     Rows = NDArray[np.int64]
 
+_NODES = 6  # times between two looks at which corners of paths are asked for
 _EARLIER = 1.25  # of a delay, and more, before which sound of a stretch of time was not emitted
 
 
@@ -53,7 +56,7 @@ def behind_bodies(search: BodySearch, family: PathFamily) -> PathFamily:
             spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
             path, begin, end = subdivided(look.look, look.status, spans, query.resolution)
         else:
-            path, begin, end = intervals(status, pair.index, query.times, query.resolution)
+            path, begin, end = intervals(status, pair.index, query.times, query.resolution, status.nearby)
         begin, end = query.bounded(begin, end)
         path = pair.index[path]
         begin, end = np.maximum(begin, family.start[path]), np.minimum(end, family.end[path])
@@ -86,6 +89,29 @@ class _Status:
             some = np.flatnonzero(shared == group)
             free[some] = self._free(*polylines(self._family, self._mirrors, rows[some], times[some]))
         return free
+
+    def nearby(self, rows: Rows, begin: Floats, end: Floats) -> Callable[[Floats], NDArray[np.bool_]]:
+        """Return what says the same of times (P, T) between two times (P,), by polynomials of corners through some."""
+        nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
+        weights = np.where(np.arange(_NODES) % 2, -1.0, 1.0)
+        weights[[0, -1]] *= 0.5
+        times = 0.5 * (begin + end)[:, None] + 0.5 * (end - begin)[:, None] * nodes
+        shared = np.unique(np.stack([begin, end], axis=1), axis=0, return_inverse=True)[1].ravel()
+        parts = [np.flatnonzero(shared == group) for group in range(int(shared.max()) + 1)]
+        told = [self.polylines(rows[part], times[part]) for part in parts]
+        back = np.argsort(np.concatenate(parts))
+        place, when = (np.concatenate([each[i] for each in told])[back] for i in range(2))
+
+        def status(at: Floats) -> NDArray[np.bool_]:
+            u = (2.0 * at - (begin + end)[:, None]) / (end - begin)[:, None]
+            apart = u[..., None] - nodes
+            exact = np.abs(apart) < 1e-14
+            share = weights / np.where(exact, 1.0, apart)
+            share = np.where(exact.any(axis=2, keepdims=True), exact, share)
+            share /= share.sum(axis=2, keepdims=True)
+            return self._free(np.einsum("ptn,pnvx->ptvx", share, place), np.einsum("ptn,pnv->ptv", share, when))
+
+        return status
 
     def _free(self, place: Floats, when: Floats) -> NDArray[np.bool_]:
         """Return which polylines (P, T, V, 3) of events at times (P, T, V) pass all bodies, (P, T)."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from clsim.scene.motion.motion import Motion
 
     Status = Callable[[NDArray[np.int64], Floats], NDArray[np.bool_]]
+    Nearby = Callable[[NDArray[np.int64], Floats, Floats], Callable[[Floats], NDArray[np.bool_]]]
 
 ROUNDS = 5  # of the search for events, where 1e-9 m do
 _RATE = 1000.0  # Hz, at which speeds are looked at
@@ -57,7 +58,7 @@ def looks(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: 
 
 
 def intervals(
-    status: Status, rows: NDArray[np.int64], times: Floats, resolution: float
+    status: Status, rows: NDArray[np.int64], times: Floats, resolution: float, nearby: Nearby
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Return when paths are there: places among `rows` (n,) in order, begins and ends (n,), s.
 
@@ -71,13 +72,16 @@ def intervals(
         Looks, s; what comes and goes between two of them is missed.
     resolution : float
         To which begins and ends are found, s.
+    nearby : callable
+        Takes rows (P,), begins and ends (P,), s; returns what takes times (P, T) between them for about `status`. Where
+        that finds a change, two looks say whether it is one; else it is found by looks alone.
     """
     parts = np.array_split(np.arange(len(rows)), max(1, -(-len(rows) * len(times) // _AT_A_TIME)))
     parts = [part for part in parts if len(part)]
     seen = [status(rows[part], np.tile(times, (len(part), 1))) for part in parts]
     there = np.concatenate(seen) if seen else np.zeros((0, len(times)), dtype=bool)
     path, gap = np.nonzero(there[:, 1:] != there[:, :-1])
-    change = _changes(status, rows[path], (times[gap], times[gap + 1]), resolution)
+    change = _found(status, nearby, rows[path], (times[gap], times[gap + 1]), resolution)
     # In the order of time each path's changes are begins and ends in turn.
     first, last = np.flatnonzero(there[:, 0]), np.flatnonzero(there[:, -1])
     rising = ~there[path, gap]
@@ -90,12 +94,29 @@ def intervals(
     return paths[0][begin], bounds[0][begin], bounds[1][end]
 
 
+def _found(
+    status: Status, nearby: Nearby, rows: NDArray[np.int64], between: tuple[Floats, Floats], resolution: float
+) -> Floats:
+    """Return the times (n,) between two at which paths change, s, as `_changes`."""
+    if not len(rows):
+        return np.empty(0)
+    begin, end = between
+    quick = nearby(rows, begin, end)
+    change = _changes(lambda _, times: quick(times), rows, between, resolution)
+    near = np.stack([np.maximum(change - resolution, begin), np.minimum(change, end)], axis=1)
+    seen, last = _at(status, rows, near), quick(end[:, None])[:, 0]
+    wrong = np.flatnonzero((seen[:, 0] == last) | (seen[:, 1] != last))
+    if len(wrong):
+        change[wrong] = _changes(status, rows[wrong], (begin[wrong], end[wrong]), resolution)
+    return change
+
+
 def _changes(status: Status, rows: NDArray[np.int64], between: tuple[Floats, Floats], resolution: float) -> Floats:
     """Return the first time (n,) of those between two at which a path is no more as it was at the first, s."""
     begin, end = (np.array(x) for x in between)
-    before = ~_at(status, rows, end[:, None])[:, 0] if len(rows) else np.zeros(0, dtype=bool)
+    before = ~_at(status, rows, end[:, None])[:, 0]
     share = np.arange(1, _PARTS) / _PARTS
-    while len(rows) and np.max(end - begin) > resolution:
+    while np.max(end - begin) > resolution:
         times = begin[:, None] + (end - begin)[:, None] * share
         differs = _at(status, rows, times) != before[:, None]
         any_differs, first = differs.any(axis=1), np.argmax(differs, axis=1)
