@@ -18,12 +18,11 @@ from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.family import PairPaths, PathFamily
+    from clsim.paths.moving.looks import Status
     from clsim.paths.moving.mirrors import Mirrors
     from clsim.paths.moving.rates import Pace
     from clsim.paths.moving.search import BodySearch, PairQuery
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
     Rows = NDArray[np.int64]
 
-_NODES = 6  # times between two looks at which corners of paths are asked for
+_NODES = 8  # times at which corners of paths are asked for, between which they are smooth
 _EARLIER = 1.25  # of a delay, and more, before which sound of a stretch of time was not emitted
 
 
@@ -90,26 +89,22 @@ class _Status:
             free[some] = self._free(*polylines(self._family, self._mirrors, rows[some], times[some]))
         return free
 
-    def nearby(self, rows: Rows, begin: Floats, end: Floats) -> Callable[[Floats], NDArray[np.bool_]]:
-        """Return what says the same of times (P, T) between two times (P,), by polynomials of corners through some."""
+    def nearby(self, rows: Rows, times: Floats) -> Status:
+        """Return what says the same of some of the rows, from the first to the last of times (T,), by polynomials."""
         nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
         weights = np.where(np.arange(_NODES) % 2, -1.0, 1.0)
         weights[[0, -1]] *= 0.5
-        times = 0.5 * (begin + end)[:, None] + 0.5 * (end - begin)[:, None] * nodes
-        shared = np.unique(np.stack([begin, end], axis=1), axis=0, return_inverse=True)[1].ravel()
-        parts = [np.flatnonzero(shared == group) for group in range(int(shared.max()) + 1)]
-        told = [self.polylines(rows[part], times[part]) for part in parts]
-        back = np.argsort(np.concatenate(parts))
-        place, when = (np.concatenate([each[i] for each in told])[back] for i in range(2))
+        middle, half = 0.5 * (times[0] + times[-1]), max(0.5 * (times[-1] - times[0]), 1e-12)
+        place, when = self.polylines(rows, np.tile(middle + half * nodes, (len(rows), 1)))
 
-        def status(at: Floats) -> NDArray[np.bool_]:
-            u = (2.0 * at - (begin + end)[:, None]) / (end - begin)[:, None]
-            apart = u[..., None] - nodes
+        def status(some: Rows, at: Floats) -> NDArray[np.bool_]:
+            apart = ((at - middle) / half)[..., None] - nodes
             exact = np.abs(apart) < 1e-14
             share = weights / np.where(exact, 1.0, apart)
             share = np.where(exact.any(axis=2, keepdims=True), exact, share)
             share /= share.sum(axis=2, keepdims=True)
-            return self._free(np.einsum("ptn,pnvx->ptvx", share, place), np.einsum("ptn,pnv->ptv", share, when))
+            corners = np.einsum("ptn,pnvx->ptvx", share, place[some])
+            return self._free(corners, np.einsum("ptn,pnv->ptv", share, when[some]))
 
         return status
 

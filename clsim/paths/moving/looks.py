@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from clsim.scene.motion.motion import Motion
 
     Status = Callable[[NDArray[np.int64], Floats], NDArray[np.bool_]]
-    Nearby = Callable[[NDArray[np.int64], Floats, Floats], Callable[[Floats], NDArray[np.bool_]]]
+    Nearby = Callable[[NDArray[np.int64], Floats], Status]
 
 ROUNDS = 5  # of the search for events, where 1e-9 m do
 _RATE = 1000.0  # Hz, at which speeds are looked at
 _PARTS = 4  # of the time between two looks, and so on
 _AT_A_TIME = 50_000  # paths and times
+_TOGETHER = 32  # looks between which paths are smooth
 
 
 def looks(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: float, step: float) -> Floats:
@@ -73,15 +74,21 @@ def intervals(
     resolution : float
         To which begins and ends are found, s.
     nearby : callable
-        Takes rows (P,), begins and ends (P,), s; returns what takes times (P, T) between them for about `status`. Where
-        that finds a change, two looks say whether it is one; else it is found by looks alone.
+        Takes rows (P,) and some of the times; returns what takes places among these rows (n,) and times (n, T) within
+        these for about `status`. Where that finds a change, two looks say whether it is one; else it is found by looks.
     """
-    parts = np.array_split(np.arange(len(rows)), max(1, -(-len(rows) * len(times) // _AT_A_TIME)))
-    parts = [part for part in parts if len(part)]
-    seen = [status(rows[part], np.tile(times, (len(part), 1))) for part in parts]
-    there = np.concatenate(seen) if seen else np.zeros((0, len(times)), dtype=bool)
-    path, gap = np.nonzero(there[:, 1:] != there[:, :-1])
-    change = _found(status, nearby, rows[path], (times[gap], times[gap + 1]), resolution)
+    there = np.zeros((len(rows), len(times)), dtype=bool)
+    found: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64),) * 2 + (np.empty(0),)]
+    for first in range(0, max(len(times) - 1, 1), _TOGETHER):
+        here = slice(first, min(first + _TOGETHER, len(times) - 1) + 1)
+        for part in np.array_split(np.arange(len(rows)), -(-len(rows) * _TOGETHER // _AT_A_TIME)) if len(rows) else ():
+            quick = nearby(rows[part], times[here])
+            seen = quick(np.arange(len(part)), np.tile(times[here], (len(part), 1)))
+            there[part, here] = seen
+            path, gap = np.nonzero(seen[:, 1:] != seen[:, :-1])
+            span = times[here][gap], times[here][gap + 1]
+            found.append((part[path], gap + first, _found(status, quick, (rows[part], path), span, resolution)))
+    path, gap, change = (np.concatenate([each[i] for each in found]) for i in range(3))
     # In the order of time each path's changes are begins and ends in turn.
     first, last = np.flatnonzero(there[:, 0]), np.flatnonzero(there[:, -1])
     rising = ~there[path, gap]
@@ -95,19 +102,20 @@ def intervals(
 
 
 def _found(
-    status: Status, nearby: Nearby, rows: NDArray[np.int64], between: tuple[Floats, Floats], resolution: float
-) -> Floats:
-    """Return the times (n,) between two at which paths change, s, as `_changes`."""
-    if not len(rows):
+    status: Status, quick: Status, paths: tuple[NDArray[np.int64], NDArray[np.int64]], between: tuple[Floats, Floats],
+    resolution: float,
+) -> Floats:  # fmt: skip
+    """Return the times (n,) between two at which some of rows change, s, as `_changes`."""
+    rows, some = paths
+    if not len(some):
         return np.empty(0)
     begin, end = between
-    quick = nearby(rows, begin, end)
-    change = _changes(lambda _, times: quick(times), rows, between, resolution)
+    change = _changes(quick, some, between, resolution)
     near = np.stack([np.maximum(change - resolution, begin), np.minimum(change, end)], axis=1)
-    seen, last = _at(status, rows, near), quick(end[:, None])[:, 0]
+    seen, last = _at(status, rows[some], near), quick(some, end[:, None])[:, 0]
     wrong = np.flatnonzero((seen[:, 0] == last) | (seen[:, 1] != last))
     if len(wrong):
-        change[wrong] = _changes(status, rows[wrong], (begin[wrong], end[wrong]), resolution)
+        change[wrong] = _changes(status, rows[some[wrong]], (begin[wrong], end[wrong]), resolution)
     return change
 
 
