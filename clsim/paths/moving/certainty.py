@@ -10,7 +10,8 @@ with the Mach number M makes of these
 
 of which p and q are what the mirror's own motion does to an image at a distance L from where it is met:
 
-    p = 2 / (1 - M²) (V + L ((1 + M) w + m (1 + M) / (1 - M))),    q = 2 / (1 - M²) (M V + L (M w + m (1 + M) / (1 - M)))
+    p = 2 / (1 - M²) (V + L ((1 + M) w + m (1 + M) / (1 - M))),
+    q = 2 / (1 - M²) (M V + L (M w + m (1 + M) / (1 - M)))
 
 V is the mirror's speed, w its turn, and m how fast its Mach number may change where it is met: by the acceleration of
 its points, by ``2 w V / c``, and by ``w u / c`` while the place moves on by u. That follows from the derivative of
@@ -18,9 +19,10 @@ its points, by ``2 w V / c``, and by ``w u / c`` while the place moves on by u. 
 right angles. V, w and m are those of the surface's tangent, so that to first order where it touches does not matter.
 
 A point of a line at a fixed share moves by no more than both its ends do in these shares. It meets a mirror, over
-which heights along the line grow by H, at a share that moves by no more than its height does, over H, and there at a
-place that moves by ``r + h D / H``, D being the line's length. So each of what decides (which side, on the face or beside it, in the way or
-not) is a distance and a speed at which it can shrink, and their ratio a time for which it stays.
+which heights along the line grow by H, at a share that moves by no more than its height does, h, over H, and there at a
+place that moves by ``r + h D / H``, D being the line's length. So each of what decides (which side, on the face or
+beside it, in the way or not) is a distance and a speed at which it can shrink, and their ratio a time for which it
+stays.
 """
 
 from __future__ import annotations
@@ -118,9 +120,9 @@ def straightened(mirrors: Mirrors, walls: NDArray[Any], events: Events, now: Flo
     time[:, 1:-1] = met[..., 0]
     place[:, 1:-1] = met[..., 1:] + met[..., :1] * wind
     apart = np.linalg.norm(place[:, 1:-1] - events.place[:, 0, 1:-1], axis=2)
-    ends = (x[..., 1:] + x[..., :1] * wind for x in (start[:, :-1], stop[:, 1:]))
+    front, back = (x[..., 1:] + x[..., :1] * wind for x in (start[:, :-1], stop[:, 1:]))
     length = np.linalg.norm((stop - start)[:, 0, 1:], axis=1)
-    return Line(share, np.abs(rise), length, place, time, *ends, apart <= _TAME, now)
+    return Line(share, np.abs(rise), length, place, time, front, back, apart <= _TAME, now)
 
 
 def _height(plane: tuple[Floats, Floats, Floats], event: Floats) -> Floats:

@@ -25,6 +25,7 @@ ROUNDS = 5  # of the search for events, where 1e-9 m do
 _RATE = 1000.0  # Hz, at which speeds are looked at
 _PARTS = 4  # of the time between two looks, and so on
 _AT_A_TIME = 50_000  # paths and times
+_ROWS = 1_000  # paths at a time
 _TOGETHER = 32  # looks between which paths are smooth
 
 
@@ -81,7 +82,8 @@ def intervals(
     found: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64),) * 2 + (np.empty(0),)]
     for first in range(0, max(len(times) - 1, 1), _TOGETHER):
         here = slice(first, min(first + _TOGETHER, len(times) - 1) + 1)
-        for part in np.array_split(np.arange(len(rows)), -(-len(rows) * _TOGETHER // _AT_A_TIME)) if len(rows) else ():
+        for some in range(0, len(rows), _ROWS):
+            part = np.arange(some, min(some + _ROWS, len(rows)))
             quick = nearby(rows[part], times[here])
             seen = quick(np.arange(len(part)), np.tile(times[here], (len(part), 1)))
             there[part, here] = seen
@@ -90,12 +92,12 @@ def intervals(
             found.append((part[path], gap + first, _found(status, quick, (rows[part], path), span, resolution)))
     path, gap, change = (np.concatenate([each[i] for each in found]) for i in range(3))
     # In the order of time each path's changes are begins and ends in turn.
-    first, last = np.flatnonzero(there[:, 0]), np.flatnonzero(there[:, -1])
+    early, late = np.flatnonzero(there[:, 0]), np.flatnonzero(there[:, -1])
     rising = ~there[path, gap]
-    paths = np.concatenate([path[rising], first]), np.concatenate([path[~rising], last])
+    paths = np.concatenate([path[rising], early]), np.concatenate([path[~rising], late])
     bounds = (
-        np.concatenate([change[rising], np.full(len(first), times[0])]),
-        np.concatenate([change[~rising], np.full(len(last), times[-1])]),
+        np.concatenate([change[rising], np.full(len(early), times[0])]),
+        np.concatenate([change[~rising], np.full(len(late), times[-1])]),
     )
     begin, end = (np.lexsort((when, whose)) for when, whose in zip(bounds, paths, strict=True))
     return paths[0][begin], bounds[0][begin], bounds[1][end]

@@ -105,7 +105,7 @@ class MirrorLook:
         return there, certain, np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
 
     def _on_faces(self, walls: NDArray[np.int32], line: Line) -> tuple[Bools, Floats, Floats]:
-        """Return which hits (n, N) are on their faces, how far from these' borders, and from the middles of bodies, m."""
+        """Return which hits (n, N) are on their faces, how far from borders, and from the middles of bodies, m."""
         holds, apart, far = np.zeros(walls.shape, dtype=bool), np.zeros(walls.shape), np.zeros(walls.shape)
         for k in range(walls.shape[1]):
             for surface in np.unique(walls[:, k]).tolist():
@@ -157,7 +157,7 @@ class MirrorLook:
     def _free(
         self, walls: NDArray[np.int32], line: Line, change: Drift, pace: Pace, some: Rows, kept: Floats
     ) -> tuple[Bools, Floats]:
-        """Return which of some paths that meet their mirrors nothing is in the way of, and for how long that is certain."""
+        """Return which of some paths that meet their mirrors are free, and for how long that is certain."""
         free, sure, order = np.ones(len(some), dtype=bool), np.array(kept), walls.shape[1]
         padded: Any = np.pad(walls, ((0, 0), (1, 1)), constant_values=-1)
         when = line.now[:, None] + line.time
@@ -187,4 +187,4 @@ def _absent(line: Line, change: Drift, holds: Bools, beside: Floats) -> Floats:
     sure = np.maximum(sure, np.where(off, beside, 0.0)).max(axis=1, initial=0.0)
     late = line.share[:, :-1] - line.share[:, 1:]
     wrong = np.where(late > 0.0, lasts(np.maximum(late, 0.0), change.share[:, :-1] + change.share[:, 1:]), 0.0)
-    return np.maximum(sure, wrong.max(axis=1, initial=0.0))
+    return np.asarray(np.maximum(sure, wrong.max(axis=1, initial=0.0)))

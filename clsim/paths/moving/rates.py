@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.arrays import read_only
-
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.paths.moving.mirrors import FARTHEST
 from clsim.scene.motion.carried import seen_by
@@ -159,7 +158,7 @@ class Pace:
 
     def part(self, rows: NDArray[np.int64]) -> Pace:
         """Return some of the stretches."""
-        return Pace(*(getattr(self, f.name)[rows] for f in fields(self)[:-1]), self.held)
+        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)[:-1]})
 
     @property
     def all_ways(self) -> Floats:
@@ -222,7 +221,7 @@ class EndRates:
     held: NDArray[np.bool_]
 
     def over(self, emitted: Floats, middle: Floats, half: Floats) -> Pace:
-        """Return bounds for what is received within `half` of times (n,), the first of it emitted at `emitted` (n,), s."""
+        """Return bounds for what is received within `half` of times (n,), the first of it emitted at others (n,), s."""
         count, end, table = len(middle), middle + half, self.bodies
         columns = np.zeros((6, count, len(table.bodies)))
         for i, (peaks, jumps) in enumerate(zip(table.peaks, table.jumps, strict=True)):
@@ -232,7 +231,8 @@ class EndRates:
                 - jumps[np.searchsorted(peaks.bounds, emitted, "left")]
             ).T
         source, receiver = (peaks.over(emitted, end)[:, 0] for peaks in self.ends)
-        return Pace(half, source, receiver, *columns, self.held)
+        speed, turn, gain, lift, jolt, twist = columns
+        return Pace(half, source, receiver, speed, turn, gain, lift, jolt, twist, self.held)
 
 
 def _end_cells(motion: Motion, first: float, last: float) -> Peaks:
@@ -287,7 +287,7 @@ def _body_cells(body: Body, first: float, last: float) -> tuple[Peaks, Floats]:
 
 
 def _cubic_peaks(body: Body, begin: Floats, end: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
-    """Return speed, turn, gain and lift (n, 4) within cells, and velocities (n, 4, 3) of middle and axes at both ends."""
+    """Return speed, turn, gain and lift (n, 4) in cells, and velocities (n, 4, 3) of middle and axes at both ends."""
     (p, u), (q, v) = (_state(body, t) for t in (begin, end))
     length = (end - begin)[:, None, None]
     middle = _state(body, 0.5 * (begin + end))[0]

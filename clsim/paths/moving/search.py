@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.propagation import UniformAir
     from clsim.paths.moving.rates import EndRates
+    from clsim.paths.propagation import UniformAir
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import VisibilityQuery
     from clsim.scene.ends import End, Receiver, Source
@@ -227,13 +227,13 @@ class BodySearch:
 
         Notes
         -----
-        Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, each reflection
+        Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, reflections
         at the place of the face at which it is: a line from ball to ball that is in all apertures, but bends at mirrors
         that are off their pose: by 2 a where they are turned by a, by 2 V / c as they move, and by what they are
         displaced, d, at both ends of a leg. A beam reaches all that lines from its ball through its last aperture do.
         Drawn on backwards, each leg passes the source by no more than the bends before it times the way to them. So no
-        sequence is lost by a ball that is as much larger, but where the leg between two mirrors is shorter than they are
-        displaced. What bodies hide in the pose they may not hide: nothing is taken to be hidden.
+        sequence is lost by a ball that is as much larger, but where the leg between two mirrors is shorter than those
+        are displaced. What bodies hide in the pose they may not hide: nothing is taken to be hidden.
         """
         ends, (begin, end) = query.trajectory_tables, span
         middle = 0.5 * (begin - longest + end)
@@ -254,7 +254,7 @@ class BodySearch:
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     def moved(self, time: float, others: Floats) -> float:
-        """Return how far images by bodies are at most off those at a time, from the first to the last of others (n,), m.
+        """Return how far images by bodies are at most off those at a time, from the first to the last of others, m.
 
         That is half of it: by how much a corner goes, and how far the way to the body turns, on the mean of all ways to
         reflections, each no longer than the room for every leg.
@@ -311,7 +311,7 @@ class _Unhidden(WallLookup):
 def _runs(
     sequence: NDArray[np.int32], cell: NDArray[np.int64], bounds: Floats
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """Return from when to when sequences (n, N) of cells (n,) are to be looked at: rows, and times that touch as one."""
+    """Return from when to when sequences (n, N) of cells (n,) are looked at: rows, and times that touch as one."""
     number = (
         np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
     )

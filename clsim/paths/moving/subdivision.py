@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Rows = NDArray[np.int64]
     Look = Callable[[Rows, Floats, Floats], tuple[Bools, Floats, Floats]]
     Status = Callable[[Rows, Floats], Bools]
-    Gaps = tuple[Rows, Floats, Floats, Bools, Bools]  # path, begin, end, whether it is there before and after
+    Gaps = tuple[Any, ...]  # path, begin, end, whether it is there before and after, each (n,)
 
 SAMPLE = 16  # resolutions; what lasts less is not found
 _CERTAIN = 0.999  # of the time for which something is certain, what is relied on
@@ -71,20 +71,20 @@ def _of_part(look: Look, status: Status, spans: tuple[Rows, Floats, Floats], res
     (at_first, after, _), (at_last, before, _) = (look(which, t, length) for t in (begin, end))
     left, right = begin + _CERTAIN * after, end - _CERTAIN * before
     stack: list[Gaps] = [_open((number, left, right, at_first, at_last))]
-    changes: list[Gaps] = [tuple(x[:0] for x in stack[0])]  # type: ignore[misc]
+    changes: list[Gaps] = [tuple(x[:0] for x in stack[0])]
     # What two looks are certain of may touch or overlap only where they agree.
     touching = (at_first != at_last) & (left >= right)
     changes.append((number[touching], begin[touching], end[touching], at_first[touching], at_last[touching]))
     while stack:
         gaps = stack.pop()
         if len(gaps[0]) > _AT_A_TIME:
-            stack.append(tuple(x[_AT_A_TIME:] for x in gaps))  # type: ignore[arg-type]
-            gaps = tuple(x[:_AT_A_TIME] for x in gaps)  # type: ignore[assignment]
+            stack.append(tuple(x[_AT_A_TIME:] for x in gaps))
+            gaps = tuple(x[:_AT_A_TIME] for x in gaps)
         short = gaps[2] - gaps[1] <= SAMPLE * resolution
         differs = short & (gaps[3] != gaps[4])
-        changes.append(tuple(x[differs] for x in gaps))  # type: ignore[arg-type]
+        changes.append(tuple(x[differs] for x in gaps))
         if not np.all(short):
-            stack.append(_divided(look, which, tuple(x[~short] for x in gaps)))  # type: ignore[arg-type]
+            stack.append(_divided(look, which, tuple(x[~short] for x in gaps)))
     path, first, last, there, _ = (np.concatenate([each[i] for each in changes]) for i in range(5))
     return _joined(spans, at_first, (path, _narrowed(status, which[path], first, last, there, resolution), there))
 
@@ -109,7 +109,7 @@ def _divided(look: Look, which: Rows, gaps: Gaps) -> Gaps:
 def _open(gaps: Gaps) -> Gaps:
     """Return the gaps that have a length, and those at which something changes."""
     kept = (gaps[2] > gaps[1]) | (gaps[3] != gaps[4])
-    return tuple(x[kept] for x in gaps)  # type: ignore[return-value]
+    return tuple(x[kept] for x in gaps)
 
 
 def _narrowed(status: Status, rows: Rows, begin: Floats, end: Floats, there: Bools, resolution: float) -> Floats:

@@ -153,7 +153,7 @@ class Obstacles:
         return found, sure
 
     def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
-        """Return which places (n, 3) at times (n,) are on a mirror, how far from its border and its body's middle, m."""
+        """Return which places (n, 3) at times (n,) are on a mirror, how far from its border and body's middle, m."""
         walls, face, own = self._of(surface, places, times)
         apart = _edges_apart(walls, face, own, own)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
@@ -229,7 +229,7 @@ def hidden_by(
 
 
 def local_drift(body: int | None, legs: Legs, start: Floats, stop: Floats, drift: LegDrift) -> LocalDrift:
-    """Return how fast legs from places to others (n, 3), as a body sees them from its middle, change; None for the room.
+    """Return how fast legs from places to others (n, 3), as a body sees them from its middle, change; None: the room.
 
     Notes
     -----
