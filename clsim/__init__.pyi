@@ -8,6 +8,7 @@ from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
+from clsim.paths.moving.truth import BodyTruth, body_truth
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import PathTable
 from clsim.paths.scattering.truth import ScattererTruth, scatterer_truth
@@ -55,6 +56,7 @@ __all__ = [
     "Bandlimited",
     "Baseband",
     "Body",
+    "BodyTruth",
     "ClsimError",
     "ClsimWarning",
     "DeviceError",
@@ -89,6 +91,7 @@ __all__ = [
     "Trajectory",
     "Transducer",
     "TruncatedLagrange",
+    "body_truth",
     "captured_person",
     "direct_path",
     "find_paths",

@@ -227,9 +227,9 @@ def as_choice(field: str, value: Any, choices: tuple[str, ...]) -> str:
     InputError
         If it is not; the message lists the choices.
     """
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise InputError(field, not_one_of(value, choices))
-    return str(value)
+    return value
 
 
 def as_index(field: str, value: Any, names: Sequence[str]) -> int:

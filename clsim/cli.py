@@ -77,7 +77,7 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"clsim {__version__}")
     parser.add_argument("-v", "--verbose", action="store_true", help="tell where in the program an error arose, too")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(metavar="COMMAND")
     called = next((argument for argument in arguments if not argument.startswith("-")), None)
     if called is not None and called not in COMMANDS:
         raise InputError("COMMAND", f"{called!r:.80} is none; `clsim --help` lists them{meant(called, COMMANDS)}")
@@ -93,6 +93,8 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     if beyond:
         known = re.findall(r"--[\w-]+", told.format_help())
         raise InputError("", f"unrecognized arguments: {' '.join(beyond)}{meant(beyond[0].partition('=')[0], known)}")
+    if called is None:
+        raise InputError("COMMAND", "must be given; `clsim --help` lists them")
     return options
 
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 _FEW = 8  # names that are listed though one of them is close to what was given
+_NEAR = 0.65  # share of letters that names have in common where one is meant: of three, two in order
 
 
 class ClsimError(Exception):
@@ -102,7 +103,7 @@ def meant(value: Any, names: Iterable[str]) -> str:
     from difflib import get_close_matches  # late: only what goes wrong needs it
 
     by_form = {name.casefold().replace("_", "-"): name for name in names}
-    close = get_close_matches(str(value)[:80].casefold().replace("_", "-"), by_form, n=1, cutoff=0.7)
+    close = get_close_matches(str(value)[:80].casefold().replace("_", "-"), by_form, n=1, cutoff=_NEAR)
     return f'; did you mean "{by_form[close[0]]}"?' if close else ""
 
 

@@ -302,6 +302,19 @@ def sound_coordinates(names: Sequence[str], units: Sequence[str], positions: Flo
     return xarray.Dataset(coords=coordinates)
 
 
+def as_recording(value: object) -> Recording:
+    """Return a recording.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not isinstance(value, Recording):
+        raise InputError("recording", f"must be a Recording, but is {value!r:.80}")
+    return value
+
+
 def sound_attributes(units: Sequence[str], carrier: float | None) -> dict[str, Any]:
     """Return what stands beside samples: their unit, if they have one in common, and what they are."""
     kinds = sorted(set(units))

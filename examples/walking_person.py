@@ -3,8 +3,9 @@
 Writes walking_person.png: the echoes of 13 ellipsoids on a walking gait, as a complex envelope, with one image on
 either leg. The lines are ``2 f v / c`` exactly, sound's way there and back included, by no wall: of the chest and of
 both shanks. And walking_person_map.png: ranges and speeds of all parts within 0.12 s. Pulses that leave time for 8 m
-tell speeds but for multiples of 9 cm/s, so the sonar sends noise of 32 to 48 kHz, and what is heard by no wall is
-compared with what was sent, late by every range and stretched by every speed.
+tell speeds but for multiples of 9 cm/s, so the sonar sends noise of 32 to 48 kHz, and what is heard is
+compared with what was sent, late by every range and stretched by every speed. In it stand the parts, and, from the path
+table, the loudest of their images by a wall on one leg or on either.
 """
 
 import argparse
@@ -16,7 +17,8 @@ import clsim
 
 RATE, CARRIER, DURATION, SPEED = 192e3, 40e3, 3.5, 1.2
 WINDOW = 512  # samples of the envelope
-LOOK, BETWEEN = 1.6, 0.12  # s: about when and how long the map is looked at
+FAINT = 16.0  # dB below the loudest way, above which images are marked
+LOOK, BETWEEN, SEEDS = 1.6, 0.12, 8  # s: about when and how long the map is looked at; of so many noises
 
 
 def main() -> None:
@@ -26,56 +28,83 @@ def main() -> None:
     parser.add_argument("--scattering-order", type=int, default=1)
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
+    from scipy.signal.windows import tukey
+
     scene = scene_of(clsim.Signal.tone(CARRIER, DURATION, RATE, fade=0.1))
     echoes = clsim.find_paths(scene, max_order=0, scattering_order=options.scattering_order, direct=False)
     heard = clsim.render(echoes, RATE, baseband=(CARRIER, 3.6e3), duration=DURATION)
     truth = clsim.scatterer_truth(scene, np.linspace(0.1, DURATION - 0.05, 400))
     draw(heard, truth, options.output / "walking_person.png")
-    noise = clsim.Signal.noise(LOOK + 0.2, RATE, seed=1, band=(32e3, 48e3))
-    scene = scene_of(noise)
-    heard = clsim.render(clsim.find_paths(scene, max_order=0, direct=False), RATE, duration=LOOK + 0.1)
-    draw_map(heard, noise, clsim.scatterer_truth(scene, [LOOK]), options.output / "walking_person_map.png")
+    sent, heard = [], []
+    for seed in range(SEEDS):  # what one noise takes for another range goes down with their number
+        noise = clsim.Signal.noise(2.0 * BETWEEN, RATE, seed=seed, band=(32e3, 48e3))
+        faded = noise.read(0, noise.count) * tukey(noise.count, 0.1)
+        noise = clsim.Signal.from_array(faded, RATE)
+        scene = scene_of(noise, LOOK - 1.4 * BETWEEN)
+        echoes = clsim.find_paths(scene, max_order=0, scattering_order=options.scattering_order, direct=False)
+        heard.append(clsim.render(echoes, RATE, duration=LOOK + 0.6 * BETWEEN).pressure[0])
+        sent.append(np.zeros(len(heard[0])))
+        first, values = round((LOOK - 1.4 * BETWEEN) * RATE), faded
+        sent[-1][first : first + len(values)] = values[: len(heard[0]) - first]
+    draw_map(echoes, heard, sent, options.output / "walking_person_map.png")
 
 
-def scene_of(signal: clsim.Signal) -> clsim.Scene:
-    """Return the person before a sonar that sends a signal."""
+def scene_of(signal: clsim.Signal, start: float = 0.0) -> clsim.Scene:
+    """Return the person before a sonar that sends a signal from a time on, s."""
     way = clsim.Trajectory.line((7.0, 2.4, 0.0), (7.0 - SPEED * (DURATION + 0.1), 2.6, 0.0), DURATION + 0.1)
-    sonar = clsim.Source("sonar", signal, clsim.Trajectory.fixed((0.5, 2.4, 1.0)))
+    sonar = clsim.Source("sonar", signal, clsim.Trajectory.fixed((0.5, 2.4, 1.0)), start=start)
     ear = clsim.Receiver("ear", clsim.Trajectory.fixed((0.5, 2.6, 1.0)))
     room = clsim.Shoebox((9.0, 5.0, 2.6), clsim.Material.from_reflection(0.6))
     return clsim.Scene(room, clsim.Air(), [sonar], [ear], scatterers=clsim.walking_person("person", 1.75, way))
 
 
 def range_speed_map(
-    heard: np.ndarray, sent: np.ndarray, speeds: np.ndarray, latest: float, c: float
+    heard: list[np.ndarray], sent: list[np.ndarray], speeds: np.ndarray, latest: float, c: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return ranges (n,), m, and the magnitude (speeds, n) of filters that are matched to every speed, about `LOOK`."""
     from scipy.signal import hilbert
 
     middle, half = round(LOOK * RATE), round(0.5 * BETWEEN * RATE)
-    carrier = np.exp(2j * np.pi * CARRIER * (np.arange(len(sent)) - middle) / RATE)
-    envelope = hilbert(sent) * carrier.conj()
     late, size = round(latest * RATE), 2 ** int(np.ceil(np.log2(2 * half + round(latest * RATE))))
-    part = np.fft.fft(hilbert(heard)[middle - half : middle + half] * np.hanning(2 * half), size)
-    ranges = np.arange(late) / RATE * c / 2.0
-    rows, ago = [], np.arange(-half - late, half)  # samples from the middle at which what is heard now was sent
-    for speed in speeds:
-        place = (1.0 - 2.0 * speed / c) * ago
-        real, imaginary = (np.interp(middle + place, np.arange(len(sent)), x) for x in (envelope.real, envelope.imag))
-        copy = (real + 1j * imaginary) * np.exp(2j * np.pi * CARRIER * place / RATE)
-        found = np.fft.ifft(part * np.fft.fft(copy[::-1].conj(), size))  # its lag k: sent late + half - 1 - k before
-        level = np.abs(found[2 * half - 1 : 2 * half - 1 + late])
-        rows.append(np.interp(ranges, (1.0 - 2.0 * speed / c) * ranges, level))  # by the lag of what was sent
-    return ranges, np.array(rows)
+    ranges, ago = np.arange(late) / RATE * c / 2.0, np.arange(-half - late, half)
+    both = np.zeros((len(speeds), late), dtype=complex)
+    for echo, noise in zip(heard, sent, strict=True):
+        count = np.arange(len(noise))
+        envelope = hilbert(noise) * np.exp(-2j * np.pi * CARRIER * (count - middle) / RATE)
+        part = np.fft.fft(hilbert(echo)[middle - half : middle + half] * np.hanning(2 * half), size)
+        for row, speed in enumerate(speeds):  # `ago`: samples from the middle at which what is heard now was sent
+            place = (1.0 - 2.0 * speed / c) * ago
+            copy = np.interp(middle + place, count, envelope) * np.exp(2j * np.pi * CARRIER * place / RATE)
+            found = np.fft.ifft(
+                part * np.fft.fft(copy[::-1].conj(), size)
+            )  # its lag k: sent late + half - 1 - k before
+            both[row] += found[2 * half - 1 : 2 * half - 1 + late]
+    lags = [np.interp(ranges, (1.0 - 2.0 * v / c) * ranges, x) for v, x in zip(speeds, np.abs(both), strict=True)]
+    return ranges, np.array(lags)  # by the lag of what was sent
 
 
-def draw_map(heard: clsim.Recording, noise: clsim.Signal, truth: clsim.ScattererTruth, path: Path) -> None:
-    """Draw the range-Doppler map of what is heard of noise, and where every part is expected."""
+def strongest_images(paths: clsim.PathSet) -> list[tuple[tuple[np.ndarray, np.ndarray], str, str]]:
+    """Return ranges and speeds about `LOOK` of what is loud by one wall and by two, with markers and names."""
+    table, c = paths.table(np.linspace(LOOK - 0.5 * BETWEEN, LOOK + 0.5 * BETWEEN, 9)), paths.scene.air.speed_of_sound
+    level = np.abs(table.gain).mean(axis=1)
+    loud, found = level > 10.0 ** (-FAINT / 20.0) * level.max(), []
+    for walls, marker in ((1, "s"), (2, "^")):
+        rows = np.flatnonzero(loud & (table.order == walls + 1))
+        delay, speed = table.delay[rows].mean(axis=1), 0.5 * c * (1.0 - table.doppler_factor[rows].mean(axis=1))
+        found.append(((0.5 * c * delay, speed), marker, f"theory, by {walls} wall{'s' * (walls > 1)}"))
+    return found
+
+
+def draw_map(paths: clsim.PathSet, heard: list[np.ndarray], sent: list[np.ndarray], path: Path) -> None:
+    """Draw the range-Doppler map of what is heard, and where every part and its loud images are expected."""
     from matplotlib.figure import Figure
 
-    c, speeds = heard.paths.scene.air.speed_of_sound, np.linspace(-3.0, 0.5, 141)
-    sent = noise.read(0, len(heard.pressure[0]))
-    ranges, output = range_speed_map(heard.pressure[0], sent, speeds, 0.05, c)
+    c, speeds, truth = (
+        paths.scene.air.speed_of_sound,
+        np.linspace(-2.5, 0.5, 121),
+        clsim.scatterer_truth(paths.scene, [LOOK]),
+    )
+    ranges, output = range_speed_map(heard, sent, speeds, 0.05, c)
     level = 20.0 * np.log10(output + 1e-30)
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     axes = figure.subplots()
@@ -85,11 +114,13 @@ def draw_map(heard: clsim.Recording, noise: clsim.Signal, truth: clsim.Scatterer
     )  # fmt: skip
     at = 0.5 * c * truth.delay[:, 0, 0, 0], truth.radial_speed[:, 0, 0, 0]
     axes.plot(*at, "o", markerfacecolor="none", color="white", label="theory, each part")
-    for part, aside in (("chest", (10, 10)), ("left shank", (10, -14)), ("right shank", (10, -4))):
+    for part, aside in (("chest", (-44, 2)), ("left shank", (10, -12)), ("right shank", (10, -4))):
         which = truth.scatterer_names.index(f"person {part}")
         axes.annotate(part, (at[0][which], at[1][which]), aside, textcoords="offset points", color="white")
+    for ways, marker, name in strongest_images(paths):
+        axes.plot(*ways, marker, markerfacecolor="none", color="white", label=name)
     axes.set(
-        xlim=(4.0, 5.2), ylim=(-3.0, 0.5), xlabel="range (m)", ylabel="speed at which it grows (m/s)",
+        xlim=(4.2, 5.8), ylim=(-2.5, 0.5), xlabel="range (m)", ylabel="speed at which it grows (m/s)",
         title=f"A person walking towards a sonar at 40 kHz, within {1e3 * BETWEEN:g} ms",
     )  # fmt: skip
     axes.legend(loc="upper right", facecolor="0.3", labelcolor="white")

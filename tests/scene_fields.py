@@ -1,5 +1,10 @@
 """Fields of what a scene file holds, by their paths: for tests that change each of them."""
 
+from pathlib import Path
+
+from clsim.errors import InputError
+from clsim.scene_file.scene import build_scene
+
 
 def leaves(value: object, path: tuple = ()) -> list[tuple]:
     """Return the path of every field in a value, tables and lists included."""
@@ -14,3 +19,14 @@ def written(path: tuple) -> str:
     for step in path:
         text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
     return text
+
+
+def refusal(content: dict, base: Path) -> str:
+    """Return what a scene is refused with, or how it is not."""
+    try:
+        build_scene(content, base)
+    except InputError as error:
+        return str(error)
+    except Exception as error:  # a warning, too
+        return f"no InputError but {error!r}"
+    return "not refused"

@@ -13,6 +13,7 @@ import numpy as np
 from clsim.arrays import as_number
 from clsim.commands.arguments import add_force
 from clsim.errors import InputError
+from clsim.files.atomic import atomic_path
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.files.ownership import NewFile
 from clsim.scene.material.material import Material
@@ -100,7 +101,8 @@ def execute(options: argparse.Namespace) -> int:
         receiver=_text(places[1]), order=3 if options.mesh is None else 2,
     )  # fmt: skip
     build_scene(tomllib.loads(text), base)  # what is written works
-    target.ready().write_text(text, "utf-8")
+    with atomic_path(target.ready()) as temporary:
+        temporary.write_text(text, "utf-8")
     print(options.scene)
     return 0
 

@@ -124,7 +124,7 @@ def _fill(
 
         draw_pictures(planned, times, store, results, outputs, missing)
     if GROUND_TRUTH in missing:
-        write_ground_truth(planned.ground_truth(times), results.work / GROUND_TRUTH, planned.scattered_truth(times))
+        write_ground_truth(planned.ground_truth(times), results.work / GROUND_TRUTH, planned.echo_truths(times))
     if COMPLETED in missing:
         with safe_path(results.work / COMPLETED) as temporary:
             temporary.write_text(sound.scene, "utf-8")

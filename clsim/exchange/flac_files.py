@@ -13,6 +13,7 @@ from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
 from clsim.files.names import file_names
 from clsim.files.sound import as_frames
+from clsim.recording import as_recording
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -58,7 +59,7 @@ def write_flac(recording: Recording, folder: str | PathLike[str], *, full_scale:
     2^-24 of full scale at most (-144 dB). A file's comment says its full scale (``full_scale=2 Pa``), its title the
     receiver. In baseband there are two channels, real part (I) before imaginary part (Q).
     """
-    rate = _rate(recording.sampling_rate)
+    rate = _rate(as_recording(recording).sampling_rate)
     scales = _full_scales(recording, full_scale)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -11,6 +11,7 @@ from clsim.errors import InputError
 from clsim.exchange.truth_times import truth_times
 from clsim.files.atomic import atomic_path
 from clsim.paths.ground_truth import direct_path
+from clsim.recording import as_recording
 from clsim.version import __version__
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def write_mat(recording: Recording, path: str | PathLike[str], *, rate: float = 
     """
     rate = as_number("rate", rate, above=0.0, at_most=10e3, unit="Hz")
     content: dict[str, Any] = {
-        "samples": recording.samples,
+        "samples": as_recording(recording).samples,
         "sampling_rate": float(recording.sampling_rate),
         "receiver_names": _cells(recording.receiver_names),
         "units": _cells(recording.units),

@@ -14,6 +14,7 @@ from clsim.files.atomic import atomic_path
 from clsim.files.names import file_names
 from clsim.packages import check_packages
 from clsim.paths.ground_truth import direct_path
+from clsim.recording import as_recording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -108,6 +109,7 @@ def write_mcap(
     check_packages("write_mcap", "an MCAP file", "ros", "mcap", "mcap_ros2")
     from mcap_ros2.writer import Writer
 
+    recording = as_recording(recording)
     if recording.paths is None:
         raise InputError("recording", "must have its paths for MCAP, but has none: load_recording(…, paths=True)")
     if not float(recording.sampling_rate).is_integer():

@@ -173,13 +173,19 @@ def chebyshev_bank(
         solved = np.linalg.lstsq(odd * weight, target[:, 1::2] * weight, rcond=1e-14)[0]
         taps[1::2, half + 1 :] = solved.T
         taps[1::2, :half] = -solved.T[:, ::-1]
+    return (_powers(degree) @ taps) / (mu_max ** np.arange(degree + 1))[:, None]
+
+
+@lru_cache(maxsize=_LARGEST_DEGREE + 1)
+def _powers(degree: int) -> Floats:
+    """Return the coefficients (degree + 1, degree + 1) of Chebyshev's polynomials, each a column."""
     powers = np.zeros((degree + 1, degree + 1))
     for n in range(degree + 1):
         powers[: n + 1, n] = chebyshev.cheb2poly(np.eye(degree + 1)[n, : n + 1])
-    return (powers @ taps) / (mu_max ** np.arange(degree + 1))[:, None]
+    return powers
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)  # of some 10 KB each: scenes of studies take turns
 def design_bandlimited(
     error_db: float, cutoff: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
 ) -> tuple[Floats, float]:

@@ -62,7 +62,7 @@ _TRIPLES = ("common/float64.h", "common/triple.h")
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
-    *_PROPAGATION, *_WALLS, "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
+    *_PROPAGATION, *_WALLS, "paths/wall_walk.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
 )  # fmt: skip
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
@@ -71,7 +71,7 @@ _MASK = ("common/mask.h",)
 
 _INTERVAL_CONSTANTS = {
     "ORDER", "DEPTH", "GRAZE_TIME", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE", "TOUCHING",
-    "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
+    "GROUPED", "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
 }  # fmt: skip
 _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
 _NODE_CONSTANTS = {

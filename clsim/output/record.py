@@ -56,8 +56,8 @@ class Record:
         return Record({}, self.finished, {}, marks)
 
 
-def load_record(folder: Path) -> Record:
-    """Return the record of a folder; an empty one where there is none.
+def load_record(folder: Path, asked_by: str = "--output") -> Record:
+    """Return the record of a folder, which a field or an option named; an empty one where there is none.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def load_record(folder: Path) -> Record:
         replaced = tuple((_plain(name), (int(size), str(digest))) for name, (size, digest) in read["replaced"])
         return Record(dict(read["identity"]), bool(read["finished"]), files, replaced)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise InputError("--output", f"must hold no {RECORD} of others, but {path} cannot be read: {error}") from error
+        raise InputError(asked_by, f"must hold no {RECORD} of others, but {path} cannot be read: {error}") from error
 
 
 def save_record(folder: Path, record: Record, work: Path) -> None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.moving.truth import BodyTruth
     from clsim.paths.scattering.truth import ScattererTruth
 
 _NAMES = ("source_names", "receiver_names", "object_names")
@@ -71,9 +72,9 @@ def check_table(name: str, field: str = "path") -> None:
 
 
 def write_ground_truth(
-    found: DirectPath, path: str | os.PathLike[str], scattered: ScattererTruth | None = None
+    found: DirectPath, path: str | os.PathLike[str], echoes: Sequence[ScattererTruth | BodyTruth] = ()
 ) -> None:
-    """Write what receivers should find out as ``.npz``: arrays as in `DirectPath`, and ``scatterer_`` of scatterers.
+    """Write what receivers should find out as ``.npz``: arrays as in `DirectPath`, ``scatterer_…`` and ``body_…``.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ def write_ground_truth(
         From `direct_path`.
     path : path-like
         Of the file.
-    scattered : ScattererTruth, optional
+    echoes : sequence of ScattererTruth and BodyTruth
         Of the same times.
 
     Raises
@@ -91,9 +92,9 @@ def write_ground_truth(
     """
     columns: dict[str, Any] = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
     columns = {name: np.array(value) if name in _NAMES else value for name, value in columns.items()}
-    if scattered is not None:
-        columns |= {f"scatterer_{name}": getattr(scattered, name) for name in scattered.MEASURES}
-        columns["scatterer_names"] = np.array(scattered.scatterer_names)
+    for echo in echoes:
+        columns |= {f"{echo.KIND}_{name}": getattr(echo, name) for name in echo.MEASURES}
+        columns[f"{echo.KIND}_names"] = np.array(getattr(echo, f"{echo.KIND}_names"))
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **columns)
 
@@ -115,7 +116,7 @@ def read_table(path: str | os.PathLike[str]) -> PathTable:
         with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             columns = {f.name: file[f.name] for f in dataclasses.fields(PathTable)}
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError("path", f"must be a path table (.npz), but {error}") from error
+        raise InputError("path", f"must be a path table (.npz), but {str(path)!r} is none: {error}") from error
     arguments: dict[str, Any] = {k: tuple(map(str, v)) if k in _NAMES else v for k, v in columns.items()}
     return PathTable(**arguments)
 

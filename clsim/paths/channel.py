@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr, texts
+from clsim.arrays import Floats, as_choice, as_number, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.numerics.band_kernels import BandKernels
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
@@ -275,20 +275,6 @@ class ChannelBand:
     def at(self, places: Floats) -> Floats:
         """Return the frequencies at places from -1 to 1 of what the taps hold, Hz: at least a thousandth of it."""
         return np.maximum(self.carrier + 0.5 * self.sampling_rate * places, 1e-3 * self.sampling_rate)
-
-
-def as_times(times: Any) -> Floats:
-    """Return times of reception (T,), s, at least one.
-
-    Raises
-    ------
-    InputError
-        If one is not finite, or there is none.
-    """
-    checked = as_floats("times", times, (None,))
-    if not len(checked):
-        raise InputError("times", "must be one at least, but are none")
-    return read_only(checked)
 
 
 def _check_size(shape: tuple[int, ...]) -> None:

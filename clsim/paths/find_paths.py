@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
 from clsim.paths.diffraction.search import DIFFRACTION_MODELS, double_edge_paths, edge_paths
 from clsim.paths.moving.hidden import behind_bodies
+from clsim.paths.moving.scattered_search import body_scattered_paths
 from clsim.paths.moving.search import BodySearch
 from clsim.paths.path_set import PathSet
-from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths
+from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths, sides
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
 from clsim.paths.specular.cross_talk import direct_levels, with_direct
 from clsim.paths.specular.mesh import FINDERS, mesh_paths
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
     from clsim.paths.family import PathFamily
     from clsim.paths.specular.cross_talk import DirectSound
+    from clsim.paths.specular.family import SpecularPaths
 
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 LARGEST_DIFFRACTION = 2
@@ -131,11 +134,11 @@ def find_paths(
     found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
         found = (*found, kind(scene, search, found))
-    if scene.scatterers:
-        found = (*found, scattered_paths(scene, search, _specular_paths))
     if scene.bodies:
         bodies = BodySearch(scene, search)
         found = (*(behind_bodies(bodies, family) for family in found), bodies.paths())
+    if scene.scatterers:
+        found = (*found, *_scattered(scene, search))
     return PathSet(scene, with_direct(found, levels))
 
 
@@ -157,6 +160,23 @@ def registered_family(name: str, finder: FamilyFinder) -> Iterator[None]:
     finally:
         FAMILY_FINDERS.clear()
         FAMILY_FINDERS.update(before)
+
+
+def _scattered(scene: Scene, search: PathSearch) -> list[PathFamily]:
+    """Return the paths by scatterers: of walls alone, and with faces of bodies where there are any."""
+    asked = replace(search, max_order=search.scattering_order, progress=lambda share: None)
+    legs, by_bodies = [], []
+    for side in sides(scene, scene.bodies):
+        found = _specular_paths(side, asked)
+        if scene.bodies:
+            bodies = BodySearch(side, asked)
+            found = behind_bodies(bodies, found)
+            by_bodies.append(bodies.paths())
+        legs.append(cast("SpecularPaths", found))
+    both: list[PathFamily] = [scattered_paths(scene, search, *legs)]
+    if scene.bodies:
+        both.append(body_scattered_paths(scene, search, *zip(legs, by_bodies, strict=True)))
+    return both
 
 
 def _specular_paths(scene: Scene, search: PathSearch) -> PathFamily:

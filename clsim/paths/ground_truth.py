@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import as_choice, as_floats, texts
+from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.paths.arrivals import MOTIONS, slices_of
 from clsim.paths.labelled import categories, labelled_dataset, labelled_frame
+from clsim.paths.path_set import PathSet
 from clsim.paths.specular.family import SpecularPaths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.path_set import PathSet
 
 _OVER_TIME = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
 
@@ -130,6 +131,8 @@ def direct_path(paths: PathSet, times: Floats, motion: str = "retarded") -> Dire
     >>> truth.delay[0, 0] * 340.0, truth.radial_speed[0, 0].round(9), truth.line_of_sight[0, 0]
     (array([3. , 3.5]), array([1., 1.]), array([ True,  True]))
     """
+    if not isinstance(paths, PathSet):
+        raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
     times = as_floats("times", times, (None,))
     as_choice("motion", motion, MOTIONS)
     scene = paths.scene

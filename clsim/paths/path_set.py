@@ -17,7 +17,6 @@ from clsim.paths.channel import (
     ChannelPaths,
     ChannelTaps,
     DelayDoppler,
-    as_times,
     channel_paths,
     channel_taps,
 )
@@ -276,7 +275,7 @@ class PathSet:
         InputError
             If a value is out of bounds, or a wall or directivity is not known at the carrier.
         """
-        times = as_times(times)
+        times = as_floats("times", times, (None,))
         delay, _, gain = self._channel(times, carrier, motion, amplitude)
         return ChannelPaths(
             times, self.source, self.receiver, read_only(delay), read_only(gain), float(carrier), *self._names()
@@ -325,7 +324,7 @@ class PathSet:
         Air, walls and directivities act over the whole band. A path is there or not: the transition of `render`, in
         which it fades in and out, is left out.
         """
-        times, band = as_times(times), ChannelBand(carrier, bandwidth, sampling_rate)
+        times, band = as_floats("times", times, (None,)), ChannelBand(carrier, bandwidth, sampling_rate)
         span = self.start, self.end
         gain, first = channel_taps(self.scene, self.pairs(), span, times, band, motion, amplitude)
         delays = (first + np.arange(gain.shape[2])) / band.sampling_rate

@@ -60,7 +60,7 @@ class Viewable(Protocol):
         ...
 
     def vertices(self, time: float, motion: str) -> Floats:
-        """Return the corners of every path (paths, N + 2, 3), m."""
+        """Return the vertices of every path (paths, N + 2, 3), m."""
         ...
 
 
@@ -158,7 +158,7 @@ def _alike(one: Floats, other: Floats) -> bool:
 
 def _same(one: ViewedPaths, other: ViewedPaths) -> bool:
     """Return whether two frames show the same paths."""
-    return one.labels == other.labels and all(map(_alike, one.corners, other.corners))
+    return one.labels == other.labels and all(map(_alike, one.vertices, other.vertices))
 
 
 def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
@@ -169,7 +169,7 @@ def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: 
     level = 20.0 * np.log10(gain / gain.max(initial=0.0))
     strongest = np.argsort(-level, kind="stable")[:limit]
     heard, level = heard[strongest], level[strongest]
-    corners = paths.vertices(time, motion)[heard]
+    vertices = paths.vertices(time, motion)[heard]
     names = [
         f"{table.source_names[table.source[p]]} to {table.receiver_names[table.receiver[p]]}, "
         + table.name_way(p)
@@ -178,5 +178,5 @@ def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: 
     ]
     order = table.order[heard]
     pairs = tuple((table.source_names[table.source[p]], table.receiver_names[table.receiver[p]]) for p in heard)
-    drawn = tuple(c[: n + 2] for c, n in zip(corners, order, strict=True))
+    drawn = tuple(c[: n + 2] for c, n in zip(vertices, order, strict=True))
     return ViewedPaths(drawn, order, tuple(names), pairs, level)

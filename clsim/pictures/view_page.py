@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.files.atomic import atomic_path
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
@@ -79,9 +77,9 @@ class ViewedBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewedPaths:
-    """The paths of a frame: corners (order + 2, 3), m, orders (P,), labels, between whom, and levels (P,), dB."""
+    """The paths of a frame: vertices (order + 2, 3), m, orders (P,), labels, between whom, and levels (P,), dB."""
 
-    corners: tuple[Floats, ...]
+    vertices: tuple[Floats, ...]
     order: NDArray[np.int32]
     labels: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
@@ -91,26 +89,6 @@ class ViewedPaths:
     def none(cls) -> ViewedPaths:
         """Return a frame without paths."""
         return cls((), np.zeros(0, dtype=np.int32), (), (), np.zeros(0))
-
-
-def write_page(path: str | os.PathLike[str], **what: Any) -> None:
-    """Write one HTML file that holds everything, the drawing library included.
-
-    Parameters
-    ----------
-    path : path-like
-        Of the page.
-    **what
-        As in `page_text`.
-
-    Raises
-    ------
-    InputError
-        As `page_text` does.
-    """
-    text = page_text(**what)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, "utf-8")
 
 
 def page_text(
@@ -146,7 +124,7 @@ def page_text(
     Raises
     ------
     InputError
-        If lengths differ, times do not increase or a path has another number of corners than its order asks for.
+        If lengths differ, times do not increase or a path has another number of vertices than its order asks for.
     """
     _check_times(times, ends, frames)
     for i, frame in enumerate(frames):
@@ -183,17 +161,17 @@ def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[View
 def _check_paths(field: str, paths: ViewedPaths) -> None:
     for name in ("order", "labels", "pairs", "levels"):
         count = len(getattr(paths, name))
-        if count != len(paths.corners):
-            raise InputError(f"{field}.{name}", f"must be one per path, {len(paths.corners)}, but there are {count}")
-    for p, (corners, order) in enumerate(zip(paths.corners, paths.order, strict=True)):
+        if count != len(paths.vertices):
+            raise InputError(f"{field}.{name}", f"must be one per path, {len(paths.vertices)}, but there are {count}")
+    for p, (vertices, order) in enumerate(zip(paths.vertices, paths.order, strict=True)):
         if order < 0:
             raise InputError(f"{field}.order[{p}]", f"must be at least 0, but is {order}")
-        if corners.shape != (order + 2, 3):
-            shape = " x ".join(map(str, corners.shape))
+        if vertices.shape != (order + 2, 3):
+            shape = " x ".join(map(str, vertices.shape))
             problem = f"must have the shape {order + 2} x 3 for a path of order {order}, but has {shape}"
-            raise InputError(f"{field}.corners[{p}]", problem)
-        if not np.isfinite(corners).all():
-            raise InputError(f"{field}.corners[{p}]", "must be finite")
+            raise InputError(f"{field}.vertices[{p}]", problem)
+        if not np.isfinite(vertices).all():
+            raise InputError(f"{field}.vertices[{p}]", "must be finite")
 
 
 def _document(
@@ -332,12 +310,12 @@ def _order_trace(order: int) -> dict[str, Any]:
 
 
 def _frame(paths: ViewedPaths, last: int, sources: list[str], receivers: list[str]) -> list[dict[str, Any]]:
-    """Return for each order what is told of its paths, and all their corners in a row: x, y, z, x, ..., whole mm."""
+    """Return for each order what is told of its paths, and all their vertices in a row: x, y, z, x, ..., whole mm."""
     order = np.asarray(paths.order)
     orders = []
     for n in range(last + 1):
         rows = np.flatnonzero(order == n)
-        points = np.concatenate([paths.corners[p] for p in rows]) if len(rows) else np.empty((0, 3))
+        points = np.concatenate([paths.vertices[p] for p in rows]) if len(rows) else np.empty((0, 3))
         millimetres = np.round(points * 1e3).astype(np.int64).ravel().tolist()
         part = {
             "mm": millimetres, "labels": [_plain(paths.labels[p]) for p in rows],

@@ -205,7 +205,7 @@ def _obstacle(
     # Passing an end at a distance d with a speed v spreads a tone by its Doppler shift D and beyond, at an offset f, by
     # exp(-2 pi sqrt(f^2 - D^2) d / v): the phase k sqrt(d^2 + v^2 t^2) has branch points at +-j d / v.
     skirt, carrier = narrow.half - narrow.flat, narrow.baseband.carrier
-    shift, speed = carrier * tracks.max_rate(index), tracks.fastest(index, tracks.max_rate(index))[0]
+    shift = carrier * tracks.max_rate(index)
     needed = -math.log(silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
     # In the shortest blocks cubics must hold 1 / sqrt(d^2 + v^2 t^2), whose fourth derivative is 9 (v / d)^4 over d.
     rate = narrow.baseband.sampling_rate or 0.0
@@ -213,7 +213,7 @@ def _obstacle(
     needed = max(needed, shortest * (9.0 * GAIN_ERROR[8] / silence) ** 0.25)
     for what, ends_of, most, radius in _passes(tracks, index, receivers):
         if most > 0.0 and _is_passed(ends_of, span[2], needed, most, radius):
-            return f"{what} is passed so near, at up to {speed:.3g} m/s, that its sound is not narrow"
+            return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
     if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > silence:
         return "ends move so quickly that what is heard is not narrow"
     return ""

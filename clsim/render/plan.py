@@ -56,6 +56,8 @@ class Plan:
         Samples for which the block length is chosen at a time.
     blocks : tuple of int
         Samples in a block, divisors of a segment, tried in this order.
+    builders : sequence of callable
+        Each makes a contribution of the plan, or None.
     left_out : str
         What of the scene is not in the tracks, in words; "" for nothing.
     narrow_parts : tuple of NarrowPart
@@ -68,8 +70,6 @@ class Plan:
         Why some have none, a sentence each.
     contributions : tuple of Contribution
         What adds to the pressure at the receivers, in this order.
-    builders : sequence of callable
-        Of all the above each makes a contribution, or None.
     """
 
     options: RenderOptions
@@ -81,12 +81,12 @@ class Plan:
     chunk: int
     segment: int
     blocks: tuple[int, ...]
-    left_out: str
-    narrow_parts: tuple[NarrowPart, ...]
-    not_narrow: tuple[str, ...]
-    tails: tuple[SourceTail | None, ...]
-    no_tail: tuple[str, ...]
     builders: InitVar[Sequence[Callable[[Plan], Contribution | None]]]
+    left_out: str = ""
+    narrow_parts: tuple[NarrowPart, ...] = ()
+    not_narrow: tuple[str, ...] = ()
+    tails: tuple[SourceTail | None, ...] = ()
+    no_tail: tuple[str, ...] = ()
     contributions: tuple[Contribution, ...] = field(init=False)
 
     __repr__ = short_repr

@@ -110,8 +110,8 @@ def plan_tracks(
     chunk = _chunk(tracks, options, samples, heard_at, segment)
     parts = tuple(_narrow_part(carrier, narrow, tracks, pairs, options, samples) for carrier in _carriers(narrow))
     return Plan(
-        options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, left_out, parts, not_narrow,
-        tails.of_sources, tails.told, BUILDERS,
+        options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, BUILDERS,
+        left_out=left_out, narrow_parts=parts, not_narrow=not_narrow, tails=tails.of_sources, no_tail=tails.told,
     )  # fmt: skip
 
 
@@ -162,7 +162,7 @@ def _samples(
     tail: float,
 ) -> int:
     """Return the length: as asked, or until all that was emitted has been heard, with tails that last so long, s."""
-    last = tracks.last_time()
+    last, what = tracks.first_end()
     if duration is None:
         end = max(start + signal.duration for signal, start in emissions)
         known = end if math.isinf(last) else min(end, last)
@@ -170,7 +170,7 @@ def _samples(
     elif duration > last * (1 + 1e-12) + 0.5 / rate:
         raise InputError(
             "duration",
-            f"must end while every receiver's trajectory lasts, {last:g} s, but is {duration:g} s",
+            f"must end while all that moves is known, {last:g} s ({what}), but is {duration:g} s",
         )
     return max(1, math.ceil(duration * rate - 1e-6))
 
@@ -232,8 +232,7 @@ def _narrow_part(
     count, segment = samples_needed(samples, upsampler), segment_of(blocks)
     chunk = _chunk(tracks, within, count, carrier[1], segment)
     plan = Plan(
-        within, tracks, StaticPairs(others), filters, carrier[1], count, chunk, segment, blocks, "", (), (), (), (),
-        [path_sum],
+        within, tracks, StaticPairs(others), filters, carrier[1], count, chunk, segment, blocks, [path_sum],
     )  # fmt: skip
     return NarrowPart(plan, tuple(mine), upsampler)
 

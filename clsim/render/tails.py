@@ -74,6 +74,9 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
         faint = tail.left_db < _FAINT_DB
         told += [f"source {i}: no tail, for images leave {tail.left_db:.0f} dB of the energy"] if faint else []
         found.append(None if faint else tail)
+    if scene.bodies and any(tail is not None for tail in found):
+        names = ", ".join(repr(body.name) for body in scene.bodies)
+        told.append(f"tails are those of the room without its bodies ({names}), which take no sound out of them")
     return FoundTails(tuple(found), tuple(told))
 
 

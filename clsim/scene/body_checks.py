@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.body import Body
-    from clsim.scene.ends import End
+    from clsim.scene.placement import Placed
     from clsim.scene.room.mesh import MeshRoom
     from clsim.scene.room.protocol import Room
 
@@ -34,16 +34,18 @@ _FRAME = np.concatenate([np.zeros((1, 3)), np.eye(3)])  # origin and axes
 
 
 def check_bodies(
-    room: Room, bodies: Sequence[tuple[str, Body]], ends: Sequence[tuple[str, End]], slowest: float
+    room: Room, bodies: Sequence[tuple[str, Body]], others: Sequence[tuple[str, Placed]], slowest: float
 ) -> None:
-    """Refuse bodies that end before a signal, are as fast as sound, or go through walls, each other or ends.
+    """Refuse bodies that end before a signal, are as fast as sound, or go through walls, each other or other things.
 
     Parameters
     ----------
     room : Room
         In which they are.
-    bodies, ends : sequence of (str, Body), (str, End)
+    bodies : sequence of (str, Body)
         With the names of their fields.
+    others : sequence of (str, Source or Receiver or Scatterer)
+        The same.
     slowest : float
         Speed of sound, m/s.
 
@@ -52,7 +54,7 @@ def check_bodies(
     InputError
         With time and name.
     """
-    last = max((item.end for _, item in ends if isinstance(item, Source)), default=0.0)
+    last = max((item.end for _, item in others if isinstance(item, Source)), default=0.0)
     mesh = room.as_mesh() if bodies else None
     for i, (field_name, body) in enumerate(bodies):
         _check_motion(field_name, body, last, slowest)
@@ -60,8 +62,8 @@ def check_bodies(
         _check_walls(field_name, body, room, mesh)
         for _, other in bodies[:i]:
             _check_other(field_name, body, other)
-        for _, end in ends:
-            _check_end(field_name, body, end)
+        for _, thing in others:
+            _check_thing(field_name, body, thing)
 
 
 def _check_motion(field_name: str, body: Body, last: float, slowest: float) -> None:
@@ -153,9 +155,9 @@ def _met(field_name: str, body: Body, what: str, time: float) -> InputError:
     )
 
 
-def _check_end(field_name: str, body: Body, end: End) -> None:
-    """Refuse a source or a receiver that is in a body, or that a face of it passes."""
-    own = seen_by(body.trajectory, end.trajectory)
+def _check_thing(field_name: str, body: Body, thing: Placed) -> None:
+    """Refuse a source, a receiver or the centre of a scatterer that is in a body, or that a face of it passes."""
+    own = seen_by(body.trajectory, thing.trajectory)
     last = own.end if math.isfinite(own.end) and not own.is_static else 0.0
     instants = Instants(0.0, max(last, 0.0), _RATE)
     met = first_refused(body.mesh, own, instants)
@@ -164,6 +166,6 @@ def _check_end(field_name: str, body: Body, end: End) -> None:
         time = 0.0 if inside else float(instants.times(np.array([met]))[0])
         raise InputError(
             f"{field_name}.trajectory",
-            f"must keep off sources and receivers, but {end.name!r} is in {body.name!r} or meets a face of it at "
-            f"{time:.6g} s",
+            f"must keep off sources, receivers and scatterers, but {thing.name!r} is in {body.name!r} or meets a face "
+            f"of it at {time:.6g} s",
         )

@@ -50,8 +50,8 @@ class Scene:
     ------
     InputError
         If the room lacks what a `Room` has, a name is used twice, or a trajectory leaves the room, comes too close to
-        another one or reaches the speed of sound, a body goes through a wall, or an end is outside a watertight mesh
-        that others are in; the message gives time and place.
+        another one or reaches the speed of sound, a body goes through a wall or meets an end or a scatterer, or an end
+        is outside a watertight mesh that others are in; the message gives time and place.
 
     Warns
     -----
@@ -97,7 +97,7 @@ class Scene:
                     f"but ends at {source.trajectory.end:g} s",
                 )
         check_scatterers(self.named_scatterers(), ends, distance, self.air.slowest)
-        check_bodies(self.room, self.named_bodies(), ends, self.air.slowest)
+        check_bodies(self.room, self.named_bodies(), [*ends, *self.named_scatterers()], self.air.slowest)
         _check_bands(self)
 
     def named_ends(self) -> list[tuple[str, End]]:

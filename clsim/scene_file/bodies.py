@@ -35,6 +35,7 @@ class _Box(_Body):
     material: MaterialModel
 
     def build(self, base: Path) -> Body:
+        """Return what it says."""
         material = within("material", lambda: self.material.build(base))
         return Body.box(size=self.size, centre=self.centre, material=material, **self.moving(base))
 
@@ -44,6 +45,7 @@ class _Mesh(_Body):
     mesh: MeshModel
 
     def build(self, base: Path) -> Body:
+        """Return what it says."""
         return Body(mesh=within("mesh", lambda: self.mesh.build(base)), **self.moving(base))
 
 
@@ -54,6 +56,7 @@ class _Faces(_Body):
     material: MaterialModel
 
     def build(self, base: Path) -> Body:
+        """Return what it says."""
         material = within("material", lambda: self.material.build(base))
         if not self.triangles:
             raise InputError("triangles", "must hold at least one, but is empty")

@@ -141,6 +141,7 @@ class _Swing(Model):
     origin: Vector | None = None
 
     def build(self, base: Path) -> Trajectory:
+        """Return what it says."""
         return Trajectory.swing(**self.arguments())
 
 

@@ -22,6 +22,7 @@ class _Fluctuation(Model):
     seed: int = 0
 
     def build(self) -> TargetFluctuation:
+        """Return what it says."""
         return TargetFluctuation(**self.arguments())
 
 
@@ -44,6 +45,7 @@ class _Point(_Scatterer):
     target_strength_db: float
 
     def build(self, base: Path) -> list[Scatterer]:
+        """Return what it says."""
         return [Scatterer.point(**self.parts(base))]
 
 
@@ -53,6 +55,7 @@ class _Sphere(_Scatterer):
     model: Literal["series", "geometrical"] = "series"
 
     def build(self, base: Path) -> list[Scatterer]:
+        """Return what it says."""
         return [Scatterer.sphere(**self.parts(base))]
 
 
@@ -61,6 +64,7 @@ class _Ellipsoid(_Scatterer):
     semi_axes: Vector
 
     def build(self, base: Path) -> list[Scatterer]:
+        """Return what it says."""
         return [Scatterer.ellipsoid(**self.parts(base))]
 
 
@@ -70,6 +74,7 @@ class _Capsule(_Scatterer):
     length: float
 
     def build(self, base: Path) -> list[Scatterer]:
+        """Return what it says."""
         return [Scatterer.capsule(**self.parts(base))]
 
 
@@ -80,6 +85,7 @@ class _Person(Model):
     trajectory: TrajectoryModel
 
     def build(self, base: Path) -> list[Scatterer]:
+        """Return what it says."""
         return walking_person(self.name, self.height, within("trajectory", lambda: self.trajectory.build(base)))
 
 
@@ -102,6 +108,7 @@ class _CapturedPerson(Model):
     time_offset: float = 0.0
 
     def build(self, base: Path) -> list[Scatterer]:
+        """Return what it says."""
         arguments = self.arguments() | {"path": base / self.path}
         if self.segments is not None:
             arguments["segments"] = [(s.start, s.end, s.radius) for s in self.segments]
@@ -116,6 +123,7 @@ class _Hand(Model):
     opening: float | list[Pair] = 1.0
 
     def build(self, base: Path) -> list[Scatterer]:
+        """Return what it says."""
         return hand(**self.arguments() | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))})
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from clsim.arrays import as_index
 from clsim.errors import InputError
 from clsim.paths.specular.family import SpecularPaths
+from clsim.recording import as_recording
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,8 +28,9 @@ def heard_scene(recording: Recording, what: str) -> PathSet:
     Raises
     ------
     InputError
-        If it has none, or is a complex envelope.
+        If it is no recording, has none, or is a complex envelope.
     """
+    recording = as_recording(recording)
     if recording.carrier is not None:
         raise InputError("recording", f"must be sound for {what}, but is the envelope about {recording.carrier:g} Hz")
     if recording.paths is None:

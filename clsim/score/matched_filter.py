@@ -11,12 +11,12 @@ import numpy as np
 
 from clsim.arrays import short_repr
 from clsim.errors import InputError
+from clsim.scene.signal.signal import Signal
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.scene.signal.signal import Signal
 
 _REACH = 16  # samples to either side from which a value between samples is made
 _STEPS = 64  # per sample, between which a parabola is laid
@@ -57,8 +57,10 @@ class MatchedFilter:
         Raises
         ------
         InputError
-            If the pulse is silent.
+            If the pulse is none, or silent.
         """
+        if not isinstance(pulse, Signal):
+            raise InputError("pulse", f"must be a Signal, but is {pulse!r:.80}")
         at_rate = pulse.at_rate(sampling_rate)
         samples = at_rate.read(0, at_rate.count)
         total = float(np.sum(np.square(samples)))

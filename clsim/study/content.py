@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from clsim.output.stores import SoundStore
     from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.moving.truth import BodyTruth
     from clsim.paths.path_table import PathTable
     from clsim.paths.scattering.truth import ScattererTruth
     from clsim.scene.scene import Scene
@@ -116,7 +117,8 @@ def _add_tables(content: Any, study: Study, planned: PlannedScene) -> None:
     times = table_times(planned.plan, study.table_rate, "table_rate")
     if "ground_truth" in study.keep:
         _add_ground_truth(content, planned.ground_truth(times), planned.paths.scene)
-        _add_scattered_truth(content, planned.scattered_truth(times))
+        for echo in planned.echo_truths(times):
+            _add_echo_truth(content, echo)
     if "paths" in study.keep:
         _add_paths(content, planned.path_table(times))
 
@@ -131,14 +133,12 @@ def _add_ground_truth(content: Any, found: DirectPath, scene: Scene) -> None:
     content["radial_speed"] = (over, found.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
 
 
-def _add_scattered_truth(content: Any, found: ScattererTruth | None) -> None:
-    if found is None:
-        return
-    content.coords["scatterer"] = texts(found.scatterer_names)
-    units = {"delay": "s", "range": "m", "radial_speed": "m/s"}
+def _add_echo_truth(content: Any, found: ScattererTruth | BodyTruth) -> None:
+    kind, units = found.KIND, {"delay": "s", "range": "m", "radial_speed": "m/s"}
+    content.coords[kind] = texts(getattr(found, f"{kind}_names"))
     for name in found.MEASURES:
-        over = ("scatterer", "source", "receiver", "times", "axis")[: getattr(found, name).ndim]
-        content[f"scatterer_{name}"] = (over, getattr(found, name), {"units": units[name]} if name in units else {})
+        over = (kind, "source", "receiver", "times", "axis")[: getattr(found, name).ndim]
+        content[f"{kind}_{name}"] = (over, getattr(found, name), {"units": units[name]} if name in units else {})
 
 
 def _add_paths(content: Any, table: PathTable) -> None:

@@ -77,14 +77,8 @@ def at_one_place(
 
     Parameters
     ----------
-    tail : SourceTail
-        The tail.
-    pair : (int, int)
-        Zones of source and receiver.
-    source : int
-        Index.
-    rate : float
-        Sampling rate, Hz.
+    tail, pair, source, rate
+        As of `plane_waves`.
     weights : ndarray (M, B)
         The receiver's gain of energy by direction of arrival and band.
     moves : bool

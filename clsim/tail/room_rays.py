@@ -62,6 +62,7 @@ class _PlaneRays:
         self._normals, self._offsets = room.faces.normals, room.faces.offsets
 
     def next(self, origins: Floats, directions: Floats) -> Met:
+        """Return how far (n,) m rays go, and which wall they meet, -1 for none."""
         towards = directions @ self._normals.T
         height = np.maximum(origins @ self._normals.T - self._offsets, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -85,6 +86,7 @@ class _MeshRays:
         self.off = _OFF_WALL * room.walls.size
 
     def next(self, origins: Floats, directions: Floats) -> Met:
+        """Return how far (n,) m rays go, and which wall they meet, -1 for none."""
         walls = self._walls
         triangle = np.asarray(self._embree.intersects_first(origins - self._middle, directions))
         wall = np.where(triangle >= 0, walls.of_triangle[triangle], -1)

@@ -134,6 +134,7 @@ class _Sending:
 
     @classmethod
     def of(cls, responses: Responses, size: int) -> _Sending:
+        """Return the spectra of responses, of a size."""
         from scipy.fft import rfft
 
         departures, which = np.unique(responses.departure, return_inverse=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
+from clsim.arrays import Floats, as_choice, read_only, short_repr
 from clsim.errors import InputError
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS
 from clsim.paths.family import PeakSpeeds
@@ -16,6 +16,7 @@ from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.tracks.basis import Basis, flat_basis
+from clsim.tracks.splines import checked_indices, checked_samples, fitted_splines, heard_intervals
 from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
 
 if TYPE_CHECKING:
@@ -199,8 +200,12 @@ class Tracks(ABC):
         return max((float(self.delay_range(i, start, end)[1].max()) for i in pairs), default=0.0)
 
     @abstractmethod
+    def first_end(self) -> tuple[float, str]:
+        """Return the time of reception up to which the tracks are known, s, and what ends then, in words."""
+
     def last_time(self) -> float:
         """Return the time of reception up to which the tracks are known, s."""
+        return self.first_end()[0]
 
     @staticmethod
     def from_samples(
@@ -309,11 +314,12 @@ class SceneTracks(Tracks):
         return fastest
 
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
-        """Return the largest peak speed, of scatterers too, and by how much all must be scaled for another rate."""
+        """Return the largest peak speed, of scatterers and bodies too, and what it would be at another rate."""
         v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
-        v_b = max((s.peak_speeds()[1] for s in self.scene.scatterers), default=0.0)  # seen there and back
+        surfaces = [s.peak_speeds()[1] for s in self.scene.scatterers] + [b.peak_speed for b in self.scene.bodies]
+        v_b = max(surfaces, default=0.0)  # seen there and back
         together = v_s + v_r + 2.0 * v_b + max_rate * v_s
-        if together == 0.0:  # only what is sent back changes
+        if together == 0.0:
             return 0.0, 0.0
         most = max(v_s, v_r, v_b)
         return most, max_rate * self.scene.air.slowest / together * most
@@ -350,12 +356,15 @@ class SceneTracks(Tracks):
                 low, high = family.delay_bounds(rows, first[r], last[r], self.speeds)
                 yield batch, low - most[r], high - least[r]
 
-    def last_time(self) -> float:
-        """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity."""
+    def first_end(self) -> tuple[float, str]:
+        """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity, and whose."""
         scene = self.scene
-        motions = [*(thing.trajectory for thing in scene.scatterers), *(body.trajectory for body in scene.bodies)]
-        known = min((motion.end for motion in motions), default=np.inf)
-        return float(min(_clock_time(r, np.array([min(r.trajectory.end, known)]))[0] for r in self.scene.receivers))
+        ends = [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
+        ends += [(body.trajectory.end, body.name) for body in scene.bodies]
+        known = [min([(r.trajectory.end, r.name), *ends]) for r in scene.receivers]
+        heard = [float(_clock_time(r, np.array([end]))[0]) for r, (end, _) in zip(scene.receivers, known, strict=True)]
+        first = int(np.argmin(heard))
+        return heard[first], f"the trajectory of {known[first][1]!r}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -405,9 +414,9 @@ class SampledTracks(Tracks):
         slack = 0.5 * (end - start) * self.largest_rate
         return delay - slack, delay + slack
 
-    def last_time(self) -> float:
+    def first_end(self) -> tuple[float, str]:
         """Return the last sample's time."""
-        return self.end
+        return self.end, "the samples"
 
 
 def as_tracks(value: object) -> Tracks:
@@ -511,26 +520,13 @@ def _clock_time(receiver: Receiver, times: Floats) -> Floats:
 def _from_samples(
     times: Any, delays: Any, gains: Any, sources: Any, receivers: Any, transition: float
 ) -> SampledTracks:
-    times = as_floats("times", times, (None,))
-    if len(times) < 2 or times[0] > 0.0 or np.any(np.diff(times) <= 0.0):
-        raise InputError("times", f"must increase strictly from 0 s or before, but begin {times[:3].tolist()}")
-    delays, gains = np.array(delays, dtype=np.float64), np.array(gains, dtype=np.float64)
-    for name, values in (("delays", delays), ("gains", gains)):
-        if values.ndim != 2 or values.shape[1] != len(times) or not len(values):
-            raise InputError(name, f"must have the shape paths x {len(times)}, but has {values.shape}")
-    heard = np.isfinite(delays)
-    if delays.shape != gains.shape or np.any(heard != np.isfinite(gains)):
-        raise InputError("gains", "must be finite where delays are, and NaN where they are")
-    if np.any(delays[heard] < 0.0):
-        raise InputError("delays", f"must be at least 0 s, but one is {np.min(delays[heard]):g} s")
-    s, r = (_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
-    intervals = _intervals(heard)
-    if not intervals:
-        raise InputError("delays", "must hold at least one path that is heard, but all are NaN")
+    times, delays, gains = checked_samples(times, delays, gains)
+    s, r = (checked_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
+    intervals = heard_intervals(np.isfinite(delays))
     pairs, splines, largest = [], [], 0.0
     for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in intervals}):
         mine = [interval for interval in intervals if (s[interval[0]], r[interval[0]]) == pair]
-        fitted = _fit(mine, times, delays, gains)
+        fitted = fitted_splines(mine, times, delays, gains)
         splines.append(fitted)
         largest = max([largest, *(float(np.abs(f(f.x, 1)[..., 0]).max()) for _, f in fitted)])
         start = np.array([times[a] if a else -np.inf for _, a, _ in mine])
@@ -543,39 +539,3 @@ def _from_samples(
     return SampledTracks(
         tuple(pairs), tuple(splines), int(s.max()) + 1, names, min(1.05 * largest, 0.99), float(times[-1]), transition
     )
-
-
-def _indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
-    if values is None:
-        return np.zeros(count, dtype=np.int64)
-    out = np.asarray(values)
-    if out.shape != (count,) or out.dtype.kind not in "iu" or np.any(out < 0):
-        raise InputError(name, f"must be {count} whole numbers of at least 0, but is {values!r:.80}")
-    return out.astype(np.int64)
-
-
-def _intervals(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
-    """Return path, first and one past last sample of every stretch in which a path is heard."""
-    found = []
-    for p, row in enumerate(heard):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
-        for a, b in edges.reshape(-1, 2):
-            if b - a < 2:
-                raise InputError(f"delays[{p}][{a}]", "must be heard for two samples or more, but stands alone")
-            found.append((p, int(a), int(b)))
-    return found
-
-
-def _fit(
-    intervals: list[tuple[int, int, int]], times: Floats, delays: Floats, gains: Floats
-) -> tuple[tuple[NDArray[np.int64], Any], ...]:
-    """Fit one spline through all stretches with the same samples: (T, paths, 2) for delay and gain."""
-    from scipy.interpolate import CubicSpline
-
-    fitted = []
-    for a, b in sorted({(a, b) for _, a, b in intervals}):
-        rows = np.array([i for i, interval in enumerate(intervals) if interval[1:] == (a, b)])
-        which = [intervals[i][0] for i in rows]
-        values = np.stack([delays[which, a:b], gains[which, a:b]], axis=-1).swapaxes(0, 1)
-        fitted.append((rows, CubicSpline(times[a:b], values, bc_type="not-a-knot" if b - a > 3 else "natural")))
-    return tuple(fitted)

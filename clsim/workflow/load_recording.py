@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import as_flag
-from clsim.errors import InputError
+from clsim.errors import InputError, not_one_of
 from clsim.files.names import file_names
 from clsim.files.sound import EnvelopeFile, SoundFile
 from clsim.output.open_store import open_store
@@ -52,10 +52,12 @@ def load_recording(
     """
     folder = Path(folder)
     as_flag("paths", paths)
-    record = load_record(folder)
+    record = load_record(folder, "folder")
     if not (record.finished and (folder / COMPLETED).exists()):
         raise InputError("folder", f"must hold what clsim run finished, but {folder} does not")
     file = load_scene(folder / COMPLETED)
+    if isinstance(receivers, str):
+        raise InputError("receivers", f"must be a list of names, but is {receivers!r:.80}")
     names = [receiver.name for receiver in file.scene.receivers]
     rows = [_row(names, wanted) for wanted in (names if receivers is None else receivers)]
     if not rows:
@@ -83,7 +85,7 @@ def load_recording(
 
 def _row(names: list[str], wanted: str) -> int:
     if wanted not in names:
-        raise InputError("receivers", f"must be of {', '.join(map(repr, names)):.200}, but one is {wanted!r:.80}")
+        raise InputError("receivers", not_one_of(wanted, names))
     return names.index(wanted)
 
 

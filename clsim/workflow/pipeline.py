@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,9 +13,11 @@ from clsim.errors import InputError, warn
 from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
+from clsim.paths.moving.truth import body_truth
 from clsim.paths.scattering.truth import scatterer_truth
 from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths
+from clsim.scene.scene import Scene
 from clsim.scene_file.scene import completed_scene, referenced_files
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.moving.truth import BodyTruth
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.paths.scattering.truth import ScattererTruth
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from clsim.workflow.console import Progress
 
 LARGEST_TABLE = 2_000_000  # paths times instants
+_OF_SCENE = {field.name for field in fields(Scene)}  # as the tables of a scene file are called
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,10 +67,11 @@ class PlannedScene:
         """Return what receivers should find out of the direct sound, at times of reception, s."""
         return direct_path(self.paths, times, self.plan.options.motion)
 
-    def scattered_truth(self, times: Floats) -> ScattererTruth | None:
-        """Return what they should find out of scatterers, None without any, at times of reception, s."""
-        scene = self.paths.scene
-        return scatterer_truth(scene, times, self.plan.options.motion) if scene.scatterers else None
+    def echo_truths(self, times: Floats) -> tuple[ScattererTruth | BodyTruth, ...]:
+        """Return what they should find out of scatterers and bodies, at times of reception, s."""
+        scene, motion = self.paths.scene, self.plan.options.motion
+        scattered = (scatterer_truth(scene, times, motion),) if scene.scatterers else ()
+        return (*scattered, body_truth(scene, times, motion)) if scene.bodies else scattered
 
     def completed(self, folder: Path) -> str:
         """Return the text of the scene file with all defaults and what was chosen, that works from a folder."""
@@ -119,10 +124,8 @@ def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathS
         If no path reaches a receiver.
     """
     try:
-        with progress("finding paths", 1.0) as advance:
+        with _errors_within("paths"), progress("finding paths", 1.0) as advance:
             paths = find_paths(file.scene, **file.paths, progress=shares(advance))
-    except InputError as error:
-        raise error.within("paths") from error
     except MemoryError as error:
         raise InputError("paths.max_order", "must be smaller: there is not enough memory for so many paths") from error
     for i in np.setdiff1d(np.arange(len(file.scene.receivers)), paths.receiver):
@@ -137,7 +140,7 @@ def _errors_within(table: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if re.split(r"[.[]", error.field)[0] in ("room", "sources", "receivers"):
+        if re.split(r"[.[]", error.field)[0] in _OF_SCENE:
             raise
         raise error.within(table) from error
 

@@ -24,11 +24,3 @@ static int near_segment(const wall_tree* tree, int box, triple a, triple b, doub
     return !axis_apart(along.y, along.z, y, z, dy, dz) && !axis_apart(along.z, along.x, z, x, dz, dx) &&
            !axis_apart(along.x, along.y, x, y, dx, dy);
 }
-
-// The next wall that may be as near to a segment as `slack`, or -1 where a group is passed; boxes of walls are not tested.
-static int next_wall(const wall_tree* tree, int* box, triple a, triple b, double slack)
-{
-    const int here = *box, wall = tree->wall[here];
-    *box = wall >= 0 || near_segment(tree, here, a, b, slack) ? here + 1 : tree->skip[here];
-    return wall;
-}

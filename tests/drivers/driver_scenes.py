@@ -135,7 +135,7 @@ def mesh(device: str) -> Plan:
     corners = [(0.08, 0.02, 0.0), (0.08, 0.0601, 0.0), (0.08, 0.0601, 0.1), (0.08, 0.02, 0.1)]
     corners += [(0.09, 0.02, 0.05), (0.09, 0.0601, 0.05)]
     screen = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 5, 2)], REAL[0])
-    way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.08, 0.05), 0.04), LINE((0.10, 0.08, 0.05), (0.10, 0.09, 0.05), 0.04)
+    way, ear = LINE((0.05, 0.05, 0.05), (0.05, 0.07, 0.05), 0.02), LINE((0.10, 0.08, 0.05), (0.10, 0.085, 0.05), 0.02)
     of = clsim.Scene(screen, WINDY, [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
     return plan(clsim.find_paths(of, 1, diffraction=2, resolution=1e-4), device, responses="centre")
 

@@ -14,6 +14,7 @@ NAMES = [f"{name}.cpu" for name in (SCENES if EVERYTHING else FEW)] + [
 
 
 @pytest.mark.exhaustive
+@pytest.mark.slow
 def test_parity(tmp_path: Path, by_pocl: Callable[..., Path]) -> None:
     intel = tmp_path / "intel"
     render(INTEL, intel, *NAMES)

@@ -21,7 +21,7 @@ OPTIONS = {
     "LANES": {"1", "8"}, "SPARSE": {"0", "1"}, "FINE": {"0", "1"}, "OVERSAMPLING": {"1", "2"}, "PARTS": {"1", "2"},
     "RETARDED": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}, "MACH_EXPONENT": {"0", "1", "2"}, "DELAY_TERMS": {"4", "8"},
     "SOURCE_DIRECTIVITY": {"0", "1", "2"}, "RECEIVER_DIRECTIVITY": {"0", "1", "2"}, "NODES_AT_ONCE": {"1", "4"},
-    "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "ORDER": {"0", "1"},
+    "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "GROUPED": {"0", "1"}, "ORDER": {"0", "1"},
     "EDGES": {"0", "1"}, "FREQUENCIES": {"1", "8"}, "WORKERS": {"1", "32"},
 }  # fmt: skip
 # Those of programs that share files with others, in which the same options have run.

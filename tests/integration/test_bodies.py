@@ -147,6 +147,9 @@ def test_runs_are_resumed_and_checked(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["check", str(scene)]) == 0
     assert "body 'door': 1 faces, 0 x 0.9 x 2 m, no point of it faster than 0.95 m/s" in capsys.readouterr().out
     assert main(["run", str(scene), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
+    with np.load(tmp_path / "a" / "ground_truth.npz") as found:
+        assert found["body_names"].tolist() == ["door", "robot"]
+        assert found["body_radial_speed"][0, 0, 1].max() < -0.3  # driven towards the door at 1 m/s, which swings away
     complete = (tmp_path / "a" / "scene.completed.toml").read_text("utf-8")
     assert complete.count("[[bodies]]") == 2
     assert complete.count("mounted_on") == 2
@@ -164,6 +167,10 @@ def test_studies_compute_them(tmp_path: Path) -> None:
     study = load_study(tmp_path / "study.toml")
     content = computed(study, study.members[0], None, tmp_path / "member")[0]
     assert bool(content.line_of_sight.all())
+    truth = clsim.body_truth(clsim.load_scene(tmp_path / "scene.toml").scene, content.times.values)
+    assert content.body.values.tolist() == ["door", "robot"]
+    np.testing.assert_array_equal(content.body_range, truth.range)
+    assert content.body_visible.dims == ("body", "source", "receiver", "times")
 
 
 def test_engines_agree_and_nothing_that_moves_is_convolved(paths: PathSet, device: None) -> None:

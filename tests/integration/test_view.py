@@ -10,7 +10,7 @@ import pytest
 
 import clsim
 from clsim.paths.view import view_scene
-from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
 
 WALL = clsim.Material.from_reflection(0.9)
 L = [(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)]
@@ -55,11 +55,10 @@ def test_frames_must_fit() -> None:
     end = ViewedEnd("s", "source", np.zeros((1, 3)), np.zeros((1, 3)))
     none = ViewedPaths.none()
     with pytest.raises(clsim.InputError, match="frames: must be one per time, 2"):
-        write_page("x.html", title="t", walls=[wall], ends=[end], times=np.array([0.0, 1.0]), frames=[none, none])
+        page_text(title="t", walls=[wall], ends=[end], times=np.array([0.0, 1.0]), frames=[none, none])
     pair = ViewedEnd("s", "source", np.zeros((2, 3)), np.zeros((1, 3)))
     with pytest.raises(clsim.InputError, match="times: must increase"):
-        write_page("x.html", title="t", walls=[wall], ends=[pair], times=np.zeros(2), frames=[none, none])
-    assert not Path("x.html").exists()
+        page_text(title="t", walls=[wall], ends=[pair], times=np.zeros(2), frames=[none, none])
 
 
 def test_a_scene_at_rest_has_one_frame(tmp_path: Path) -> None:
@@ -75,7 +74,7 @@ def test_a_scene_at_rest_has_one_frame(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def opened(browser: Any, page: Path) -> Iterator[Any]:
     """Open the page."""
-    tab = browser.new_page(viewport={"width": 800, "height": 550})
+    tab = browser.new_page(viewport={"width": 560, "height": 400})
     tab.set_default_timeout(120_000)  # of machines that do much else
     errors: list[str] = []
     tab.on("pageerror", lambda error: errors.append(str(error)))

@@ -11,7 +11,7 @@ import pytest
 from exhaustive import few
 
 import clsim
-from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, write_page
+from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
 
 L = np.array([(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)], dtype=float)
 FAN = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)])
@@ -67,7 +67,7 @@ def ends() -> list[ViewedEnd]:
 
 def write(path: Path, **changed: Any) -> Path:
     given = {"title": "a <b>walk</b> {{data}}", "walls": l_room(), "ends": ends(), "times": TIMES, "frames": FRAMES}
-    write_page(path, **(given | {"notes": ["air of 20 °C", "</script><i>note"]} | changed))
+    path.write_text(page_text(**(given | {"notes": ["air of 20 °C", "</script><i>note"]} | changed)), "utf-8")
     return path
 
 
@@ -97,7 +97,7 @@ def test_the_page_holds_the_arrays_to_a_millimetre(page: Path) -> None:
     np.testing.assert_allclose(data["times"], TIMES, rtol=1e-8)
     for given, held in zip(FRAMES, data["frames"], strict=True):
         for order, part in enumerate(held):
-            mine = np.concatenate([c for c, n in zip(given.corners, given.order, strict=True) if n == order])
+            mine = np.concatenate([c for c, n in zip(given.vertices, given.order, strict=True) if n == order])
             np.testing.assert_allclose(np.reshape(part["mm"], (-1, 3)) / 1e3, mine, rtol=0.0, atol=0.501e-3)
     assert data["places"][0][3] == [5.0, 3.0, 1.0]
     assert data["places"][-1][3] == [None, None, None]
@@ -134,9 +134,9 @@ def one_path(corners: int, order: int, labels: int, fill: float = 0.0) -> list[V
         ({"times": np.where(TIMES == 0.0, np.nan, TIMES)}, r"times\[0\]: must be finite, but is nan"),
         ({"times": TIMES[:0], "frames": [], "ends": []}, "times: must not be empty"),
         ({"frames": one_path(2, 0, 0)}, r"frames\[0\].labels: must be one per path, 1, but there are 0"),
-        ({"frames": one_path(3, 0, 1)}, r"frames\[0\].corners\[0\]: must have the shape 2 x 3 .* but has 3 x 3"),
+        ({"frames": one_path(3, 0, 1)}, r"frames\[0\].vertices\[0\]: must have the shape 2 x 3 .* but has 3 x 3"),
         ({"frames": one_path(1, -1, 1)}, r"frames\[0\].order\[0\]: must be at least 0, but is -1"),
-        ({"frames": one_path(2, 0, 1, np.nan)}, r"frames\[0\].corners\[0\]: must be finite"),
+        ({"frames": one_path(2, 0, 1, np.nan)}, r"frames\[0\].vertices\[0\]: must be finite"),
     ],
 )
 def test_what_does_not_fit_is_refused(changed: dict[str, Any], message: str, tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_a_failure_leaves_the_old_page(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.fixture(scope="module")
 def loaded(browser: Any, page: Path) -> Iterator[Any]:
-    tab = browser.new_page(viewport={"width": 800, "height": 550})
+    tab = browser.new_page(viewport={"width": 560, "height": 400})
     tab.set_default_timeout(120_000)  # of machines that do much else
     wrong: list[str] = []
     tab.on("pageerror", lambda error: wrong.append(str(error)))
@@ -194,7 +194,7 @@ def assert_drawn(tab: Any, index: int) -> None:
     drawn = tab.evaluate("document.getElementById('drawing').data.slice(-4).map(t => [t.x, t.y, t.z])")
     for order, columns in enumerate(drawn):
         points = np.array(columns, dtype=float).T
-        mine = [c for c, n in zip(given.corners, given.order, strict=True) if n == order]
+        mine = [c for c, n in zip(given.vertices, given.order, strict=True) if n == order]
         gap = np.full((1, 3), np.nan)
         want = np.concatenate([part for c in mine for part in (c, gap)])
         np.testing.assert_allclose(points, want, rtol=0.0, atol=0.501e-3)
@@ -261,7 +261,7 @@ def hovered(tab: Any, point: Any) -> str:
 
 @pytest.mark.exhaustive
 def test_the_mouse_finds_paths_behind_walls_and_walls(tab: Any) -> None:
-    near = FRAMES[0].corners[0]
+    near = FRAMES[0].vertices[0]
     assert "robot to near, path" in hovered(tab, 0.4 * near[0] + 0.6 * near[1])
     assert "<far> & {{data}}" in hovered(tab, EARS["<far> & {{data}}"])
     assert f": {PLASTER}" in hovered(tab, (7.7, 0.0, 0.3))
@@ -306,14 +306,14 @@ def test_aims_are_drawn_where_they_point(tab: Any) -> None:
 
 
 def test_the_room_follows_the_window(tab: Any) -> None:
-    for width in (420, 1400):
-        tab.set_viewport_size({"width": width, "height": 550})
+    for width in (420, 1000):
+        tab.set_viewport_size({"width": width, "height": 400})
         tab.wait_for_function(
             f"Math.abs(document.querySelector('#drawing canvas').getBoundingClientRect().width - {width}) < 2"
         )
         assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    tab.set_viewport_size({"width": 800, "height": 550})
-    tab.wait_for_function("Math.abs(document.querySelector('#drawing canvas').getBoundingClientRect().width - 800) < 2")
+    tab.set_viewport_size({"width": 560, "height": 400})
+    tab.wait_for_function("Math.abs(document.querySelector('#drawing canvas').getBoundingClientRect().width - 560) < 2")
 
 
 def test_the_page_is_small(page: Path) -> None:

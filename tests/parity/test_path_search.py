@@ -15,6 +15,7 @@ from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.intervals import Intervals, VisibilityQuery, find_intervals
 from clsim.paths.trajectory_tables import trajectory_tables
+from clsim.scene.room import wall_tree
 
 pytestmark = pytest.mark.usefixtures("device")
 WALL = clsim.Material.from_reflection(0.9)
@@ -56,7 +57,13 @@ def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Tra
     }
 
 
-GALES = {"L": (9.0, -4.0, 1.0), "slats": (-20.0, 5.0, 0.0)}  # m/s: what is heard when comes earlier or later
+# m/s: what is heard when comes earlier or later.
+GALES = {
+    "L": (9.0, -4.0, 1.0),
+    "bursts": (5.0, 3.0, 0.0),
+    "bursts heard": (-4.0, 6.0, 0.0),
+    "slats": (-20.0, 5.0, 0.0),
+}
 
 
 def query(name, room, source, receivers, _order) -> VisibilityQuery:
@@ -111,6 +118,15 @@ def test_both_find_the_same(name: str, wanted) -> None:
     if name == "slats":
         short = [np.min(found.end - found.begin) for _, found in parts if len(found.path)]
         assert min(short) < 3e-3, "some paths are heard for a few milliseconds only"
+
+
+def test_walls_in_groups_of_boxes_are_found_as_well(wanted, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wall_tree, "_TOP", 2)
+    case = scenes()["gaps"]
+    assert len(case[0].walls.tree.middle) == 3, "boxes in boxes in boxes"
+    search = DeviceSearch(query("gaps", *case))
+    for c, twin in wanted("gaps"):
+        assert same(search.find(c.sequence[c.row], c.receiver), twin, STEP)
 
 
 # Not here, since nothing can see it: legs drawn out beyond source and receiver (the clamps to 0 and 1 in edge_clearance).
@@ -197,8 +213,18 @@ MUTANTS = {
     ids=["one", "all"],
 )
 def test_mutants_are_caught(names, rooms, wanted, monkeypatch: pytest.MonkeyPatch) -> None:
-    fewer = {room: wanted(room)[-1:] for room in rooms}  # paths of the highest order
+    # Most are seen in wind, by one program; in calm air, by another, only those that are left.
+    left = list(names)
+    for some in ([room for room in rooms if room in GALES], [room for room in rooms if room not in GALES]):
+        if some:
+            left = unseen(left, {room: wanted(room)[-1:] for room in some}, monkeypatch)  # paths of the highest order
+    assert left == []
+
+
+def unseen(names: list[str], parts: dict[str, list[tuple[Candidates, Intervals]]], patch: pytest.MonkeyPatch) -> list[str]:
+    """Return the mutants with which the search still finds all that its twin finds in some scenes."""
     mutants = Mutants("intervals", {name: MUTANTS[name] for name in names})
-    mutants.play(monkeypatch)
-    assert agree(fewer), "none of them is chosen"
-    assert mutants.unseen(lambda: agree(fewer)) == []
+    with patch.context() as played:
+        mutants.play(played)
+        assert agree(parts), "none of them is chosen"
+        return mutants.unseen(lambda: agree(parts))

@@ -75,7 +75,7 @@ def rendered(plan: Plan, skips_silence: bool, **options) -> np.ndarray:
 
 @pytest.mark.filterwarnings("ignore:.*delay filters are wrong")
 @pytest.mark.parametrize(
-    ("name", "layout"), [(name, None) for name in PLANS] + few([(name, GPU_LAYOUT) for name in PLANS])
+    ("name", "layout"), [(name, None) for name in PLANS] + few([(name, GPU_LAYOUT) for name in PLANS], kept=(2,))
 )
 def test_not_a_bit_changes(name: str, layout, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = PLANS[name]()

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 WINDOW = 0.02  # s, in which errors are compared with what is heard then
+TOGETHER = 50_000  # delays that are solved at a time
 QUIET_DB = -60.0  # relative to the loudest window, below which a window is not looked at
 
 
@@ -215,13 +216,16 @@ def lagrange(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
 def delays(
     source: Curve, receiver: Curve, sign: np.ndarray, offset: np.ndarray, times: np.ndarray, c: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return delays (n,) of an image at times of reception, and its Mach number towards the receiver at emission."""
+    """Return delays of an image at times of reception (n,), and its Mach number towards the receiver at emission.
+
+    Both are (n,), or (m, n) of m images, whose `sign` and `offset` are (m, 1, 3) then.
+    """
     at = receiver.position(times)
 
     def apart(delay: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         way = at - (sign * source.position(times - delay) + offset)
-        distance = np.sqrt(np.einsum("nk,nk->n", way, way))
-        towards = np.einsum("nk,nk->n", way, sign * source.velocity(times - delay)) / distance
+        distance = np.sqrt(np.einsum("...k,...k->...", way, way))
+        towards = np.einsum("...k,...k->...", way, sign * source.velocity(times - delay)) / distance
         return distance, towards / c
 
     low, high = np.zeros(len(times)), np.full(len(times), np.inf)
@@ -254,14 +258,15 @@ def truth(
     pressure, power = np.zeros(len(times)), np.zeros(len(times))
     for emitted, curve in sources:
         found: list[tuple[np.ndarray, ...]] = []
-        images = list(room.images())
-        for i, (order, sign, offset) in enumerate(images):
-            delay, mach = delays(curve, receiver, sign, offset, times, room.speed_of_sound)
-            distance = room.speed_of_sound * delay
-            heard = np.flatnonzero(emitted.sounds(times - delay))
-            gain = room.reflection**order / (distance * (1.0 - mach))
-            found.append((heard, (times - delay)[heard], distance[heard], gain[heard]))
-            if i + 1 == len(images) or sum(len(f[0]) for f in found) > block:
+        images, some = list(room.images()), max(1, TOGETHER // len(times))
+        for first in range(0, len(images), some):
+            order, sign, offset = (np.array(one) for one in zip(*images[first : first + some], strict=True))
+            delay, mach = delays(curve, receiver, sign[:, None], offset[:, None], times, room.speed_of_sound)
+            distance, emission = room.speed_of_sound * delay, times - delay
+            heard = emitted.sounds(emission)
+            gain = room.reflection ** order[:, None] / (distance * (1.0 - mach))
+            found.append((np.nonzero(heard)[1], emission[heard], distance[heard], gain[heard]))
+            if first + some >= len(images) or sum(len(f[0]) for f in found) > block:
                 where, emission, away, gains = (np.concatenate([f[k] for f in found]) for k in range(4))
                 found = []
                 if len(where):

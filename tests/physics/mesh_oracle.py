@@ -83,7 +83,7 @@ class Oracle:
         return points - 2 * self._height(points, plane)[:, None] * self.normals[plane]
 
     def _height(self, points: Array, plane: Ints) -> Array:
-        return np.asarray(np.sum(points * self.normals[plane], axis=1) - self.offsets[plane])
+        return np.asarray(np.einsum("nk,nk->n", points, self.normals[plane]) - self.offsets[plane])
 
     def _trace(self, sequences: Ints, source: Array, receiver: Array) -> tuple[Array, Bools]:
         """Return corners (S, N + 2, 3), and which sequences hit all their planes inside triangles."""
@@ -170,7 +170,7 @@ def _inside(points: Array, corners: Array) -> Bools:
     """Tell which points (..., 3), in the planes of triangles (..., 3, 3), lie in them, edges included."""
     a, b, c = (corners[..., k, :] for k in range(3))
     normal = np.cross(b - a, c - a)
-    square = np.sum(normal * normal, axis=-1)
-    u = np.sum(np.cross(c - b, points - b) * normal, axis=-1) / square
-    v = np.sum(np.cross(a - c, points - c) * normal, axis=-1) / square
+    square = np.sum(normal * normal, axis=-1, keepdims=True)
+    u = np.einsum("...k,...k->...", points - b, np.cross(normal, c - b) / square)
+    v = np.einsum("...k,...k->...", points - c, np.cross(normal, a - c) / square)
     return np.asarray((u >= -EDGE) & (v >= -EDGE) & (1 - u - v >= -EDGE))

@@ -29,12 +29,12 @@ class Wobble:
         return cls(trial.centre, trial.amplitude * speed / peak, rate, phase)
 
     def position(self, time: np.ndarray) -> np.ndarray:
-        angle = self.rate * np.asarray(time)[..., None, None] + self.phase
-        return self.centre + np.sum(self.amplitude * np.sin(angle), axis=-2)
+        t, sines = np.asarray(time)[..., None], zip(self.amplitude, self.rate, self.phase, strict=True)
+        return self.centre + sum(size * np.sin(rate * t + phase) for size, rate, phase in sines)
 
     def velocity(self, time: np.ndarray) -> np.ndarray:
-        angle = self.rate * np.asarray(time)[..., None, None] + self.phase
-        return np.sum(self.amplitude * self.rate * np.cos(angle), axis=-2)
+        t, sines = np.asarray(time)[..., None], zip(self.amplitude, self.rate, self.phase, strict=True)
+        return np.asarray(sum(size * rate * np.cos(rate * t + phase) for size, rate, phase in sines))
 
     def speed_over(self, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
         most = np.linalg.norm(np.sum(self.amplitude * self.rate**2, axis=0))  # of the acceleration
@@ -94,9 +94,9 @@ def received(
                 x = mirror(x, wall, size)
             return x
 
-        delay = np.linalg.norm(at - image(times), axis=1) / c
-        for _ in range(16):  # contracts by the Mach number, at most 0.03
-            delay = np.linalg.norm(at - image(times - delay), axis=1) / c
+        delay = lengths(at - image(times)) / c
+        for _ in range(10):  # contracts by the Mach number, at most 0.03
+            delay = lengths(at - image(times - delay)) / c
         distance = c * delay
         velocity = source.velocity(times - delay)
         for wall in walls:
@@ -105,6 +105,10 @@ def received(
         gain = reflection ** len(walls) * 10 ** (-absorption * (distance - 1) / 20) / (distance * (1 - mach))
         total += gain * emitted(times - delay)
     return total
+
+
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
 
 
 def as_the_paths_say(paths: object, times: np.ndarray, receiver: int = 0) -> np.ndarray:

@@ -18,8 +18,8 @@ from clsim.render.reference import ReferenceEngine
 SIZE = np.array([6.0, 5.0, 4.0])
 REFLECTION = 0.9
 AIR = clsim.Air()
-COMPARED = 1500  # samples at which the exact solution is worked out: it is slow
-WINDOW = 3000  # samples that the reference engine renders: it is slow
+COMPARED = 1000  # samples at which the exact solution is worked out: it is slow
+WINDOW = 1500  # samples that the reference engine renders: it is slow
 
 
 def scene_of(signal: clsim.Signal, source: clsim.Trajectory, receiver: clsim.Trajectory, **options) -> clsim.Scene:

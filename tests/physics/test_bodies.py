@@ -103,6 +103,34 @@ def test_doppler_shifts_are_those_of_a_moving_mirror() -> None:
     assert (1.0 + 2.0 * mach * np.cos(angle) + mach**2) / (1.0 - mach**2) == pytest.approx(1.1026769187596, abs=1e-13)
 
 
+def test_doppler_factors_have_ten_digits() -> None:
+    """At normal incidence for ends at one place, and at 35 degrees for a receiver where what is reflected goes."""
+    for speed, shift in ((1.0, 233.918), (5.0, 1183.432), (20.0, 4953.560)):
+        scene = scene_of(FIXED(BIG - 20.0), FIXED(BIG + 20.0), [sheet("wall", (1, 0, 0), 0.0, approaching(6.0, speed))])
+        place = FIXED(BIG)
+        found = find_events(Mirrors.of(scene), np.array([[6]]), (place, place), UniformAir(C), np.array([0.05]))
+        assert 1.0 - found.rate[0, 0] == pytest.approx((1.0 + speed / C) / (1.0 - speed / C), rel=1e-12)
+        assert -40e3 * found.rate[0, 0] == pytest.approx(shift, abs=5.1e-4)
+    angle, mach, told = np.radians(35.0), 20.0 / C, 1.1026769187596
+    met = 6.0 / (C * np.cos(angle) + 20.0)  # emitted at 0 s in the middle
+    hit = C * met * np.array([np.cos(angle), np.sin(angle), 0.0])
+    aslant = np.arcsin(np.sin(angle) / told)  # along the mirror slownesses are as before
+    ear = FIXED(BIG + hit + 4.0 * np.array([-np.cos(aslant), np.sin(aslant), 0.0]))
+    scene = scene_of(FIXED(BIG - 20.0), FIXED(BIG + 20.0), [sheet("wall", (1, 0, 0), 0.0, approaching(6.0, 20.0))])
+    heard = np.array([met + 4.0 / C])
+    found = find_events(Mirrors.of(scene), np.array([[6]]), (FIXED(BIG), ear), UniformAir(C), heard)
+    assert found.delay[0, 0] == pytest.approx(heard[0], abs=1e-13)
+    assert 1.0 - found.rate[0, 0] == pytest.approx(
+        (1.0 + 2.0 * mach * np.cos(angle) + mach**2) / (1.0 - mach**2), rel=1e-12
+    )
+    assert 1.0 - found.rate[0, 0] == pytest.approx(told, abs=1e-12)
+
+
+def approaching(away: float, speed: float) -> Trajectory:
+    """Return a way from so far, m, towards the middle at a speed, m/s."""
+    return LINE(at(away, 0, 0), at(away - 0.1 * speed, 0, 0), 0.1)
+
+
 def test_bodies_at_rest_are_walls() -> None:
     """A body that never moves gives the paths of the same room with it as a wall."""
     material = clsim.Material.from_porous(20e3, 0.05)

@@ -184,7 +184,14 @@ def test_company_changes_nothing(engine: str, rng) -> None:
     moving = [oracle.Wobble.random(rng, x, 3.0).trajectory(0.2) for x in places]
     sources = [
         clsim.Source("a", TONE, moving[0], BEAMS["source"], aim=(1, 0, 0)),
-        clsim.Source("b", clsim.Signal.chirp(20e3, 60e3, 0.05, RATE, window="hann"), moving[1], start=0.0071),
+        clsim.Source(
+            "b",
+            clsim.Signal.chirp(20e3, 60e3, 0.05, RATE, window="hann"),
+            moving[1],
+            BEAMS["source"],
+            aim=(0, -1, 0),
+            start=0.0071,
+        ),
     ]
     receivers = [
         clsim.Receiver("p", moving[2]), clsim.Receiver("q", moving[3], BEAMS["receiver"], aim=(-1, 0, 0)),

@@ -87,10 +87,10 @@ def test_a_shoebox_as_a_mesh_has_the_closed_forms_paths(mesh, validated_by) -> N
     room = clsim.MeshRoom(*mesh, WALL)
     assert len(room.walls) == 6
     source, receiver = (2.0, 2.5, 1.2), (6.1, 3.3, 1.9)
-    order = 6 if validated_by == "opencl" else 3
+    order = 5 if validated_by == "opencl" else 3
     mine = clsim.find_paths(scene_of(room, source, receiver), order, engine=validated_by)
     closed = clsim.find_paths(scene_of(clsim.Shoebox((8, 6, 3), WALL), source, receiver), order)
-    assert len(mine) == len(closed) == {6: 377, 3: 63}[order]
+    assert len(mine) == len(closed) == {5: 231, 3: 63}[order]
     images = [np.round(f.image_matrix @ source + f.image_offset, 12) for p in (mine, closed) for f in p.families]
     ordered = [i[np.lexsort(np.round(i, 6).T)] for i in images]
     np.testing.assert_allclose(ordered[0], ordered[1], atol=1e-9)
@@ -247,7 +247,7 @@ def test_turning_the_room_turns_nothing_else(rng) -> None:
 def test_a_shoebox_as_a_mesh_sounds_like_the_shoebox(per_face: int, engine: str) -> None:
     source = clsim.Trajectory.circle((3.0, 2.5, 1.2), 0.6, 0.5, 0.2)
     signal = clsim.Signal.chirp(20e3, 60e3, 0.1, 192e3, window="tukey")
-    order = 6 if engine == "opencl" else 2
+    order, duration = (5, 0.12) if engine == "opencl" else (2, 0.05)  # the reference engine is slow
     # As the source moves, pairs of walls swap their order: one path ends where another with the same image begins. What is
     # compared is two roundings of one sum, so the filters' own error must be below.
     exact = clsim.Bandlimited(error_db=-115)
@@ -255,7 +255,7 @@ def test_a_shoebox_as_a_mesh_sounds_like_the_shoebox(per_face: int, engine: str)
     for room in (clsim.MeshRoom(*cut_box((8, 6, 3), per_face), WALL), clsim.Shoebox((8, 6, 3), WALL)):
         scene = scene_of(room, source, (6.1, 3.3, 1.9), signal=signal)
         paths = clsim.find_paths(scene, order, engine=engine)
-        made = clsim.render(paths, 192e3, duration=0.12, engine=engine, interpolator=exact, responses="centre")
+        made = clsim.render(paths, 192e3, duration=duration, engine=engine, interpolator=exact, responses="centre")
         sounds.append(made.pressure[0].astype(float))
     mesh, closed = sounds
     assert np.linalg.norm(mesh - closed) < 10 ** (-110 / 20) * np.linalg.norm(closed)

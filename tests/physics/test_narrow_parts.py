@@ -303,7 +303,7 @@ def test_the_oracle_sees_a_wrong_carrier(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_plan_for_another_device_takes_its_narrow_parts_along() -> None:
-    plan = planned(scene(TONE), order=0)
+    plan = planned(scene(TONE))
     there = on_device(plan, "0:0")
     assert [part.plan.options.device for part in there.narrow_parts] == ["0:0"]
     np.testing.assert_array_equal(sound(pickle.loads(pickle.dumps(there))), sound(plan))

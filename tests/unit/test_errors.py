@@ -1,7 +1,9 @@
-"""Where warnings say that they come from."""
+"""Where warnings say that they come from; what is no recording, path set or list of rooms is told so."""
 
 import warnings
+from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 import clsim
@@ -22,3 +24,27 @@ def test_warnings_name_the_line_outside_that_called() -> None:
     assert all(issubclass(w.category, clsim.ClsimWarning) for w in caught)
     with pytest.raises(clsim.ClsimWarning, match="Cramer"):
         clsim.Air(temperature_celsius=35.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: clsim.write_flac(3, "out"), "recording: must be a Recording, but is 3"),
+        (lambda: clsim.write_mat(3, "a.mat"), "recording: must be a Recording, but is 3"),
+        (lambda: clsim.direct_path(3, [0.0]), "paths: must be a PathSet, but is 3"),
+        (lambda: clsim.score.ranging(3, None), "recording: must be a Recording, but is 3"),
+        (lambda: clsim.track(3), "paths: must be a PathSet, but is 3"),
+        (lambda: clsim.render(3, 48e3), "paths: must be a PathSet, but is 3"),
+        (
+            lambda: clsim.RenderOptions(48e3, engine=np.zeros(2)),
+            r'engine: must be one of "opencl", "reference", but is array\(.*',
+        ),
+        (lambda: clsim.find_paths(3, 0), "scene: must be a Scene, but is 3"),
+        (lambda: clsim.MeshRoom.joined(3), "parts: must be a list of at least one room, but is 3"),
+        (lambda: clsim.MeshRoom.joined([]), r"parts: must be a list of at least one room, but is \[\]"),
+        (lambda: clsim.render_tracks([], 3, 48e3), "tracks: must be Tracks, but is 3"),
+    ],
+)
+def test_what_is_of_another_kind_is_told_so(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(clsim.InputError, match=f"^{message}$"):
+        call()

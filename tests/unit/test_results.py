@@ -88,8 +88,15 @@ def test_some_receivers_are_loaded_with_their_own_scene(folder: Path, recording:
 def test_what_is_no_result_is_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(clsim.InputError, match=r"folder: must hold what clsim run finished"):
         clsim.load_recording(tmp_path)
-    with pytest.raises(clsim.InputError, match=r"receivers: must be of 'über links', 'right', but one is 'left'"):
-        clsim.load_recording(folder, ["left"])
+    with pytest.raises(
+        clsim.InputError, match=r'receivers: must be one of "über links", "right", but is .rigth.; did you mean "right"'
+    ):
+        clsim.load_recording(folder, ["rigth"])
+    with pytest.raises(clsim.InputError, match=r"receivers: must be a list of names, but is 'right'"):
+        clsim.load_recording(folder, "right")
+    (tmp_path / "clsim.json").write_text("[]", "utf-8")
+    with pytest.raises(clsim.InputError, match=r"^folder: must hold no clsim.json of others, but .*clsim.json cannot"):
+        clsim.load_recording(tmp_path)
 
 
 def test_a_dataset_has_names_units_and_times(recording: clsim.Recording) -> None:

@@ -150,12 +150,7 @@ class BodyPaths(PathFamily):
 
     def _lengths(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> Floats:
         """Return the same by bodies as they are at a time, or at times (P,)."""
-        now, none = np.broadcast_to(times, index.shape)[:, None], np.zeros((len(index), 1))
-        image = source[:, None]
-        for walls in self.surfaces[index].T:
-            plane = self.mirrors.planes(walls, now, none, None)
-            image = image - 2.0 * plane.height(none, image)[..., None] * plane.normal
-        return np.asarray(np.linalg.norm(image[:, 0] - receiver, axis=1))
+        return self.mirrors.distances(self.surfaces[index], source, receiver, times)
 
     @cached_property
     def speeds(self) -> Floats:

@@ -121,6 +121,25 @@ class Mirrors:
             self._pose(self.bodies[body], walls[mine], now[mine], event[mine], where, (normal, offset, speed), mine)
         return Planes(normal, offset, speed)
 
+    def distances(self, walls: Integers, start: Floats, stop: Floats, times: Any) -> Floats:
+        """Return how long ways (P,) by mirrors are that rest where they are at a time, or at times (P,), m.
+
+        Parameters
+        ----------
+        walls : ndarray (P, N) int
+            From the first one met, filled up with -1.
+        start, stop : ndarray (P, 3)
+            Ends of the ways, m.
+        times : float or ndarray (P,)
+            s.
+        """
+        now, none = np.broadcast_to(times, len(walls))[:, None], np.zeros((len(walls), 1))
+        image = start[:, None]
+        for met in walls.T:
+            plane = self.planes(met, now, none, None)
+            image = image - 2.0 * plane.height(none, image)[..., None] * plane.normal
+        return np.asarray(np.linalg.norm(image[:, 0] - stop, axis=1))
+
     def _pose(
         self, body: Body, walls: Integers, now: Floats, event: Floats, place: Floats | None,
         out: tuple[Floats, Floats, Floats], mine: NDArray[np.int64],

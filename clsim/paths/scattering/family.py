@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.family import Instant, Rows
     from clsim.paths.response import SceneResponse
+    from clsim.scene.scene import Scene
 
 _AT_A_TIME = 6144  # nodes that are looked at together: what is worked on stays in the cache
 
@@ -41,6 +42,34 @@ class ScatteredArrivals(Arrivals):
     strength: Floats
     aspects: Floats
     event_time: Floats
+
+
+def scatter(
+    response: Any, scene: Scene, which: NDArray[np.int32], here: ScatteredArrivals, frequencies: Floats
+) -> None:
+    """Multiply responses (P, T, F) by the fields and the fluctuations of scatterers, in place.
+
+    Parameters
+    ----------
+    response : ndarray (P, T, F)
+        So far.
+    scene : Scene
+        With its scatterers.
+    which : ndarray (P,) int
+        That of each path.
+    here : ScatteredArrivals
+        Of the paths.
+    frequencies : ndarray (F,)
+        Hz.
+    """
+    wave = 2.0 * np.pi * frequencies / scene.air.speed_of_sound
+    for each in np.unique(which):
+        mine, scatterer = np.flatnonzero(which == each), scene.scatterers[each]
+        field = scatterer.shape.field(wave, here.aspects[mine, :, : scatterer.shape.aspects])
+        if field is not None:
+            response[mine] *= field
+        if scatterer.fluctuation is not None:
+            response[mine] *= scatterer.fluctuation.at(here.event_time[mine])[..., None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,15 +181,7 @@ class ScatteredPaths(TwoSidedPaths):
         if self.is_complex:
             response = response.astype(np.complex128, copy=False)
         response *= (found.mach_factor * spreading)[..., None]
-        wave = 2.0 * np.pi * at.frequencies / self.scene.air.speed_of_sound
-        for which in np.unique(self.scatterer[index]):
-            mine = np.flatnonzero(self.scatterer[index] == which)
-            scatterer = self.scene.scatterers[which]
-            field = scatterer.shape.field(wave, here.aspects[mine, :, : scatterer.shape.aspects])
-            if field is not None:
-                response[mine] *= field
-            if scatterer.fluctuation is not None:
-                response[mine] *= scatterer.fluctuation.at(here.event_time[mine])[..., None]
+        scatter(response, self.scene, self.scatterer[index], here, at.frequencies)
         self.reflect(response, index, found, at)
         at.apply_directivities(response, self.ends(rows), found, times)
         return cast("Floats", response)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,17 +18,15 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.family import PathFamily
     from clsim.paths.propagation import Medium
     from clsim.paths.search import PathSearch
+    from clsim.scene.body import Body
     from clsim.scene.motion.motion import Motion
-
-    Finder = Callable[[Scene, PathSearch], PathFamily]
 
 LARGEST_SCATTERING_ORDER = 3
 _PROBES = 10.0  # Hz, at which distances from scatterers are looked at
@@ -46,7 +44,7 @@ class _Pairs:
     end: Floats
 
 
-def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> ScatteredPaths:
+def scattered_paths(scene: Scene, search: PathSearch, before: SpecularPaths, after: SpecularPaths) -> ScatteredPaths:
     """Return every path by one scatterer with up to `scattering_order` reflections before it and as many after it.
 
     Parameters
@@ -55,13 +53,13 @@ def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> Scattered
         What sounds, scatters and listens where.
     search : PathSearch
         What is asked.
-    find : callable
-        Finds the paths by walls alone of a scene.
+    before, after : SpecularPaths
+        The paths by walls alone of both `sides` of the scene.
 
     Raises
     ------
     InputError
-        If there are more paths than the limit, or they cannot be found.
+        If there are more paths than the limit.
 
     Notes
     -----
@@ -69,16 +67,13 @@ def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> Scattered
     of the centre. A side that comes or goes when sound meets the scatterer is heard to come or go when that sound is
     received.
     """
-    legs = replace(search, max_order=search.scattering_order, progress=lambda share: None)
-    before, after = _sides(scene)
-    found_before, found_after = (cast("SpecularPaths", find(side, legs)) for side in (before, after))
-    most = len(found_before) * len(found_after) // max(len(scene.scatterers), 1)
+    most = len(before) * len(after) // max(len(scene.scatterers), 1)
     rows: list[dict[str, Any]] = []
     count = 0
     for source in range(len(scene.sources)):
         for receiver in range(len(scene.receivers)):
             for which in range(len(scene.scatterers)):
-                pairs = _pairs(scene, found_before, found_after, (source, which, receiver))
+                pairs = _pairs(scene, before, after, (source, which, receiver))
                 count += len(pairs.start)
                 if count > search.path_limit:
                     raise InputError(
@@ -86,7 +81,7 @@ def scattered_paths(scene: Scene, search: PathSearch, find: Finder) -> Scattered
                         f"must give at most {search.path_limit} paths by scatterers (path_limit), but "
                         f"{search.scattering_order} gives about {most}",
                     )
-                rows.append(_columns(found_before, found_after, pairs, (source, which, receiver)))
+                rows.append(_columns(before, after, pairs, (source, which, receiver)))
     return _family(scene, rows)
 
 
@@ -98,7 +93,7 @@ def direct_ways(scene: Scene) -> ScatteredPaths:
     InputError
         If the air depends on the height or fluctuates.
     """
-    before, after = (SpecularPaths.direct(side) for side in _sides(scene))
+    before, after = (SpecularPaths.direct(side) for side in sides(scene))
     rows = [
         _columns(before, after, _pairs(scene, before, after, (source, which, receiver)), (source, which, receiver))
         for source in range(len(scene.sources))
@@ -108,8 +103,20 @@ def direct_ways(scene: Scene) -> ScatteredPaths:
     return _family(scene, rows)
 
 
-def _sides(scene: Scene) -> tuple[Scene, Scene]:
+def sides(scene: Scene, bodies: Sequence[Body] = ()) -> tuple[Scene, Scene]:
     """Return the scene with scatterers for receivers, and with scatterers for sources: all else was checked before.
+
+    Parameters
+    ----------
+    scene : Scene
+        With scatterers.
+    bodies : sequence of Body
+        What is to be in them.
+
+    Returns
+    -------
+    before, after : Scene
+        From sources to scatterers, and from there to receivers.
 
     Raises
     ------
@@ -124,8 +131,8 @@ def _sides(scene: Scene) -> tuple[Scene, Scene]:
     with warnings.catch_warnings():  # what there is to say of room and signals was said
         warnings.simplefilter("ignore")
         return (
-            Scene(scene.room, scene.air, scene.sources, listening, scene.min_distance),
-            Scene(scene.room, scene.air, sounding, scene.receivers, scene.min_distance),
+            Scene(scene.room, scene.air, scene.sources, listening, scene.min_distance, (), bodies),
+            Scene(scene.room, scene.air, sounding, scene.receivers, scene.min_distance, (), bodies),
         )
 
 

@@ -39,8 +39,8 @@ class ScattererTruth:
         Unit vectors from the receiver to where it scatters, in the room.
     scatterer_names, source_names, receiver_names : tuple of str
         What the axes mean.
-    MEASURES : tuple of str
-        Names of the fields with an axis of scatterers.
+    KIND, MEASURES : str, tuple of str
+        What the first axis is of, and names of the fields that have it.
     """
 
     times: Floats
@@ -53,6 +53,7 @@ class ScattererTruth:
     source_names: tuple[str, ...]
     receiver_names: tuple[str, ...]
 
+    KIND: ClassVar[str] = "scatterer"
     MEASURES: ClassVar[tuple[str, ...]] = ("delay", "doppler_factor", "range", "radial_speed", "bearing")
 
     __repr__ = short_repr

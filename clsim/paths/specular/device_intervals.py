@@ -150,7 +150,7 @@ class DeviceSearch:
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
             "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(self._query.medium.wind is not None),
-            "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
+            "GROUPED": int(self._query.walls.tree.has_groups), "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
             "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL, "TOUCHING": TOUCHING,
             "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
             "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),

@@ -133,7 +133,7 @@ def find_intervals(
         evaluations += len(path)
         done = (clear > reach) | (2.0 * half <= query.resolution) | (reach < SMALLEST_MOVE * query.walls.size)
         grazing = np.flatnonzero(~done & (clear < GRAZE * query.walls.size) & (half <= 0.5 * GRAZE_TIME))
-        for instant in (begin, end):
+        for instant in (begin, end) if len(grazing) else ():
             still = np.zeros(len(grazing))
             seen, _, _ = evaluate_at(query, sequence[path[grazing]], receiver[path[grazing]], instant[grazing], still)
             grazing = grazing[seen == valid[grazing]]

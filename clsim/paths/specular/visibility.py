@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 EVER = 1e300  # m, next to no bound
 TOUCHING = 100.0  # tolerances of a wall's outline; what is nearer to the end of a path at an edge touches it
+_PAIRS = 2**16  # of segments and edges looked at at a time
 PARALLEL = 1e-14  # square of the sine of an angle below which segments are parallel
 
 
@@ -246,6 +247,8 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
             rows = rows[_blocks(walls, wall, a[rows], b[rows])]
             if at_edge and leg == order:
                 rows = rows[np.abs(b[rows] @ walls.normal[wall] - walls.offset[wall]) > TOUCHING * INSIDE * walls.size]
+            if not len(rows):
+                continue
             valid[rows] = False
             some = rows[first[rows] < last[rows]]
             path, normal = paths.part(some), walls.normal[wall]
@@ -293,14 +296,15 @@ def _edge_clearance(walls: Walls, paths: Unfolded, at_edge: bool) -> Floats:
     """Return distances from the legs, drawn out at their ends by what these can move, to the nearest edge."""
     clear = 2.0 * paths.reach.most
     legs = paths.start.shape[1]
+    some = max(1, _PAIRS // max(1, len(clear)))
     for leg in range(legs):
         a = paths.along(leg, np.maximum(paths.tau[:, leg] - paths.slack[:, leg], 0.0))
         b = paths.along(leg, np.minimum(paths.tau[:, leg + 1] + paths.slack[:, leg + 1], 1.0))
-        for wall in range(len(walls)):
-            apart = segments_apart(walls.edges_of(wall), a, b)
+        for edges in (walls.edge[first : first + some] for first in range(0, len(walls.edge), some)):
+            apart = segments_apart(edges, a, b)
             if at_edge and leg == legs - 1:
                 end = paths.stop[:, leg]
-                apart[segments_apart(walls.edges_of(wall), end, end) <= TOUCHING * INSIDE * walls.size] = np.inf
+                apart[segments_apart(edges, end, end) <= TOUCHING * INSIDE * walls.size] = np.inf
             clear = np.minimum(clear, apart.min(axis=1, initial=np.inf))
     return clear
 

@@ -38,7 +38,9 @@ _PAIRS = 500_000  # of positions and walls at a time
 
 @runtime_checkable
 class _Part(Protocol):
-    def as_mesh(self) -> MeshRoom: ...
+    def as_mesh(self) -> MeshRoom:
+        """Return it as a mesh."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,8 +247,8 @@ class MeshRoom:
         >>> len(MeshRoom.joined([Shoebox((8.0, 6.0, 3.0), wall), screen]).walls)
         7
         """
-        if not parts:
-            raise InputError("parts", "must hold at least one room, but is empty")
+        if not isinstance(parts, Sequence) or not parts:
+            raise InputError("parts", f"must be a list of at least one room, but is {parts!r:.80}")
         meshes = []
         for i, part in enumerate(parts):
             if isinstance(part, type) or not isinstance(part, _Part):

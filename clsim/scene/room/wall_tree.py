@@ -78,6 +78,11 @@ class WallTree:
             half.append(0.5 * (highest - lowest))
         return WallTree(order, tuple(middle), tuple(half))
 
+    @property
+    def has_groups(self) -> bool:
+        """Whether there are boxes of boxes; without them there is one for each wall, in the order of these."""
+        return len(self.middle) > 1
+
     def in_depth(self) -> BoxesInDepth:
         """Return the boxes in the order of a walk that goes into each box before it goes on, as devices take them."""
         length = np.ones(len(self.wall), dtype=np.int64)  # boxes in a box, itself included

@@ -54,6 +54,22 @@ def test_commands_are_those_that_are_listed() -> None:
     assert there == set(cli.COMMANDS)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["rnu", "scene.toml"], """COMMAND: 'rnu' is none; `clsim --help` lists them; did you mean "run"?"""),
+        (["studdy"], """COMMAND: 'studdy' is none; `clsim --help` lists them; did you mean "study"?"""),
+        (["nothing"], "COMMAND: 'nothing' is none; `clsim --help` lists them"),
+        (["--verion"], 'unrecognized arguments: --verion; did you mean "--version"?'),
+        (["devices", "--tset"], 'unrecognized arguments: --tset; did you mean "--test"?'),
+    ],
+    ids=str,
+)
+def test_what_is_misspelt_is_asked_for(arguments: list[str], told: str, capsys) -> None:
+    assert cli.main(arguments) == 2
+    assert capsys.readouterr().err == f"clsim: error: {told}\n"
+
+
 @pytest.mark.parametrize("arguments", [["--help"], [], ["nothing"]], ids=str)
 def test_only_the_command_that_is_called_is_imported(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cli, "import_module", lambda name: pytest.fail(f"{name} was imported"))

@@ -257,9 +257,9 @@ def test_view_shows_walls_and_what_is_heard(mesh_scene: Path) -> None:
     }
     first, last = view.frames[0], view.frames[-1]
     assert re.fullmatch(r"robot to mic, direct: [\d.]+ ms, 0\.0 dB", first.labels[0])
-    np.testing.assert_allclose(first.corners[0], [[1, 4.5, 1], [7, 2, 1]], atol=1e-9)
+    np.testing.assert_allclose(first.vertices[0], [[1, 4.5, 1], [7, 2, 1]], atol=1e-9)
     assert not any("direct" in label for label in last.labels)  # it is behind the screen
-    for corners, order in zip(last.corners, last.order, strict=True):
+    for corners, order in zip(last.vertices, last.order, strict=True):
         assert corners.shape == (order + 2, 3)
         np.testing.assert_allclose(corners[[0, -1]], [[1, 2, 1], [7, 2, 1]], atol=1e-9)
     two = viewed(paths, duration=duration, frames=1, limit=2)

@@ -64,7 +64,7 @@ class Long:
         return np.zeros(part.stop - part.start, dtype=np.float32)
 
 
-@pytest.mark.parametrize(("duration", "band"), [(600.0, (0.0, 96e3)), (30.0, (39.9e3, 40.1e3)), (5.0, (40e3, 40e3))])
+@pytest.mark.parametrize(("duration", "band"), [(60.0, (0.0, 96e3)), (10.0, (39.9e3, 40.1e3)), (5.0, (40e3, 40e3))])
 def test_long_sound_is_read_in_pieces(duration: float, band: tuple[float, float]) -> None:
     sound = Long(duration)
     raster = spectrogram(sound, RATE, band)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scene_fields import leaves, written
+from scene_fields import leaves, refusal, written
 
 import clsim
 from clsim.scene_file import load_scene
@@ -96,35 +96,23 @@ def test_completed_scene_is_the_same_from_another_folder(tmp_path: Path) -> None
     assert completed["render"]["motion"] == "retarded"
 
 
-@pytest.mark.parametrize("path", LEAVES, ids=written)
 @pytest.mark.parametrize("value", [float("nan"), "text", [], {"odd": 1}, True], ids=repr)
-def test_nonsense_anywhere_names_the_field(path: tuple, value: object) -> None:
-    original = CONTENT
-    for step in path:
-        original = original[step]
-    if (isinstance(original, str) and isinstance(value, str)) and path[-1] == "name":
-        return  # any text is a name
-    content = changed(path, value)
-    if value == {"odd": 1} and isinstance(original, dict):
-        match = written(path)
-    else:
+def test_nonsense_anywhere_names_the_field(value: object) -> None:
+    wrong = []
+    for path in LEAVES:
+        if isinstance(value, str) and path[-1] == "name":
+            continue  # any text is a name
         match = written(path[: -1 if isinstance(path[-1], int) and value == [] else len(path)])
-    with pytest.raises(clsim.InputError) as caught:
-        build_scene(content, Path())
-    assert str(caught.value).startswith(match.rpartition(".kind")[0] or match), str(caught.value)
+        told = refusal(changed(path, value), Path())
+        if not told.startswith(match.rpartition(".kind")[0] or match):
+            wrong.append(f"{written(path)}: {told}")
+    assert wrong == []
 
 
-@pytest.mark.parametrize("path", [p for p in LEAVES if not isinstance(p[-1], int)], ids=written)
-def test_unknown_keys_are_errors(path: tuple) -> None:
-    content = copy.deepcopy(CONTENT)
-    at = content
-    for step in path:
-        at = at[step]
-    if not isinstance(at, dict):
-        return
-    at["surprise"] = 1
-    with pytest.raises(clsim.InputError, match="surprise"):
-        build_scene(content, Path())
+def test_unknown_keys_are_errors() -> None:
+    parents = sorted({path[:n] for path in LEAVES for n in range(len(path)) if not isinstance(path[n], int)}, key=repr)
+    assert len(parents) > 15
+    assert [p for p in parents if "surprise" not in refusal(changed((*p, "surprise"), 1), Path())] == []
 
 
 REQUIRED = [
@@ -154,7 +142,7 @@ anything = st.recursive(
 )
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(path=st.sampled_from(LEAVES), value=anything)
 def test_fuzzed_fields_give_an_input_error_or_a_scene(path: tuple, value: object) -> None:
     with warnings.catch_warnings():

@@ -168,7 +168,7 @@ def some_materials() -> st.SearchStrategy[Material]:
     return st.builds(lambda m, rms: m.rough(rms), smooth, st.sampled_from([0.0, 1e-4, 0.1]))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.data())
 def test_no_wall_sends_back_more_than_it_receives(data):
     with warnings.catch_warnings():

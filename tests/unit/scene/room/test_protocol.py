@@ -7,6 +7,10 @@ import pytest
 
 import clsim
 from clsim.output.response_files import _is_box
+from clsim.paths.find_paths import ROOM_FINDERS
+from clsim.paths.search import PathSearch
+from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.view import viewed
 from clsim.scene.flush import find_mount
 from clsim.scene.room.convex import ConvexRoom
 from clsim.scene.room.edges import Edges
@@ -15,7 +19,7 @@ from clsim.scene.room.protocol import ROOM_MEMBERS, Room, is_room
 from clsim.scene.view import viewed_walls
 
 WALL = clsim.Material.from_reflection(0.9)
-TONE = clsim.Signal.tone(40e3, 0.01, 192e3)
+TONE = clsim.Signal.tone(40e3, 0.01, 192e3, fade=1e-3)
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -118,6 +122,30 @@ def test_a_room_of_ones_own_is_a_room_of_a_scene(room: Room) -> None:
     assert not _is_box(room)
     with pytest.raises(clsim.InputError, match="must be a Shoebox or MeshRoom to find paths"):
         clsim.find_paths(held, 1)
+
+
+def above_the_floor(scene: clsim.Scene, room: HalfSpace, search: PathSearch) -> SpecularPaths:
+    """Return the direct sound and what the floor sends back, of one source and one receiver."""
+    two = np.zeros(2, dtype=np.int32)
+    return SpecularPaths(
+        scene=scene, source=two, receiver=two, order=np.arange(2, dtype=np.int32), start=np.full(2, -np.inf),
+        end=np.full(2, np.inf), objects=np.array([[-1], [0]], dtype=np.int32),
+        image_matrix=np.stack([np.eye(3), np.diag([1.0, 1.0, -1.0])]), image_offset=np.zeros((2, 3)),
+    )  # fmt: skip
+
+
+def test_with_a_finder_its_paths_are_rendered_and_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ROOM_FINDERS, HalfSpace, above_the_floor)
+    paths = clsim.find_paths(scene(HalfSpace(), (0.0, 0.0, 0.5)), 1)
+    table, c = paths.table([0.0]), paths.scene.air.speed_of_sound
+    np.testing.assert_allclose(table.delay[:, 0] * c, [np.sqrt(2.25), np.sqrt(4.25)], rtol=1e-14)
+    assert [table.name_way(row) for row in range(2)] == ["direct", "floor"]
+    np.testing.assert_allclose(paths.vertices(0.0)[1, 1], [1 / 3, 1 / 3, 0.0], atol=1e-12)
+    heard = clsim.render(paths, 192e3, engine="reference", duration=0.02).pressure[0]
+    times = np.arange(round(0.008 * 192e3), round(0.012 * 192e3)) / 192e3  # both sound, at their full level
+    wanted = table.gain[:, :1] * np.sin(2.0 * np.pi * 40e3 * (times - table.delay[:, :1]))
+    np.testing.assert_allclose(heard[round(0.008 * 192e3) :][: len(times)], wanted.sum(axis=0), atol=1e-3)
+    assert viewed(paths, duration=0.02, frames=2).frames[0].labels
 
 
 @pytest.mark.parametrize(
