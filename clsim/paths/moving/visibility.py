@@ -209,8 +209,8 @@ def hidden_by(
     if drift is not None:
         number, all_drift = drift
         moved = np.maximum(all_drift.start, all_drift.stop) + all_drift.dilation * all_drift.pace.speed[:, number]
-        sure = lasts(np.maximum(beside, 0.0), moved)
-        around = sure < all_drift.pace.half
+        sure = np.where(beside > 0.0, lasts(np.maximum(beside, 0.0), moved), 0.0)  # at rest, too
+        around = (beside <= 0.0) | (sure < all_drift.pace.half)
     near = np.flatnonzero(around)
     some = legs.part(near)
     start, stop = body.seen(some.start, some.left), body.seen(some.stop, some.arrived)
