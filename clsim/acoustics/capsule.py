@@ -54,6 +54,8 @@ def capsule_glint(
     """
     half = 0.5 * length
     between, at, hidden = _between(radius, half, source, receiver)
+    if near is not None and near.held:
+        hidden = hidden | near.hidden
     if near is None or math.isinf(near.change):
         place, change = _search(radius, half, (source, receiver), near, (between, at), weight)
     else:

@@ -42,12 +42,15 @@ class Glint:
         Whether the body is between the ends.
     change : float
         Largest change of u by the last step, rad; infinity for what is guessed.
+    held : bool
+        Whether what is hidden stays so for nearby ends.
     """
 
     place: Floats
     normal: Floats
     hidden: NDArray[np.bool_]
     change: float
+    held: bool = False
 
     def guessed(self, normal: Floats) -> Glint:
         """Return what is known by vectors (3, m) near to u of other ends."""
@@ -87,6 +90,8 @@ def ellipsoid_glint(
     """
     scale = semi_axes[:, None]
     between, hidden = _between(source / scale, receiver / scale)
+    if near is not None and near.held:
+        hidden = hidden | near.hidden
     if near is None or math.isinf(near.change):
         begin = _unit(scale * (_unit(source) + _unit(receiver))) if near is None else near.normal
         u, change = _search(scale, source, receiver, between, begin, weight)

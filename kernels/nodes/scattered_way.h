@@ -3,6 +3,7 @@
 
 #if SCATTERERS
 #define ROUNDS 60
+#define HELD 12  // rounds after which what is hidden stays so
 #define NO_WAY -1e6  // s, a delay that tells that none was found
 
 // How sound passes a leg: time, s, and by how much it grows with the length and with the wind's share of the way.
@@ -42,7 +43,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
         b->change = 0.0;
         b->hidden = (choices)0;
     } else {
-        #if WIND
+#if WIND
         const triples start = first ? from : b->start, stop = first ? receiver->position : b->stop;
 #else
         const triples start = from, stop = receiver->position;
@@ -108,10 +109,12 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
 static void solve_scattered(const trajectory* path, const pose_table* poses, __global const view* seen, const listener* receiver,
                             reals time, double small, int first, arrivals* a, scattering* b)
 {
+    b->held = 0;
     choices open = scattered_step(path, poses, seen, receiver, time, small, first, a, b);
     for (int k = 1; k < ROUNDS && ANY(open); k++) {
         arrivals next = *a;
         scattering met = *b;
+        met.held = k >= HELD;
         const choices still = scattered_step(path, poses, seen, receiver, time, small, 0, &next, &met);
         keep(open, &next, &met, a, b);
         open &= still;

@@ -17,6 +17,7 @@ typedef struct {
     triples start, stop;       // the ends as the air carries their wavefronts, m
 #endif
     choices hidden;            // whether it is between both ends
+    int held;                  // whether what is hidden stays so
 } scattering;
 
 // By what is known of a glint: its place, m, and a step nearer to the shortest way.
@@ -93,7 +94,9 @@ static void reflect_at(__global const view* seen, const pose* p, triples source,
     const triples scale = {seen->semi_axes[0], seen->semi_axes[1], seen->semi_axes[2]};
     const glint_of g = {scale, b->source, b->receiver, b->weight, seen->shape};
     triples other;
+    const choices was_hidden = b->hidden;
     const triples between = between_them(&g, &other, &b->hidden), before = begin_from(&g, b->glint, first);
+    if (b->held) b->hidden |= was_hidden;
     b->glint = nearer(&g, before, (reals)LONGEST_STEP, &b->change);
     const choices far = b->change > GLINT_FAR;
     if (first && ANY(far)) {

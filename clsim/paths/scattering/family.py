@@ -107,10 +107,9 @@ class ScatteredPaths(TwoSidedPaths):
 
     @property
     def device(self) -> str | None:
-        """The program for scatterers; none that knows how one fluctuates, or finds all ways by capsules in wind."""
-        windy = self.scene.air.wind is not None
-        beyond = [s.fluctuation is not None or (windy and s.shape.kind == "capsule") for s in self.scene.scatterers]
-        return None if np.array(beyond)[self.scatterer].any() else "scatterers"
+        """The program for scatterers; none that knows how one fluctuates."""
+        fluctuates = [scatterer.fluctuation is not None for scatterer in self.scene.scatterers]
+        return None if np.array(fluctuates)[self.scatterer].any() else "scatterers"
 
     @property
     def object_names(self) -> tuple[str, ...]:

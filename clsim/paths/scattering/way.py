@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -23,6 +23,7 @@ _APART = 4  # times from one at which ways are looked for to the next: between t
 _LEAST = 6 * _APART  # times, for that
 _LONGEST_GAP = 0.05  # s between these
 _CLOSE = 1e-9  # s; the next step is about its square over a second
+_HELD = 12  # rounds after which what is hidden stays so: seen from where wind or motion takes it, it may be in turns
 _SETTLED = 1e-3  # rad of a specular point; its way is the shortest: wrong by the fourth power of this after the step
 
 
@@ -228,7 +229,9 @@ def _solved(
     now, late, first_time, weight = np.broadcast_to(times, shape), known.late, known.first_time, known.weight
     carried: tuple[Floats, Floats] | None = None
     weight_at_rest: Floats | float = 1.0
-    for _ in range(_ROUNDS):
+    for done in range(_ROUNDS):
+        if done >= _HELD and body.glint is not None:
+            body.glint = replace(body.glint, held=True)
         event = times - late if retarded else now
         image, real, source_velocity = ends.emitted(event - first_time if retarded else event)
         place, velocity = body.seen(event, *(carried or (image, ends.heard_at)), weight)
