@@ -42,7 +42,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
         b->change = 0.0;
         b->hidden = (choices)0;
     } else {
-        #if WIND
+#if WIND
         const triples start = first ? from : b->start, stop = first ? receiver->position : b->stop;
 #else
         const triples start = from, stop = receiver->position;
