@@ -10,9 +10,8 @@ typedef struct {
 } pose_table;
 
 #if SCATTERERS
-#define POSE_COLUMNS 38  // time of the knot, s, and knots per second until the next one; cubics of position and two axes
-
-// Things at nodes side by side.
+// Things at nodes side by side. Of a knot POSE_COLUMNS are told: its time, s, knots per second until the next one, and cubics
+// of the position and of two axes.
 typedef struct {
     triples place, velocity, axes[3], turning[3];  // turning: by how much the axes change in a second
 } pose;
