@@ -178,6 +178,20 @@ def sonar(device: str) -> Plan:
 
 
 @scene
+def shoal(device: str) -> Plan:
+    """Paths by what scatters with phases of its own: a capsule that turns, and a sphere by its series."""
+    turned = [[0.0, 0.0, 0.0, 1.0], [0.0, 0.1, 0.2, 0.97468]]
+    way = clsim.Trajectory.waypoints([0.0, 0.04], [(0.08, 0.06, 0.05), (0.08, 0.061, 0.05)], turned)
+    things = [
+        clsim.Scatterer.capsule("c", 0.003, 0.012, way),
+        clsim.Scatterer.sphere("b", 0.005, FIXED((0.03, 0.1, 0.08))),
+    ]
+    of = dataclasses.replace(world(), scatterers=things)
+    found = clsim.find_paths(of, 0, scattering_order=0)
+    return plan(PathSet(of, found.families[-1:]), device, responses="centre")
+
+
+@scene
 def crowd(device: str) -> Plan:
     """More walls than are looked up by NumPy: a floor, and tiles over and under it."""
     corners, faces = [(-0.1, -0.1, 0.0), (0.3, -0.1, 0.0), (0.3, 0.3, 0.0), (-0.1, 0.3, 0.0)], [(0, 1, 2), (0, 2, 3)]
