@@ -72,8 +72,9 @@ def find_paths(
     body_order : int, optional
         Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
     body_step : float
-        How far bodies, source and receiver together go from one look at which paths by and behind bodies are there to
-        the next, 10 um to 1 m; what comes and goes between two looks is missed.
+        How far bodies, source and receiver together go from one look to the next at paths over edges and by
+        scatterers that bodies may hide, and at others where no bound holds, 10 um to 1 m; what comes and goes between
+        two looks is missed.
     direct : bool, float or mapping
         Whether paths by nothing are among them; without them a sonar hears no cross-talk of its own source, and with
         `max_order` 0 nothing but echoes of scatterers. A number is their level relative to the free direct sound, dB,

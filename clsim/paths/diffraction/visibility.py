@@ -82,7 +82,8 @@ class EdgeStance:
     across : tuple of ndarray (n,)
         How far the other end is beyond each edge, rolled out, m.
     ways : tuple of EdgeWay
-        The shortest over the lines of the edges, as each edge sees it.
+        The shortest over the lines of the edges, as each edge sees it; emission is by the way over the end of those
+        that run over one.
     places : tuple of ndarray (n,)
         Where each path meets each edge, m from its start.
     apexes : tuple of ndarray (n, 3)
@@ -120,7 +121,8 @@ class EdgeVisibility:
         """Return where candidates `which` (n,) run at times (n,), with what their ends move within `half`, s."""
         asked, tables, edges = self.candidates, query.trajectory_tables, self.edges
         row, source = asked.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
-        (one, other), (face, other_face) = asked.edge[which].T, asked.face[which].T
+        (one, other), (face, other_face), end = asked.edge[which].T, asked.face[which].T, asked.end[which]
+        over_end, ends = end >= 0, end * edges.length[one]
         at = tables.lifted(row, tables.position(row, time) + PERTURBATIONS[1])
         r_r, t_r, z_r = edges.cylindrical(other, _imaged(query.walls, asked.after[which], at))
         heard = edges.beyond(one, face, other, other_face, r_r, z_r)
@@ -129,15 +131,15 @@ class EdgeVisibility:
             emitted_at = tables.lifted(source, tables.position(source, time - delay) + PERTURBATIONS[0])
             r_s, t_s, z_s = edges.cylindrical(one, _imaged(query.walls, asked.before[which], emitted_at))
             way = edge_way(r_s, z_s, *heard)
-            later = query.medium.passage(way.length, at - emitted_at).time - delay
+            by_end = np.hypot(r_s, ends - z_s) + np.hypot(r_r, ends - z_r)
+            length = np.where(over_end, by_end, way.length)
+            later = query.medium.passage(length, at - emitted_at).time - delay
             delay += later
             if not np.any(np.abs(later) > CONTRACTED):
                 break
         sent = edges.beyond(other, other_face, one, face, r_s, z_s)
-        ways, end = (way, edge_way(r_r, z_r, *sent)), asked.end[which]
-        places = tuple(
-            np.where(end < 0, w.apex, end * edges.length[e]) for w, e in zip(ways, (one, other), strict=True)
-        )
+        ways = way, edge_way(r_r, z_r, *sent)
+        places = tuple(np.where(over_end, ends, w.apex) for w in ways)
         late, emission_time = query.time_dilation[asked.receiver[which]], time - delay
         reach = np.maximum(
             half * late * tables.speed_over(source, emission_time - late * half, emission_time + late * half),

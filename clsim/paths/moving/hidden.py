@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +10,9 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.paths.moving.events import find_events
 from clsim.paths.moving.looks import ROUNDS, intervals
-from clsim.paths.moving.visibility import Legs, hidden_by
+from clsim.paths.moving.rates import FAR, taken_for
+from clsim.paths.moving.subdivision import intervals as subdivided
+from clsim.paths.moving.visibility import LegDrift, Legs, hidden_by
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.vertices import path_vertices
@@ -20,10 +22,16 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.family import PairPaths, PathFamily
+    from clsim.paths.moving.looks import Status
     from clsim.paths.moving.mirrors import Mirrors
-    from clsim.paths.moving.search import BodySearch
+    from clsim.paths.moving.rates import Pace
+    from clsim.paths.moving.search import BodySearch, PairQuery
+    from clsim.paths.moving.visibility import Obstacles
 
     Rows = NDArray[np.int64]
+
+_NODES = 8  # times at which corners of paths are asked for, between which they are smooth
+_EARLIER = 1.25  # of a delay, and more, before which sound of a stretch of time was not emitted
 
 
 def behind_bodies(search: BodySearch, family: PathFamily) -> PathFamily:
@@ -40,7 +48,14 @@ def behind_bodies(search: BodySearch, family: PathFamily) -> PathFamily:
     begins, ends = [np.empty(0)], [np.empty(0)]
     for pair in family.pairs():
         query = search.pair(pair.source, pair.receiver)
-        path, begin, end = intervals(_Status(pair, search), pair.index, query.times, query.resolution)
+        status = _Status(pair, search)
+        if isinstance(family, SpecularPaths):
+            look = _Look(status, search.obstacles, query)
+            every = np.arange(len(pair.index))
+            spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
+            path, begin, end = subdivided(look.look, look.status, spans, query.resolution)
+        else:
+            path, begin, end = intervals(status, pair.index, query.times, query.resolution, status.nearby)
         begin, end = query.bounded(begin, end)
         path = pair.index[path]
         begin, end = np.maximum(begin, family.start[path]), np.minimum(end, family.end[path])
@@ -58,6 +73,11 @@ class _Status:
 
     def __init__(self, pair: PairPaths, search: BodySearch) -> None:
         self._family, self._bodies, self._mirrors = pair.family, search.scene.bodies, search.obstacles.mirrors
+        self.index = pair.index
+
+    def polylines(self, rows: Rows, times: Floats) -> tuple[Floats, Floats]:
+        """Return the corners of paths, and when sound is there; see `polylines`."""
+        return polylines(self._family, self._mirrors, rows, times)
 
     def __call__(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
         free = np.ones(times.shape, dtype=bool)
@@ -69,6 +89,25 @@ class _Status:
             free[some] = self._free(*polylines(self._family, self._mirrors, rows[some], times[some]))
         return free
 
+    def nearby(self, rows: Rows, times: Floats) -> Status:
+        """Return what says the same of some of the rows, from the first to the last of times (T,), by polynomials."""
+        nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
+        weights = np.where(np.arange(_NODES) % 2, -1.0, 1.0)
+        weights[[0, -1]] *= 0.5
+        middle, half = 0.5 * (times[0] + times[-1]), max(0.5 * (times[-1] - times[0]), 1e-12)
+        place, when = self.polylines(rows, np.tile(middle + half * nodes, (len(rows), 1)))
+
+        def status(some: Rows, at: Floats) -> NDArray[np.bool_]:
+            apart = ((at - middle) / half)[..., None] - nodes
+            exact = np.abs(apart) < 1e-14
+            share = weights / np.where(exact, 1.0, apart)
+            share = np.where(exact.any(axis=2, keepdims=True), exact, share)
+            share /= share.sum(axis=2, keepdims=True)
+            corners = np.einsum("ptn,pnvx->ptvx", share, place[some])
+            return self._free(corners, np.einsum("ptn,pnv->ptv", share, when[some]))
+
+        return status
+
     def _free(self, place: Floats, when: Floats) -> NDArray[np.bool_]:
         """Return which polylines (P, T, V, 3) of events at times (P, T, V) pass all bodies, (P, T)."""
         shape = when.shape[:2]
@@ -79,8 +118,69 @@ class _Status:
                 rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
                 legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
                 none = np.full(len(rows), -1)
-                free[rows] = ~hidden_by(body, legs, none, none)
+                free[rows] = ~hidden_by(body, legs, none, none)[0]
         return free.reshape(shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """Whether bodies are in the way of paths by walls of one pair, and for how long that is certain."""
+
+    free: _Status
+    obstacles: Obstacles
+    query: PairQuery
+
+    def status(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
+        """Return whether paths (n,) are free at times (n,)."""
+        return self.free(self.free.index[rows], times[:, None])[:, 0]
+
+    def look(self, rows: Rows, times: Floats, half: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
+        """Return whether paths (n,) are free, for how long that is certain, s, and how fast what decides is, m/s.
+
+        Notes
+        -----
+        Walls rest: every point at a fixed share of a path moves by no more than its ends, see `certainty`, and a corner
+        along the wall by as much again over the cosine of the angle of incidence.
+        """
+        place, when = (x[:, 0] for x in self.free.polylines(self.free.index[rows], times[:, None]))
+        pace = self.query.rates.over(times - _EARLIER * (half + times - when[:, 0]), times, half)
+        medium = self.query.medium
+        c, wind = medium.speed_of_sound, float(np.linalg.norm(medium.wind or (0.0, 0.0, 0.0)))
+        late = 1.0 + (pace.source + pace.receiver) / np.maximum(c - wind - pace.source, 1e-3)
+        most = np.maximum(late * pace.source, pace.receiver)
+        way = np.diff(place, axis=1)
+        way /= np.maximum(np.linalg.norm(way, axis=2), 1e-300)[..., None]
+        with np.errstate(divide="ignore"):
+            slides = most[:, None] * (1.0 + 2.0 / np.linalg.norm(np.diff(way, axis=1), axis=2))
+        slides = np.where(most[:, None] > 0.0, slides, 0.0)
+        return self._free(place, when, slides, (late, pace))
+
+    def _free(
+        self, place: Floats, when: Floats, slides: Floats, moving: tuple[Floats, Pace]
+    ) -> tuple[NDArray[np.bool_], Floats, Floats]:
+        """Return the same from corners (n, V, 3), when sound is there (n, V), and how fast corners (n, V - 2) move."""
+        late, pace = moving
+        count, legs = len(place), when.shape[1] - 1
+        free, sure = np.ones(count, dtype=bool), np.full(count, FAR)
+        order = np.sum(np.isfinite(when), axis=1) - 2
+        speed = np.column_stack([pace.source * late, slides, np.zeros(count)])
+        speed[np.arange(count), order + 1] = pace.receiver
+        for leg in range(legs):
+            for body, thing in enumerate(self.obstacles.mirrors.bodies):
+                rows = np.flatnonzero(free & (order >= leg))
+                held = np.zeros((len(rows), len(self.obstacles.mirrors.bodies), 2), dtype=bool)
+                held[..., 0], held[..., 1] = pace.held[:, 0] & (leg == 0), pace.held[:, 1] & (order[rows, None] == leg)
+                ends = speed[rows, leg], speed[rows, leg + 1]
+                sooner = late[rows] + np.maximum(*ends) / self.query.medium.speed_of_sound
+                changes = LegDrift(*ends, sooner, held, pace.part(rows))
+                some = Legs(place[rows, leg], place[rows, leg + 1], when[rows, leg], when[rows, leg + 1])
+                none = np.full(len(rows), -1)
+                blocked, certain = hidden_by(thing, some, none, none, (body, changes))
+                free[rows] = ~blocked
+                sure[rows] = np.where(blocked, certain, np.minimum(sure[rows], certain))
+        jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
+        sure = np.where(jumps & (sure < pace.half), 0.0, sure)
+        return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_ways)
 
 
 def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -> tuple[Floats, Floats]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     Integers = NDArray[np.signedinteger[Any]]
 
 ROOM = -1  # owner of the walls of the room
-_FARTHEST = 2.0  # radii of a body from its origin, beyond which its velocity is not continued
+FARTHEST = 2.0  # radii of a body from its origin, beyond which its velocity is not continued
 
 
 def dot(a: Floats, b: Floats) -> Floats:
@@ -153,7 +153,7 @@ class Mirrors:
         if place is not None and not body.is_static:
             arm = place - origin
             far = np.linalg.norm(arm, axis=-1, keepdims=True)
-            arm = arm * np.minimum(_FARTHEST * body.radius / np.maximum(far, 1e-300), 1.0)
+            arm = arm * np.minimum(FARTHEST * body.radius / np.maximum(far, 1e-300), 1.0)
             moved = motion.velocity(time) + cross_product(motion.angular_velocity(time), arm)
             speed = dot(normal, moved)
         out[0][mine], out[2][mine] = normal, speed

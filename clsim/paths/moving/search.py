@@ -11,14 +11,17 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
-from clsim.paths.moving.events import find_events
 from clsim.paths.moving.family import BodyPaths
-from clsim.paths.moving.looks import ROUNDS, intervals, looks
+from clsim.paths.moving.looks import looks
+from clsim.paths.moving.mirror_looks import MirrorLook
+from clsim.paths.moving.rates import BodyRates
+from clsim.paths.moving.subdivision import intervals
 from clsim.paths.moving.visibility import Obstacles
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.specular.mesh import BEAM_LIMIT, visibility_query
 from clsim.paths.specular.occlusion import air_sides
+from clsim.paths.specular.wall_lookup import WallLookup
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.carried import even_ways
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.moving.rates import EndRates
     from clsim.paths.propagation import UniformAir
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import VisibilityQuery
@@ -36,7 +40,7 @@ if TYPE_CHECKING:
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
-_POSES = 0.1  # m, which bodies go from one pose in which sequences are looked for to the next
+_POSES = 0.3  # m, which images by bodies go, half way, from one pose in which sequences are looked for to the next
 _RATE = 1000.0  # Hz, at which speeds are looked at
 _SHORTEST = 1e-3  # s between poses
 _FASTEST = 0.5  # of the speed of sound, of bodies and sources on a path together
@@ -52,16 +56,24 @@ class PairQuery:
         Where they are as validity takes them.
     medium : UniformAir
         What sound travels in.
+    rates : EndRates
+        How fast these and the bodies are.
     times : ndarray (T,)
-        Looks, s.
+        Looks, s, where nothing is certain.
     resolution : float
         To which begins and ends are found, s.
     """
 
     ends: tuple[Motion, Motion]
     medium: UniformAir
+    rates: EndRates
     times: Floats
     resolution: float
+
+    @property
+    def last(self) -> float:
+        """Until when it is looked at, s."""
+        return float(self.times[-1])
 
     def bounded(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
         """Return intervals that reach from the first look or to the last one as endless."""
@@ -118,6 +130,7 @@ class BodySearch:
                 f"must be so low that bodies change the length of paths by at most {most:.6g} m/s, but with "
                 f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
             )
+        self._known: BodyRates | None = None
         self.queries = [
             visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
         ]
@@ -134,7 +147,13 @@ class BodySearch:
         times = looks(scene.bodies, motions, last, longest, self.search.body_step)
         lifted: Any = tuple(_Lifted(scene, ends[i], PERTURBATIONS[i]) for i in range(2))
         medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
-        return PairQuery(lifted, medium, times, query.resolution)
+        return PairQuery(lifted, medium, self._rates(longest, last).of_ends(motions), times, query.resolution)
+
+    def _rates(self, longest: float, last: float) -> BodyRates:
+        """Return how fast bodies are, from before the first emission until a last time, s."""
+        if self._known is None or longest > -self._known.first or last > self._known.last:
+            self._known = BodyRates.of(self.scene.bodies, longest, last)
+        return self._known
 
     def paths(self) -> BodyPaths:
         """Return every path by bodies.
@@ -163,21 +182,9 @@ class BodySearch:
         self, pair: PairQuery, sequence: NDArray[np.int32], spans: NDArray[np.int64], cells: Floats
     ) -> tuple[NDArray[np.int32], Floats, Floats]:
         """Return the mirrors of paths, and when they are heard, of sequences (n, N) in cells (n,) of time."""
-
-        def status(rows: NDArray[np.int64], times: Floats) -> NDArray[np.bool_]:
-            events = find_events(self.obstacles.mirrors, sequence[rows], pair.ends, pair.medium, times, rounds=ROUNDS)
-            return self.obstacles.there(sequence[rows], events, times)
-
-        parts: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
-        for cell in np.unique(spans):
-            first, last = cells[cell], min(cells[cell + 1], pair.times[-1])
-            inner = pair.times[(pair.times > first) & (pair.times < last)]
-            if last > first or len(pair.times) == 1:
-                here = np.unique([first, *inner, last])
-                rows = np.flatnonzero(spans == cell)
-                path, begin, end = intervals(status, rows, here, pair.resolution)
-                parts.append((rows[path], begin, end))
-        path, begin, end = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        which, begin, end = _runs(sequence, spans, np.minimum(cells, pair.last))
+        looks = MirrorLook(self.obstacles, pair.ends, pair.medium, pair.rates, sequence, self.search.body_step)
+        path, begin, end = intervals(looks.look, looks.status, (which, begin, end), pair.resolution)
         return _merged(sequence[path], *pair.bounded(begin, end))
 
     def _sequences(
@@ -207,7 +214,9 @@ class BodySearch:
     def spans(self, last: float) -> list[tuple[float, float]]:
         """Return stretches of time until a last one, s, in each of which bodies are about one pose."""
         instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
-        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0)
+        size = self.room.walls.size
+        turning = [np.linalg.norm(body.trajectory.angular_velocity(instants), axis=-1) for body in self.scene.bodies]
+        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0) + size * np.sum(turning, axis=0)
         waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
         return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
 
@@ -218,8 +227,13 @@ class BodySearch:
 
         Notes
         -----
-        Beams run between balls that hold the ends. Bodies that go by d from the pose, at the most, while sound may meet
-        them displace images by 2 d each: balls are as much larger.
+        Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, reflections
+        at the place of the face at which it is: a line from ball to ball that is in all apertures, but bends at mirrors
+        that are off their pose: by 2 a where they are turned by a, by 2 V / c as they move, and by what they are
+        displaced, d, at both ends of a leg. A beam reaches all that lines from its ball through its last aperture do.
+        Drawn on backwards, each leg passes the source by no more than the bends before it times the way to them. So no
+        sequence is lost by a ball that is as much larger, but where the leg between two mirrors is shorter than those
+        are displaced. What bodies hide in the pose they may not hide: nothing is taken to be hidden.
         """
         ends, (begin, end) = query.trajectory_tables, span
         middle = 0.5 * (begin - longest + end)
@@ -229,7 +243,7 @@ class BodySearch:
         ears = ends.receiver_spheres(begin, end)
         start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
         ears = BoundingSpheres(ears.centre, ears.radius + slack)
-        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, sides=air_sides(walls, start))
+        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), _Unhidden(walls))
         first, width = len(self.scene.room.faces), max(self.order, 1)
         parts = [(np.empty((0, width), dtype=np.int32), np.empty(0, dtype=np.int64))]
         for batch in tree.candidates(self.order):
@@ -240,13 +254,22 @@ class BodySearch:
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     def moved(self, time: float, others: Floats) -> float:
-        """Return how far a corner of a body is at other times (n,) from where it is at a time, at the most, m."""
-        most = 0.0
+        """Return how far images by bodies are at most off those at a time, from the first to the last of others, m.
+
+        That is half of it: by how much a corner goes, and how far the way to the body turns, on the mean of all ways to
+        reflections, each no longer than the room for every leg.
+        """
+        most, between = 0.0, 0.5 * float(np.diff(others).max(initial=0.0))
+        way = 0.5 * (self.order + 1) * self.room.walls.size
         for body in self.scene.bodies:
-            corners = body.mesh.vertices
             if not body.is_static:
+                corners, motion = body.mesh.vertices, body.trajectory
                 away = body.placed(corners[None], others[:, None]) - body.placed(corners, np.array(time))
-                most = max(most, float(np.linalg.norm(away, axis=-1).max()))
+                cosine = np.abs(motion.orientation(others) @ motion.orientation(np.array(time)))
+                speed = float(body.speed(others).max())
+                turned = float(2.0 * np.arccos(np.minimum(cosine, 1.0)).max()) + motion.peak_turn * between
+                gone = float(np.linalg.norm(away, axis=-1).max()) + speed * between
+                most = max(most, gone + way * (turned + speed / self.scene.air.slowest))
         return most
 
     def posed(self, time: float) -> Walls:
@@ -274,6 +297,33 @@ class BodySearch:
             start=read_only(np.concatenate([begin for _, begin, _, _ in found])),
             end=read_only(np.concatenate([end for _, _, end, _ in found])), surfaces=read_only(surfaces),
         )  # fmt: skip
+
+
+class _Unhidden(WallLookup):
+    """Looks up walls of which none hides another."""
+
+    def crossings(self, start: Floats, stop: Floats) -> tuple[Any, Any, Any]:
+        """Return none."""
+        none = np.empty(0, dtype=np.int64)
+        return none, none, none
+
+
+def _runs(
+    sequence: NDArray[np.int32], cell: NDArray[np.int64], bounds: Floats
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return from when to when sequences (n, N) of cells (n,) are looked at: rows, and times that touch as one."""
+    number = (
+        np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
+    )
+    order = np.lexsort((cell, number))
+    number, cell = number[order], cell[order]
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = (number[1:] != number[:-1]) | (cell[1:] != cell[:-1] + 1)
+    starts = np.flatnonzero(first)
+    stops = np.append(starts[1:], len(order))[: len(starts)] - 1
+    begin, end = bounds[cell[starts]], bounds[cell[stops] + 1]
+    real = end > begin
+    return order[starts][real], begin[real], end[real]
 
 
 def _merged(sequence: NDArray[np.int32], begin: Floats, end: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.paths.moving.mirrors import ROOM, Mirrors
+from clsim.paths.moving.rates import FAR, lasts, middle_of
 from clsim.paths.specular.occlusion import INNER
+from clsim.paths.specular.visibility import segments_apart
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.moving.events import Events
+    from clsim.paths.moving.rates import Pace
     from clsim.scene.body import Body
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
@@ -38,6 +41,51 @@ class Legs:
     def part(self, rows: Rows) -> Legs:
         """Return some of them."""
         return Legs(self.start[rows], self.stop[rows], self.left[rows], self.arrived[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegDrift:
+    """At most how fast n legs change, by the time of reception.
+
+    Attributes
+    ----------
+    start, stop : ndarray (n,)
+        How fast their ends move in the room, m/s.
+    dilation : ndarray (n,)
+        Of times at which sound is on them to that of reception.
+    held : ndarray (n, B, 2) bool
+        Whether bodies hold their starts and stops where they are.
+    pace : Pace
+        Of all that moves.
+    """
+
+    start: Floats
+    stop: Floats
+    dilation: Floats
+    held: Bools
+    pace: Pace
+
+    def part(self, rows: Rows) -> LegDrift:
+        """Return that of some of them."""
+        return LegDrift(self.start[rows], self.stop[rows], self.dilation[rows], self.held[rows], self.pace.part(rows))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalDrift:
+    """At most how fast n legs change as a body sees them: their ends, and what is between them by more than these, m/s.
+
+    They are off the straight line from one end to the other by `curved`, m, and that matters for `half`, s.
+    """
+
+    start: Floats
+    stop: Floats
+    extra: Floats
+    curved: Floats
+    half: Floats
+
+    def part(self, rows: Rows) -> LocalDrift:
+        """Return that of some of them."""
+        return LocalDrift(*(getattr(self, f.name)[rows] for f in fields(LocalDrift)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,38 +130,59 @@ class Obstacles:
 
     def blocked(self, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
         """Return which legs (n,) between mirrors, -1 for none, a wall or a body is in the way of, (n,)."""
-        found = np.zeros(len(legs.left), dtype=bool)
+        return self.looked(legs, first, last, None)[0]
+
+    def looked(
+        self, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: LegDrift | None
+    ) -> tuple[Bools, Floats]:
+        """Return which legs are blocked, as `blocked`, and for how long that is certain, (n,) s."""
+        found, sure = np.zeros(len(legs.left), dtype=bool), np.full(len(legs.left), FAR)
         if not self.convex:
             plane = np.append(self.walls.plane, -1)
             ends = [plane[np.where(x < len(self.walls), x, -1)] for x in (first, last)]
-            for wall in range(len(self.walls)):
-                rows = np.flatnonzero(~found & (ends[0] != plane[wall]) & (ends[1] != plane[wall]))
-                rows = rows[_crossed(self.walls, wall, legs.start[rows], legs.stop[rows])]
-                found[rows] = self.walls.holds(wall, _met(self.walls, wall, legs.part(rows))) if len(rows) else False
+            local = None if drift is None else local_drift(None, legs, legs.start, legs.stop, drift)
+            skipped = (ends[0][:, None] == self.walls.plane) | (ends[1][:, None] == self.walls.plane)
+            found, sure = _faced(self.walls, skipped, legs.start, legs.stop, None, local)
         for body, (thing, face) in enumerate(zip(self.mirrors.bodies, self.mirrors.first.tolist(), strict=True)):
             rows = np.flatnonzero(~found)
-            local = [np.where(self.mirrors.owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last)]
-            local = [np.where(x[rows] < 0, -1, own) for x, own in zip((first, last), local, strict=True)]
-            found[rows] = hidden_by(thing, legs.part(rows), *local)
-        return found
+            local_ends = [np.where(self.mirrors.owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last)]
+            local_ends = [np.where(x[rows] < 0, -1, own) for x, own in zip((first, last), local_ends, strict=True)]
+            slack_of = None if drift is None else (body, drift.part(rows))
+            hit, certain = hidden_by(thing, legs.part(rows), local_ends[0], local_ends[1], slack_of)
+            found[rows], sure[rows] = hit, np.where(hit, certain, np.minimum(sure[rows], certain))
+        return found, sure
+
+    def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
+        """Return which places (n, 3) at times (n,) are on a mirror, how far from its border and body's middle, m."""
+        walls, face, own = self._of(surface, places, times)
+        apart = _edges_apart(walls, face, own, own)
+        for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
+            apart = np.minimum(apart, _edges_apart(walls, int(twin), own, own))
+        body = int(self.mirrors.owner[surface])
+        middle = 0.0 if body == ROOM else middle_of(self.mirrors.bodies[body]).place
+        return self._holds(surface, places, times), apart, np.linalg.norm(own - middle, axis=1)
+
+    def _of(self, surface: int, places: Floats, times: Floats) -> tuple[Walls, int, Floats]:
+        """Return a mirror as a wall of its room or body, and places at times in the coordinates of that."""
+        body = int(self.mirrors.owner[surface])
+        if body == ROOM:
+            return self.walls, surface, places
+        thing = self.mirrors.bodies[body]
+        return thing.mesh.walls, surface - int(self.mirrors.first[body]), thing.seen(places, times)
 
     def _holds(self, surface: int, places: Floats, times: Floats) -> Bools:
         """Return which places (n, 3) in the plane of a mirror at times (n,) are on it."""
-        body = int(self.mirrors.owner[surface])
-        if body == ROOM:
-            walls, face = self.walls, surface
-        else:
-            thing = self.mirrors.bodies[body]
-            walls, face = thing.mesh.walls, surface - int(self.mirrors.first[body])
-            places = thing.seen(places, times)
+        walls, face, places = self._of(surface, places, times)
         held = walls.holds(face, places)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
             held &= ~walls.holds(int(twin), places)
         return held
 
 
-def hidden_by(body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
-    """Return which legs a body is in the way of.
+def hidden_by(
+    body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: tuple[int, LegDrift] | None = None
+) -> tuple[Bools, Floats]:
+    """Return which legs a body is in the way of, and for how long that is certain, (n,) s.
 
     Parameters
     ----------
@@ -123,6 +192,8 @@ def hidden_by(body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -
         n of them.
     first, last : ndarray (n,) int
         Faces of the body that they begin and end at, which are in the way of none, -1 for none.
+    drift : tuple of int and LegDrift, optional
+        Number of the body, and how fast legs change; without it nothing is certain.
 
     Notes
     -----
@@ -131,65 +202,171 @@ def hidden_by(body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -
     curve touches, and not the ends, is not seen.
     """
     walls, found = body.mesh.walls, np.zeros(len(legs.left), dtype=bool)
-    near = np.flatnonzero(
-        _apart(body.trajectory.position(0.5 * (legs.left + legs.arrived)), legs) <= _reach(body, legs)
-    )
+    middle = middle_of(body)
+    reach = _SPARE * middle.radius + 0.5 * body.peak_speed * np.abs(legs.arrived - legs.left)
+    beside = _apart(body.placed(middle.place, 0.5 * (legs.left + legs.arrived)), legs) - reach
+    sure, around = np.zeros(len(found)), beside <= 0.0
+    if drift is not None:
+        number, all_drift = drift
+        moved = np.maximum(all_drift.start, all_drift.stop) + all_drift.dilation * all_drift.pace.speed[:, number]
+        sure = np.where(beside > 0.0, lasts(np.maximum(beside, 0.0), moved), 0.0)  # at rest, too
+        around = (beside <= 0.0) | (sure < all_drift.pace.half)
+    near = np.flatnonzero(around)
     some = legs.part(near)
     start, stop = body.seen(some.start, some.left), body.seen(some.stop, some.arrived)
+    local = (
+        None
+        if drift is None
+        else local_drift(number, some, start - middle.place, stop - middle.place, all_drift.part(near))
+    )
     plane = np.append(walls.plane, -1)
     ends = plane[first[near]], plane[last[near]]
-    for face in range(len(walls)):
-        rows = np.flatnonzero(~found[near] & (ends[0] != plane[face]) & (ends[1] != plane[face]))
-        rows = rows[_crossed(walls, face, start[rows], stop[rows])]
-        if not len(rows):
-            continue
-        ways = Legs(start[rows], stop[rows], some.left[rows], some.arrived[rows])
-        places = _met(walls, face, ways)
-        if body.trajectory.turns:
-            places = _met_turning(body, face, some.part(rows), ways)
-        found[near[rows]] = walls.holds(face, places)
-    return found
+    skipped = (ends[0][:, None] == walls.plane) | (ends[1][:, None] == walls.plane)
+    turning = (body, some) if body.trajectory.turns else None
+    found[near], certain = _faced(walls, skipped, start, stop, turning, local)
+    sure[near] = np.where(found[near], certain, np.maximum(sure[near], certain))
+    return found, sure
 
 
-def _reach(body: Body, legs: Legs) -> Floats:
-    """Return within which distance of the body's origin half way legs may meet it, m."""
-    moved = body.peak_speed * 0.5 * np.abs(legs.arrived - legs.left)
-    return np.asarray(_SPARE * body.radius + moved)
+def local_drift(body: int | None, legs: Legs, start: Floats, stop: Floats, drift: LegDrift) -> LocalDrift:
+    """Return how fast legs from places to others (n, 3), as a body sees them from its middle, change; None: the room.
+
+    Notes
+    -----
+    A point x of a leg at a fixed share moves by no more than the shares of its ends. The body's own field of velocities
+    is linear in x, but for how it changes while sound is on the leg, by its accelerations, and for what it is faster at
+    one end by the dilation of time. Seen from the body the leg is curved by
+    ``(2 w d T + T² (a + 2 w v + (w² + l) y)) / 8`` at the most.
+    """
+    pace, late = drift.pace, drift.dilation
+    if body is None:
+        return LocalDrift(drift.start, drift.stop, np.zeros(len(late)), np.zeros(len(late)), pace.half)
+    speed, turn, gain, lift, jolt, twist = (
+        x[:, body] for x in (pace.speed, pace.turn, pace.gain, pace.lift, pace.jolt, pace.twist)
+    )
+    ends, far = [], np.zeros(len(late))
+    for i, (place, moved) in enumerate(((start, drift.start), (stop, drift.stop))):
+        away = np.linalg.norm(place, axis=1) + pace.half * (moved + late * speed)
+        ends.append(np.where(drift.held[:, body, i], 0.0, moved + late * (speed + turn * away)))
+        far = np.maximum(far, away)
+    length = np.linalg.norm(legs.stop - legs.start, axis=1) + pace.half * (drift.start + drift.stop)
+    while_on = np.abs(legs.arrived - legs.left) + 2.0 * pace.half * (late - 1.0)
+    uneven = jolt + twist * far
+    extra = while_on * (gain + lift * far) + uneven + 2.0 * (late - 1.0) * (speed + turn * far)
+    curved = 2.0 * turn * length * while_on + while_on**2 * (gain + 2.0 * turn * speed + (lift + turn**2) * far)
+    return LocalDrift(ends[0], ends[1], extra, 0.125 * curved + 0.25 * while_on * uneven, pace.half)
+
+
+def _faced(
+    walls: Walls, skipped: Bools, start: Floats, stop: Floats, turning: tuple[Body, Legs] | None,
+    drift: LocalDrift | None,
+) -> tuple[Bools, Floats]:  # fmt: skip
+    """Return which ways (n,), in their own coordinates, faces are in the way of, and for how long that is certain, s.
+
+    Those that are `skipped` (n, faces) are in the way of none.
+
+    Notes
+    -----
+    What blocks does so while both ends keep their sides and the place where the way meets the face does not cross its
+    border. What is free stays so while both ends keep to one side; or while a way that goes beside the face does not
+    touch its border, in the plane or in space.
+    """
+    heights = [x @ walls.normal.T - walls.offset for x in (start, stop)]
+    hit, crossed = np.zeros(skipped.shape, dtype=bool), _crossed(*heights) & ~skipped
+    way, face = np.nonzero(crossed)
+    share = heights[0][way, face] / (heights[0][way, face] - heights[1][way, face])
+    places = start[way] + share[:, None] * (stop[way] - start[way])
+    if turning is not None and len(way):
+        places = _met_turning(walls, turning, way, face, share, [h[way, face] for h in heights])
+    for each in np.unique(face).tolist():
+        these = np.flatnonzero(face == each)
+        hit[way[these], each] = walls.holds(each, places[these])
+    found = np.any(hit, axis=1)
+    if drift is None:
+        return found, np.zeros(len(found))
+    sides = np.minimum(*(lasts(np.abs(h), x[:, None]) for h, x in zip(heights, (drift.start, drift.stop), strict=True)))
+    sure = _past(walls, heights, (start, stop), drift, sides, skipped | found[:, None])
+    used = ~found[way] | hit[way, face]
+    way, face, places, share = way[used], face[used], places[used], share[used]
+    border = np.empty(len(way))
+    for each in np.unique(face).tolist():
+        these = np.flatnonzero(face == each)
+        border[these] = _edges_apart(walls, each, places[these], places[these])
+    border = lasts(border, _slides([h[way, face] for h in heights], (start[way], stop[way]), share, drift.part(way)))
+    sure[way, face] = np.where(
+        hit[way, face], np.minimum(border, sides[way, face]), np.maximum(sure[way, face], border)
+    )
+    blocked = np.where(hit, sure, 0.0).max(axis=1, initial=0.0)
+    return found, np.where(found, blocked, np.where(skipped, FAR, sure).min(axis=1, initial=FAR))
+
+
+def _past(
+    walls: Walls, heights: list[Floats], ends: tuple[Floats, Floats], drift: LocalDrift, sides: Floats, done: Bools
+) -> Floats:
+    """Return for how long ways surely go past faces (n, faces), but for those that are done, s."""
+    start, stop = ends
+    fast = (np.maximum(drift.start, drift.stop) + drift.extra)[:, None]
+    apart = np.linalg.norm(_nearest(walls.centre, start[:, None], stop[:, None]) - walls.centre, axis=2)
+    sure = lasts(np.maximum(apart - walls.radius - drift.curved[:, None], 0.0), np.broadcast_to(fast, apart.shape))
+    sure = np.where(heights[0] * heights[1] > 0.0, np.maximum(sure, sides), sure)
+    way, face = np.nonzero((sure < drift.half[:, None]) & ~done)
+    for each in np.unique(face).tolist():
+        p = way[face == each]
+        reach = _beside(walls, each, start[p], stop[p], [h[p, each] for h in heights]) - drift.curved[p]
+        sure[p, each] = np.maximum(sure[p, each], lasts(np.maximum(reach, 0.0), fast[p, 0]))
+    return sure
+
+
+def _beside(walls: Walls, face: int, start: Floats, stop: Floats, heights: list[Floats]) -> Floats:
+    """Return distances (n,) of straight ways that do not meet a face from it, m."""
+    apart = _edges_apart(walls, face, start, stop)
+    for place, height in zip((start, stop), heights, strict=True):
+        foot = place - height[:, None] * walls.normal[face]
+        apart = np.where(walls.holds(face, foot), np.minimum(apart, np.abs(height)), apart)
+    return apart
+
+
+def _slides(heights: list[Floats], ends: tuple[Floats, Floats], share: Floats, drift: LocalDrift) -> Floats:
+    """Return how fast the places move, at most, at which ways meet the planes of faces, (n,) m/s."""
+    moved = (1.0 - share) * drift.start + share * drift.stop + drift.extra
+    length = np.linalg.norm(ends[1] - ends[0], axis=1)
+    slope = np.abs(heights[0] - heights[1]) - 4.0 * drift.curved
+    return np.asarray(np.where(slope > 0.0, moved * (1.0 + length / np.where(slope > 0.0, slope, 1.0)), FAR))
+
+
+def _edges_apart(walls: Walls, face: int, start: Floats, stop: Floats) -> Floats:
+    """Return the distances (n,) of straight ways from the border of a face, m."""
+    return np.asarray(segments_apart(walls.edges_of(face), start, stop).min(axis=1, initial=np.inf))
 
 
 def _apart(points: Floats, legs: Legs) -> Floats:
     """Return the distances (n,) of points from legs, m."""
-    along = legs.stop - legs.start
-    share = np.sum((points - legs.start) * along, axis=1) / np.maximum(np.sum(along * along, axis=1), 1e-300)
-    nearest = legs.start + np.clip(share, 0.0, 1.0)[:, None] * along
-    return np.asarray(np.linalg.norm(points - nearest, axis=1))
+    return np.asarray(np.linalg.norm(points - _nearest(points, legs.start, legs.stop), axis=1))
 
 
-def _heights(walls: Walls, wall: int, *places: Floats) -> list[Floats]:
-    return [x @ walls.normal[wall] - walls.offset[wall] for x in places]
+def _nearest(points: Floats, start: Floats, stop: Floats) -> Floats:
+    """Return the places (..., 3) of ways that are nearest to points, m."""
+    along = stop - start
+    share = np.sum((points - start) * along, axis=-1) / np.maximum(np.sum(along * along, axis=-1), 1e-300)
+    return np.asarray(start + np.clip(share, 0.0, 1.0)[..., None] * along)
 
 
-def _crossed(walls: Walls, wall: int, start: Floats, stop: Floats) -> Bools:
-    """Return which ways go through the plane of a wall strictly between their ends."""
-    first, last = _heights(walls, wall, start, stop)
+def _crossed(first: Floats, last: Floats) -> Bools:
+    """Return which ways go through planes, strictly between their ends, at these heights over them."""
     crosses = first * last < 0.0
     share = first / np.where(crosses, first - last, 1.0)
     return np.asarray(crosses & (share > INNER) & (share < 1.0 - INNER))
 
 
-def _met(walls: Walls, wall: int, legs: Legs) -> Floats:
-    """Return where straight ways through its plane meet a wall, (n, 3) m."""
-    first, last = _heights(walls, wall, legs.start, legs.stop)
-    return np.asarray(legs.start + (first / (first - last))[:, None] * (legs.stop - legs.start))
-
-
-def _met_turning(body: Body, face: int, legs: Legs, own: Legs) -> Floats:
-    """Return where legs through its plane meet a face of a body that turns, as the body sees it, (n, 3) m."""
-    first, last = _heights(body.mesh.walls, face, own.start, own.stop)
-    share = first / (first - last)
-    for _ in range(_STEPS):
-        time = legs.left + share * (legs.arrived - legs.left)
-        place = body.seen(legs.start + share[:, None] * (legs.stop - legs.start), time)
-        share = np.clip(share + _heights(body.mesh.walls, face, place)[0] / (first - last), 0.0, 1.0)
-    time = legs.left + share * (legs.arrived - legs.left)
-    return body.seen(legs.start + share[:, None] * (legs.stop - legs.start), time)
+def _met_turning(
+    walls: Walls, turning: tuple[Body, Legs], way: Rows, face: Rows, share: Floats, heights: list[Floats]
+) -> Floats:
+    """Return where legs through their planes meet faces of a body that turns, as the body sees it, (n, 3) m."""
+    body, legs = turning[0], turning[1].part(way)
+    normal, offset, apart = walls.normal[face], walls.offset[face], heights[0] - heights[1]
+    for step in range(_STEPS + 1):
+        place = legs.start + share[:, None] * (legs.stop - legs.start)
+        own = body.seen(place, legs.left + share * (legs.arrived - legs.left))
+        if step < _STEPS:
+            share = np.clip(share + (np.sum(own * normal, axis=1) - offset) / apart, 0.0, 1.0)
+    return own

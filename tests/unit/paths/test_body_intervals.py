@@ -1,0 +1,225 @@
+"""When paths by bodies and behind them are there: certified subdivision against closed forms and every output sample."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from exhaustive import few
+
+import clsim
+from clsim.paths.find_paths import ROOM_FINDERS
+from clsim.paths.moving import rates, subdivision
+from clsim.paths.moving.events import find_events
+from clsim.paths.moving.hidden import polylines
+from clsim.paths.moving.mirror_looks import MirrorLook
+from clsim.paths.moving.search import BodySearch
+from clsim.paths.moving.visibility import Legs, hidden_by
+from clsim.paths.search import PathSearch
+
+C, RATE = 343.0, 192e3
+WOOD = clsim.Material.from_reflection(0.9)
+FIXED, LINE, SWING = clsim.Trajectory.fixed, clsim.Trajectory.line, clsim.Trajectory.swing
+
+
+def scene_of(bodies: Any, source: Any, receiver: Any, duration: float, room: Any = None) -> clsim.Scene:
+    """Return a scene of one pair, in 343 m/s."""
+    tone = clsim.Signal.tone(40e3, duration, RATE)
+    room = room or clsim.Shoebox((6.0, 5.0, 3.0), WOOD)
+    air = clsim.Air(speed_of_sound=C)
+    return clsim.Scene(room, air, [clsim.Source("s", tone, source)], [clsim.Receiver("r", receiver)], bodies=bodies)
+
+
+def test_a_pole_that_flies_through_the_line_of_sight_is_seen() -> None:
+    """1 cm wide, at 20 m/s: 0.5 ms, of 60 that are looked at; sound needs 2 m on from there to the receiver."""
+    pole = clsim.Body.box("pole", (0.0, 0.01, 0.8), WOOD, LINE((2.0, 1.4, 1.0), (2.0, 2.6, 1.0), 0.06))
+    scene = scene_of([pole], FIXED((1.0, 2.0, 1.0)), FIXED((4.0, 2.0, 1.0)), 0.05)
+    found = clsim.find_paths(scene, 0, engine="reference", body_step=1.0)
+    edges = (np.array([2.0, 2.0]) - 1.4 - np.array([0.005, -0.005])) / 20.0 + 2.0 / C
+    assert (len(found), found.start[0], found.end[1]) == (2, -np.inf, np.inf)
+    assert [found.end[0], found.start[1]] == pytest.approx(edges.tolist(), abs=1.0 / RATE)
+
+
+def test_a_glint_of_a_facet_that_turns_is_seen() -> None:
+    """A facet of 1.6 cm turns about its middle at 10 rad/s: both ends are near each other, so it must face them."""
+    turn = SWING((3.0, 2.5, 1.5), (0, 0, 1), [-0.6, 0.0, 0.6], [0.0, 0.06, 0.12], origin=(0, 0, 0))
+    facet = clsim.Body.box("facet", (0.0, 0.016, 0.016), WOOD, turn, centre=(3.0, 2.5, 1.5))
+    scene = scene_of([facet], FIXED((1.0, 2.49, 1.5)), FIXED((1.0, 2.51, 1.5)), 0.11)
+    found = clsim.find_paths(scene, 1, engine="reference", body_step=1.0)
+    glint = found.families[-1]
+    # At the angle a the image of y = -0.01 m is a distance of 2 (d cos a + y sin a) off along the normal, d = 2 m; the
+    # hit is where the line meets the facet, at most 8 mm from its middle.
+    a = np.linspace(-0.05, 0.05, 200_001)
+    normal, middle = np.stack([np.cos(a), np.sin(a)], axis=1), np.array([3.0, 2.5])
+    source, ear = np.array([1.0, 2.49]), np.array([1.0, 2.51])
+    image = source - 2.0 * ((source - middle) @ normal.T)[:, None] * normal
+    near, far = (ear - middle) @ normal.T[:, :], np.sum((image - middle) * normal, axis=1)
+    hit = ear + (near / (near - far))[:, None] * (image - ear)
+    seen = a[np.abs((hit - middle)[:, 1] * np.cos(a) - (hit - middle)[:, 0] * np.sin(a)) <= 0.008]
+    assert len(glint) == 1
+    length = glint.end[0] - glint.start[0]
+    assert length < 1e-3
+    assert length == pytest.approx((seen[-1] - seen[0]) / 10.0, rel=0.02)
+    assert 0.5 * (glint.end[0] + glint.start[0]) == pytest.approx(0.06 + 2.0 / C, abs=2e-5)
+    assert_every_sample(scene, 1, glint, (glint.start[0] - 1e-3, glint.end[0] + 1e-3), None)
+
+
+def test_even_motions_are_bounded_by_what_they_are() -> None:
+    """Bounds hold and are near what they bound: a swing, and waypoints at which velocities jump."""
+    swing = SWING((2, 2, 0), (0, 0, 1), [0.0, 0.5, 0.1, 0.9], [0.0, 0.3, 0.5, 1.0])
+    kinked = clsim.Trajectory.waypoints(
+        [0, 0.5, 1.0], [(1, 1, 1), (2, 1, 1), (2, 3, 1)], [[0, 0, 0, 1], [0, 0, 0.6, 0.8], [0, 0, 0, 1]]
+    )
+    for motion in (swing, kinked):
+        body = clsim.Body.box("b", (0.4, 0.3, 0.2), WOOD, motion)
+        pace = rates.BodyRates.of([body], 0.05, 1.0).of_ends((FIXED((0, 0, 0)), motion))
+        begin = np.linspace(0.0, 0.9, 50)
+        told = pace.over(begin, begin + 0.02, np.full(50, 0.02))
+        times = begin[:, None] + np.linspace(0.0, 0.04, 401)
+        corner = body.placed(body.mesh.vertices[0], times)
+        speed = np.linalg.norm(motion.velocity(times), axis=2).max(axis=1)
+        turn = np.linalg.norm(motion.angular_velocity(times), axis=2).max(axis=1)
+        assert np.all(told.speed[:, 0] >= speed - 1e-9)
+        assert np.all(told.turn[:, 0] >= turn - 1e-9)
+        assert np.all(told.receiver >= speed - 1e-9)
+        assert np.mean(told.turn[:, 0]) < 1.3 * np.mean(turn)
+        velocity = np.gradient(corner, axis=1) / 1e-4
+        change = np.linalg.norm(velocity[:, 1:-1] - velocity[:, 1:2], axis=2).max(axis=1)
+        arm = float(np.linalg.norm(body.mesh.vertices[0]))
+        most = 0.04 * (told.gain + told.lift * arm) + told.jolt + told.twist * arm
+        assert np.all(most[:, 0] >= change - 1e-3)
+
+
+def drawn(seed: int) -> clsim.Scene:
+    """Return a room with a partition or none, two bodies that turn and slide, and ends that may move or be carried."""
+    rng = np.random.default_rng(seed)
+    room: Any = clsim.Shoebox((6.0, 5.0, 3.0), WOOD)
+    if seed % 2:
+        sheet = clsim.MeshRoom([(3, 3.2, 0), (3, 5, 0), (3, 5, 2.4), (3, 3.2, 2.4)], [(0, 1, 2), (0, 2, 3)], WOOD)
+        room = clsim.MeshRoom.joined([room, sheet])
+    angles = rng.uniform(-0.03, 0.03, 4)
+    turn = SWING((2.2, 1.6, 0.3), (0.1, 0.2, 1), angles, [0.0, 0.06, 0.12, 0.2], origin=(0, 0, 0))
+    board = clsim.Body.box("board", (0.05, 0.7, 1.2), WOOD, turn, centre=(2.2, 1.7, 1.4))
+    start = np.array([3.9, 1.5, 1.2]) + rng.uniform(-0.3, 0.3, 3)
+    stop = start + rng.uniform(-0.2, 0.2, 3)
+    half = 0.5 * rng.uniform(0.0, 0.3)
+    ways = [[0, 0, 0, 1], [0, 0, np.sin(half), np.cos(half)], [0, 0, np.sin(half / 2), np.cos(half / 2)]]
+    cart = clsim.Trajectory.waypoints([0.0, 0.08, 0.2], [start, 0.5 * (start + stop), stop], ways)
+    box = clsim.Body.box("cart", (0.3, 0.2, 0.25), WOOD, cart)
+    ear = LINE(rng.uniform((4.8, 3.0, 0.5), (5.6, 4.5, 2.5)), rng.uniform((4.8, 3.0, 0.5), (5.6, 4.5, 2.5)), 0.2)
+    tone = clsim.Signal.tone(40e3, 0.15, RATE)
+    source = clsim.Source("s", tone, FIXED((0.4, 0.6, 1.3)))
+    if seed % 3 == 2:
+        source = clsim.Source("s", tone, FIXED((-0.25, 0.05, 0.0)), mounted_on="cart")
+    return clsim.Scene(room, clsim.Air(speed_of_sound=C), [source], [clsim.Receiver("r", ear)], bodies=[board, box])
+
+
+def searched(scene: clsim.Scene, order: int) -> BodySearch:
+    """Return what `find_paths` asks by default."""
+    return BodySearch(
+        scene, PathSearch(order, 0, "utd", 0, None, 1.0, 10**7, "auto", None, "reference", None, lambda share: None)
+    )
+
+
+def assert_every_sample(
+    scene: clsim.Scene, order: int, family: Any, span: tuple[float, float], sequences: Any, rate: float = RATE
+) -> None:
+    """Assert that paths by mirrors are as at every output sample of a time they are seen to be, but for a sample."""
+    search = searched(scene, order)
+    pair = search.pair(0, 0)
+    times = np.arange(int(span[0] * rate) + 1, int(span[1] * rate)) / rate
+    surfaces = np.unique(family.surfaces, axis=0) if sequences is None else sequences
+    for walls in surfaces:
+        events = find_events(search.obstacles.mirrors, walls[None], pair.ends, pair.medium, times, rounds=5)
+        there = search.obstacles.there(walls[None], events, times[None])[0]
+        mine = np.flatnonzero(np.all(family.surfaces == walls, axis=1))
+        heard = np.zeros(len(times), dtype=bool)
+        for row in mine:
+            heard |= (times >= family.start[row]) & (times < family.end[row])
+        assert_alike(there, heard, walls)
+
+
+def assert_alike(there: Any, heard: Any, what: Any) -> None:
+    """Assert that both differ in single samples at most, where one of them changes."""
+    wrong = np.flatnonzero(there != heard)
+    assert np.all(np.diff(wrong) > 1), f"{what}: {len(wrong)} samples in a row differ"
+    changes = np.flatnonzero(np.diff(there.astype(int)))
+    near = [np.abs(changes + 0.5 - w).min(initial=9.0) <= 1.0 for w in wrong]
+    assert all(near), f"{what}: differs at {wrong}"
+
+
+def every_sequence(search: BodySearch, order: int) -> Any:
+    """Return all sequences of mirrors that hold a body, (n, order)."""
+    owner, found = search.obstacles.mirrors.owner, []
+    grown: list[tuple[int, ...]] = [()]
+    for _ in range(order):
+        grown = [(*s, w) for s in grown for w in range(len(owner)) if not s or s[-1] != w]
+        found += [(*s, *[-1] * (order - len(s))) for s in grown if any(owner[w] >= 0 for w in s)]
+    return np.array(found, dtype=np.int32)
+
+
+@pytest.mark.parametrize("seed", few([2, 1, 3]))
+def test_drawn_scenes_at_every_output_sample(seed: int) -> None:
+    """All sequences of one mirror and those that were found, at each sample: nothing that lasts longer is missed."""
+    scene = drawn(seed)
+    found = clsim.find_paths(scene, 2, engine="reference", body_step=1.0)
+    search, family = searched(scene, 2), found.families[-1]
+    single = every_sequence(search, 1)
+    single = np.pad(single, ((0, 0), (0, 1)), constant_values=-1)
+    known = np.unique(np.concatenate([single, family.surfaces]), axis=0)
+    assert_every_sample(scene, 2, family, (0.0, 0.15), known, RATE / 12 if seed == 2 else RATE)
+    assert_certain(scene, family)
+    walls = found.families[0]
+    times = np.arange(0.0, 0.15, (12.0 if seed == 2 else 1.0) / RATE)
+    bare = ROOM_FINDERS[type(scene.room)](scene, scene.room, search.search)
+    for row in range(len(bare)):
+        place, when = polylines(bare, search.obstacles.mirrors, np.array([row]), times[None])
+        free = np.ones(len(times), dtype=bool)
+        for leg in range(int(bare.order[row]) + 1):
+            legs = Legs(place[0, :, leg], place[0, :, leg + 1], when[0, :, leg], when[0, :, leg + 1])
+            for body in scene.bodies:
+                free &= ~hidden_by(body, legs, np.full(len(times), -1), np.full(len(times), -1))[0]
+        free &= (times >= bare.start[row]) & (times < bare.end[row])
+        same = np.flatnonzero(np.all(walls.objects == bare.objects[row], axis=1))
+        heard = np.zeros(len(times), dtype=bool)
+        for i in same:
+            heard |= (times >= walls.start[i]) & (times < walls.end[i])
+        inside = (times >= bare.start[row]) & (times < bare.end[row])
+        assert_alike(free[inside], heard[inside], bare.objects[row])
+
+
+def assert_certain(scene: clsim.Scene, family: Any) -> None:
+    """Assert that what looks near changes say is certain holds, and that some of it fails for 30 times as long."""
+    search = searched(scene, 2)
+    pair = search.pair(0, 0)
+    look = MirrorLook(search.obstacles, pair.ends, pair.medium, pair.rates, family.surfaces, 0.01)
+    rng, changes = np.random.default_rng(0), np.stack([family.start, family.end], axis=1)
+    row, side = np.nonzero(np.isfinite(changes))
+    rows = np.repeat(row, 40)
+    times = np.repeat(changes[row, side], 40) + rng.choice([-1, 1], len(rows)) * 10 ** rng.uniform(-5, -2, len(rows))
+    there, sure, _ = look.look(rows, times, np.full(len(rows), 0.01))
+    for spare in (1.0, 30.0):
+        within = np.minimum(spare * sure, 0.01)
+        again = [look.status(rows, times + share * within) for share in (-0.999, -0.5, 0.5, 0.999)]
+        wrong = np.any(np.array(again) != there, axis=0) & (sure > 0.0)
+        assert np.any(wrong) == (spare > 1.0), f"{np.sum(wrong)} of {len(rows)} with {spare:g} times the bounds"
+
+
+def test_paths_that_run_along_what_decides_are_not_looked_at_for_ever() -> None:
+    """A path that is there now and then, and for a while on the verge: looks stay few, all that lasts is found."""
+    count = 0
+
+    def truth(times: Any) -> Any:
+        return (times > 0.2) & (times < 0.3) | (times > 0.7)
+
+    def look(rows: Any, times: Any, half: Any) -> Any:
+        nonlocal count
+        count += len(rows)
+        apart = np.min(np.abs(times[:, None] - [0.2, 0.3, 0.7]), axis=1)
+        sure = np.where((times > 0.8), 0.0, 0.7 * apart)
+        return truth(times), sure, rates.taken_for(sure, np.full(len(times), 1.0))
+
+    spans = np.zeros(1, dtype=np.int64), np.zeros(1), np.ones(1)
+    path, begin, end = subdivision.intervals(look, lambda rows, times: truth(times), spans, 1.0 / 16.0 / RATE)
+    assert path.tolist() == [0, 0]
+    assert np.concatenate([begin, end]) == pytest.approx([0.2, 0.7, 0.3, 1.0], abs=1.0 / 16.0 / RATE)
+    assert count < 3000
