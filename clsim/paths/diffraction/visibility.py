@@ -85,8 +85,8 @@ class EdgeStance:
     across : tuple of ndarray (n,)
         How far the other end is beyond each edge, rolled out, m.
     ways : tuple of EdgeWay
-        The shortest over the lines of the edges, as each edge sees it; the source is where it emits what goes over the
-        end, of paths over one.
+        The shortest over the lines of the edges, as each edge sees it; emission is by the way over the end of those
+        that run over one.
     places : tuple of ndarray (n,)
         Where each path meets each edge, m from its start.
     apexes : tuple of ndarray (n, 3)
