@@ -160,7 +160,7 @@ def swinging(device: str) -> Plan:
     of = dataclasses.replace(still, bodies=(door, slide))
     found = clsim.find_paths(of, 2).families[-1]
     some = found.part(np.arange(0, len(found), 2))  # no more than are looked at side by side, the last by both
-    return plan(PathSet(of, (some,)), device, blocks=(96,))
+    return plan(PathSet(of, (some,)), device, duration=96 / RATE)
 
 
 @scene
@@ -177,7 +177,7 @@ def sonar(device: str) -> Plan:
     of = dataclasses.replace(world(air=WINDY), scatterers=things)
     found = clsim.find_paths(of, 0, scattering_order=1).families[-1]
     few = np.arange(0, len(found), 26)  # of each one with walls on both legs, and one with fewer
-    return plan(PathSet(of, (found.part(few),)), device, responses="centre")
+    return plan(PathSet(of, (found.part(few),)), device, responses="centre", duration=96 / RATE)
 
 
 @scene
