@@ -18,6 +18,7 @@ from clsim.paths.moving.edge_pieces import pieces
 from clsim.paths.moving.edge_ties import tied
 from clsim.paths.moving.looks import ROUNDS
 from clsim.paths.moving.mirrors import ROOM
+from clsim.paths.moving.search import UnhiddenLookup
 from clsim.paths.specular.beam_tree import BeamTree
 from clsim.paths.specular.mesh import BEAM_LIMIT
 from clsim.paths.trajectory_tables import BoundingSpheres
@@ -148,7 +149,9 @@ class _EdgeFinder:
             if receiver is None
             else tables.sphere(1 + receiver, begin - longest, end)
         )
-        tree = BeamTree(self._search.posed(middle), ball[0], ball[1] + slack, spheres, BEAM_LIMIT)
+        walls = self._search.posed(middle)
+        # What bodies hide in this pose they may not hide in the next: as for `BodySearch`, nothing is.
+        tree = BeamTree(walls, ball[0], ball[1] + slack, spheres, BEAM_LIMIT, None, UnhiddenLookup(walls))
         width = max(self._order, 1)
         found: list[list[Any]] = [[np.empty((0, width), dtype=np.int32)] for _ in everyone]
         for batch in tree.candidates(self._order):
