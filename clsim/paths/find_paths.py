@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 from clsim.arrays import as_choice, as_count, as_number
@@ -17,7 +18,7 @@ from clsim.paths.path_set import PathSet
 from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths, sides
 from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
 from clsim.paths.specular.cross_talk import direct_levels, with_direct
-from clsim.paths.specular.mesh import FINDERS, mesh_paths
+from clsim.paths.specular.mesh import FINDERS, mesh_paths, report
 from clsim.paths.specular.shoebox import shoebox_paths
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
@@ -125,19 +126,22 @@ def find_paths(
     limit, levels = as_count("path_limit", path_limit, at_least=1), direct_levels(scene, direct)
     as_choice("diffraction_model", diffraction_model, tuple(DIFFRACTION_MODELS))
     edges = as_count("diffraction", diffraction, at_most=LARGEST_DIFFRACTION)
-    report = progress or (lambda share: None)
+    tell = progress or (lambda share: None)
     legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
     by_bodies = None if body_order is None else as_count("body_order", body_order)
     step = as_number("body_step", body_step, at_least=1e-5, at_most=1.0, unit="m")
     search = PathSearch(
-        max_order, edges, diffraction_model, legs, by_bodies, step, limit, finder, resolution, engine, device, report
+        max_order, edges, diffraction_model, legs, by_bodies, step, limit, finder, resolution, engine, device, tell
     )
-    found = tuple(find(scene, search) for find in FAMILY_FINDERS.values())
+    steps = len(FAMILY_FINDERS) + edges
+    parts = _parts(search, steps + (steps + 1 if scene.bodies else 0))
+    found = tuple(find(scene, next(parts)) for find in FAMILY_FINDERS.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
-        found = (*found, kind(scene, search, found))
+        found = (*found, kind(scene, next(parts), found))
     if scene.bodies:
         bodies = BodySearch(scene, search)
-        found = (*(behind_bodies(bodies, family) for family in found), bodies.paths())
+        found = tuple(behind_bodies(bodies, family, next(parts).progress) for family in found)
+        found = (*found, bodies.paths(next(parts).progress))
         if edges:
             found = (*found, moving_edge_paths(bodies, found))
     if scene.scatterers:
@@ -180,6 +184,12 @@ def _scattered(scene: Scene, search: PathSearch) -> list[PathFamily]:
     if scene.bodies:
         both.append(body_scattered_paths(scene, search, *zip(legs, by_bodies, strict=True)))
     return both
+
+
+def _parts(search: PathSearch, count: int) -> Iterator[PathSearch]:
+    """Yield what is asked of each of several kinds of paths, whose shares of the work are even parts of all."""
+    for i in range(count):
+        yield replace(search, progress=partial(report, search.progress, i / count, (i + 1) / count))
 
 
 def _specular_paths(scene: Scene, search: PathSearch) -> PathFamily:

@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 
 KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 CUBIC_COLUMNS = 12  # coefficients of a position or an axis between two knots, [power][xyz]
-LOOKED_AT = (
-    0.5,
-    0.2764,
-)  # of the way from knot to knot: a motion that repeats with these is the same in the middle too
+LOOKED_AT = 0.5, 0.2764  # of the way from knot to knot: what repeats with knots may be right in the middle alone
 _AXIS = np.array([1.0, 0.0, 0.0])
 _AXIS_TOLERANCE = 1e-5  # rad
 _SLICE = 20_000  # knots looked at at a time
@@ -90,7 +87,7 @@ def cubics_between(values: Floats, slopes: Floats) -> list[Floats]:
 
 
 def _largest_error(source: Source, end: float, rate: float, tolerance: float) -> float:
-    """Return the largest error of the cubics in the middle between knots, m; that of the axis on the same scale."""
+    """Return the largest error of the cubics between knots, m; that of the axis on the same scale."""
     largest = 0.0
     trajectory = source.trajectory
     for first in range(0, math.ceil(end * rate) + 1, _SLICE):
@@ -103,15 +100,17 @@ def _largest_error(source: Source, end: float, rate: float, tolerance: float) ->
             error = np.linalg.norm(there - trajectory.position(times[:-1] + share / rate), axis=1)
             largest = max(largest, float(error.max()))
         if not isinstance(source.directivity, Omni):
-            largest = max(largest, _axis_error(source, times, 0.5 / rate) * tolerance / _AXIS_TOLERANCE)
+            largest = max(largest, _axis_error(source, times, 1.0 / rate) * tolerance / _AXIS_TOLERANCE)
     return largest
 
 
-def _axis_error(source: Source, times: Floats, half: float) -> float:
-    """Return the largest error of the axis in the middle between knots, rad."""
-    wide = np.concatenate([[times[0] - 2 * half], times, [times[-1] + 2 * half]])
+def _axis_error(source: Source, times: Floats, step: float) -> float:
+    """Return the largest error of the axis between knots, rad."""
+    wide = np.concatenate([[times[0] - step], times, [times[-1] + step]])
     axis = rotate(source.orientation(wide), _AXIS)
-    cubic = cubics_between(axis, np.gradient(axis, axis=0))
-    middle = sum(c * 0.5**power for power, c in enumerate(cubic))
-    error = np.linalg.norm(middle - rotate(source.orientation(wide[:-1] + half), _AXIS), axis=1)
-    return float(error[1:-1].max())
+    cubic, largest = cubics_between(axis, np.gradient(axis, axis=0)), 0.0
+    for share in LOOKED_AT:
+        there = sum(c * share**power for power, c in enumerate(cubic))
+        error = np.linalg.norm(there - rotate(source.orientation(wide[:-1] + share * step), _AXIS), axis=1)
+        largest = max(largest, float(error[1:-1].max()))
+    return largest

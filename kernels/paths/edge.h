@@ -44,6 +44,12 @@ static double way_length(cylindrical a, cylindrical b)
     return sqrt(across * across + along * along);
 }
 
+// The way over a place on the edge.
+static double way_by(double place, cylindrical a, cylindrical b)
+{
+    return sqrt(a.r * a.r + (place - a.z) * (place - a.z)) + sqrt(b.r * b.r + (place - b.z) * (place - b.z));
+}
+
 static double way_apex(cylindrical a, cylindrical b) { return (a.z * b.r + b.z * a.r) / (a.r + b.r); }
 
 // How far a place is inside the air of a wedge, m; negative within the wedge.

@@ -67,7 +67,8 @@ static int evaluate(const search* s, double time, double within, double* clear, 
     for (int k = 0; k < CONTRACTIONS; k++) {  // each step by the Mach number of the source
         emitted_at = end_at(&s->source, time - delay, source_perturbation);
         source = about(s->edge[0], image_of(s, 0, emitted_at));
-        const double later = passage(&s->source.path, way_length(source, heard), emitted_at, heard_at) - delay;
+        const double length = s->end < 0 ? way_length(source, heard) : way_by(s->end * s->edge[0]->length, source, receiver);
+        const double later = passage(&s->source.path, length, emitted_at, heard_at) - delay;
         delay += later;
         if (fabs(later) <= CONTRACTED) break;
     }

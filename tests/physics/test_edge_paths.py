@@ -252,6 +252,30 @@ def test_edge_paths_of_the_highest_order_keep_two_terms() -> None:
     assert np.all(edge.lit[reflections == 0] != 0)
 
 
+@pytest.mark.parametrize("engine", ["opencl", "reference"])
+def test_paths_over_ends_of_edges_are_cut_by_their_own_delays(engine: str, device: None) -> None:
+    """A source at 5 m/s through the boundary of the shadow, below a screen: it is there when it emits, in closed form.
+
+    Source, edge and receiver are in one upright plane while the source is at x = 0.2 m, 0.04 s. The way over the lower
+    end of the edge, 0.9 m off the straight way, takes 1.3 ms more.
+    """
+    corners = [(0, 0, 0), (0, 0, FAR), (-FAR, 0, FAR), (-FAR, 0, 0)]
+    ends = np.array([0.0, -2.0, -0.8]), np.array([-0.15, 1.5, -1.0])
+    boundary = ends[1][0] * ends[0][1] / ends[1][1]  # x of the source
+    way = clsim.Trajectory.line(ends[0], ends[0] + (0.4, 0.0, 0.0), 0.08)
+    scene = clsim.Scene(
+        clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], HARD), clsim.Air(absorption=False, speed_of_sound=C),
+        [clsim.Source("s", clsim.Signal.tone(TONE, 0.08, RATE), way)], [clsim.Receiver("r", fixed(*ends[1]))],
+    )  # fmt: skip
+    edge = clsim.find_paths(scene, 0, diffraction=1, engine=engine, resolution=1e-6).families[1]
+    crossed = np.array([boundary, *ends[0][1:]])
+    wanted = boundary / 5.0 + (np.linalg.norm(crossed) + np.linalg.norm(ends[1])) / C
+    cut = np.flatnonzero((edge.end_side == -1) & (np.abs(edge.start - wanted) < 3e-3))
+    assert len(cut) == 1
+    assert np.count_nonzero(edge.lit[cut[0]] != edge.lit[cut[0] - 1]) == 1
+    assert edge.start[cut[0]] == pytest.approx(wanted, abs=2e-6)
+
+
 def test_ways_are_the_shortest_ones() -> None:
     """Corners of paths lie on walls and on the edge; their sum is the delay; rates are derivatives."""
     paths = l_room(2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.paths.moving.mirrors import ROOM, dot
-from clsim.paths.trajectory_cubics import KNOT_RATES, cubics_between
+from clsim.paths.trajectory_cubics import KNOT_RATES, LOOKED_AT, cubics_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from clsim.paths.moving.mirrors import Mirrors
     from clsim.scene.body import Body
 
-FACE_COLUMNS = (
-    16  # coefficients of a normal between two knots, [power][xyz], and of the offset, [power]; as in nodes/mirrors.h
-)
+FACE_COLUMNS = 16  # coefficients of a normal between two knots, [power][xyz], and of the offset, [power]
 _SLICE = 20_000  # knots looked at at a time
 
 
@@ -122,15 +120,17 @@ def _cubics(normal: Floats, offset: Floats, turning: Floats, rising: Floats, rat
 
 
 def _largest_error(body: Body, end: float, rate: float) -> float:
-    """Return by how much planes through a body are off in the middle between knots, at its points, m."""
-    largest, half = 0.0, 0.5 ** np.arange(4)
+    """Return by how much planes through a body are off between knots, at its points, m."""
+    largest = 0.0
     for first in range(0, math.ceil(end * rate) + 1, _SLICE):
         times = np.arange(first, min(first + _SLICE, math.ceil(end * rate) + 1) + 1, dtype=np.float64) / rate
-        knots, between = _Poses.of(body, times), _Poses.of(body, times[:-1] + 0.5 / rate)
-        for axis in np.eye(3):
-            found = _cubics(*knots.plane(axis, 0.0), rate)
-            normal, offset, _, _ = between.plane(axis, 0.0)
-            tilted = np.einsum("tpx,p->tx", found[:, :12].reshape(-1, 4, 3), half) - normal
-            apart = found[:, 12:] @ half - offset - dot(tilted, between.origin)
-            largest = max(largest, float((np.abs(apart) + body.radius * np.linalg.norm(tilted, axis=1)).max()))
+        knots = _Poses.of(body, times)
+        found = [_cubics(*knots.plane(axis, 0.0), rate) for axis in np.eye(3)]
+        for share in LOOKED_AT:
+            between, powers = _Poses.of(body, times[:-1] + share / rate), share ** np.arange(4)
+            for axis, cubics in zip(np.eye(3), found, strict=True):
+                normal, offset, _, _ = between.plane(axis, 0.0)
+                tilted = np.einsum("tpx,p->tx", cubics[:, :12].reshape(-1, 4, 3), powers) - normal
+                apart = cubics[:, 12:] @ powers - offset - dot(tilted, between.origin)
+                largest = max(largest, float((np.abs(apart) + body.radius * np.linalg.norm(tilted, axis=1)).max()))
     return largest

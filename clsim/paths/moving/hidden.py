@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,9 +16,12 @@ from clsim.paths.moving.subdivision import intervals as subdivided
 from clsim.paths.moving.visibility import LegDrift, Legs, hidden_by
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.specular.mesh import report
 from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -28,13 +32,14 @@ if TYPE_CHECKING:
     from clsim.paths.moving.search import BodySearch, PairQuery
     from clsim.paths.moving.visibility import Obstacles
 
+    Progress = Callable[[float], None]
     Rows = NDArray[np.int64]
 
 _NODES = 8  # times at which corners of paths are asked for, between which they are smooth
 _EARLIER = 1.25  # of a delay, and more, before which sound of a stretch of time was not emitted
 
 
-def behind_bodies(search: BodySearch, family: PathFamily) -> PathFamily:
+def behind_bodies(search: BodySearch, family: PathFamily, progress: Progress = lambda share: None) -> PathFamily:
     """Return the paths of a kind that is reflected by no body without what bodies hide, rows cut as it takes.
 
     Parameters
@@ -43,19 +48,24 @@ def behind_bodies(search: BodySearch, family: PathFamily) -> PathFamily:
         Of the scene.
     family : PathFamily
         As if there were no bodies.
+    progress : callable
+        Takes the share of the work that is done.
     """
     rows: list[Any] = [np.empty(0, dtype=np.int64)]
     begins, ends = [np.empty(0)], [np.empty(0)]
-    for pair in family.pairs():
+    pairs = list(family.pairs())
+    for number, pair in enumerate(pairs):
+        part = partial(report, progress, number / len(pairs), (number + 1) / len(pairs))
         query = search.pair(pair.source, pair.receiver)
         status = _Status(pair, search)
         if isinstance(family, SpecularPaths):
             look = _Look(status, search.obstacles, query)
             every = np.arange(len(pair.index))
             spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
-            path, begin, end = subdivided(look.look, look.status, spans, query.resolution)
+            path, begin, end = subdivided(look.look, look.status, spans, query.resolution, part)
         else:
             path, begin, end = intervals(status, pair.index, query.times, query.resolution, status.nearby)
+            part(1.0)
         begin, end = query.bounded(begin, end)
         path = pair.index[path]
         begin, end = np.maximum(begin, family.start[path]), np.minimum(end, family.end[path])
@@ -143,7 +153,8 @@ class _Look:
         along the wall by as much again over the cosine of the angle of incidence.
         """
         place, when = (x[:, 0] for x in self.free.polylines(self.free.index[rows], times[:, None]))
-        pace = self.query.rates.over(times - _EARLIER * (half + times - when[:, 0]), times, half)
+        first = np.zeros(len(rows), dtype=np.int64)
+        pace = self.query.rates.over(first, times - _EARLIER * (half + times - when[:, 0]), times, half)
         medium = self.query.medium
         c, wind = medium.speed_of_sound, float(np.linalg.norm(medium.wind or (0.0, 0.0, 0.0)))
         late = 1.0 + (pace.source + pace.receiver) / np.maximum(c - wind - pace.source, 1e-3)
@@ -168,8 +179,8 @@ class _Look:
         for leg in range(legs):
             for body, thing in enumerate(self.obstacles.mirrors.bodies):
                 rows = np.flatnonzero(free & (order >= leg))
-                held = np.zeros((len(rows), len(self.obstacles.mirrors.bodies), 2), dtype=bool)
-                held[..., 0], held[..., 1] = pace.held[:, 0] & (leg == 0), pace.held[:, 1] & (order[rows, None] == leg)
+                at = np.stack([np.full(len(rows), leg == 0), order[rows] == leg], axis=1)
+                held = pace.held[rows] & at[:, None]
                 ends = speed[rows, leg], speed[rows, leg + 1]
                 sooner = late[rows] + np.maximum(*ends) / self.query.medium.speed_of_sound
                 changes = LegDrift(*ends, sooner, held, pace.part(rows))

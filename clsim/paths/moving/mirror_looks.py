@@ -15,6 +15,8 @@ from clsim.paths.moving.rates import FAR, lasts, middle_of, taken_for
 from clsim.paths.moving.visibility import LegDrift, Legs
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -33,35 +35,41 @@ _EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of ti
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MirrorLook:
-    """How paths by mirrors (P, N) between two ends are at a time.
+    """How paths by mirrors (P, N) from a source to receivers are at a time.
 
     Attributes
     ----------
     obstacles : Obstacles
         Of the scene.
-    ends : tuple of Motion
-        Of the source and the receiver.
+    source : Motion
+        Of the source.
+    receivers : sequence of Motion
+        Of the receivers.
     medium : UniformAir
         What sound travels in.
     rates : EndRates
         How fast all that moves is.
     surfaces : ndarray (P, N) int
         Mirrors from the source's side, filled up with -1.
+    receiver : ndarray (P,) int
+        Of each path.
     step : float
         How far all that moves may go where nothing is certain until the next look, m.
     """
 
     obstacles: Obstacles
-    ends: tuple[Motion, Motion]
+    source: Motion
+    receivers: Sequence[Motion]
     medium: UniformAir
     rates: EndRates
     surfaces: NDArray[np.int32]
+    receiver: Rows
     step: float
 
     def status(self, rows: Rows, times: Floats) -> Bools:
         """Return whether paths (n,) are there at times (n,)."""
         walls = self.surfaces[rows]
-        return self.obstacles.there(walls, self._events(walls, times), times[:, None])[:, 0]
+        return self.obstacles.there(walls, self._events(walls, self.receiver[rows], times), times[:, None])[:, 0]
 
     def look(self, rows: Rows, times: Floats, half: Floats) -> tuple[Bools, Floats, Floats]:
         """Return whether paths (n,) are there, for how long that is certain, and is taken to be so, s."""
@@ -70,17 +78,19 @@ class MirrorLook:
         for count in np.unique(order).tolist():
             some = np.flatnonzero(order == count)
             walls = self.surfaces[rows[some], :count]
-            there[some], sure[some], taken[some] = self._look(walls, times[some], half[some])
+            ears = self.receiver[rows[some]]
+            there[some], sure[some], taken[some] = self._look(walls, ears, times[some], half[some])
         return there, sure, taken
 
-    def _events(self, walls: NDArray[np.int32], times: Floats) -> Events:
-        return find_events(self.obstacles.mirrors, walls, self.ends, self.medium, times[:, None], rounds=ROUNDS)
+    def _events(self, walls: NDArray[np.int32], ears: Rows, times: Floats) -> Events:
+        ends: Any = (self.source, _Ears(self.receivers, ears))
+        return find_events(self.obstacles.mirrors, walls, ends, self.medium, times[:, None], rounds=ROUNDS)
 
-    def _look(self, walls: NDArray[np.int32], times: Floats, half: Floats) -> tuple[Bools, Floats, Floats]:
-        events = self._events(walls, times)
+    def _look(self, walls: NDArray[np.int32], ears: Rows, times: Floats, half: Floats) -> tuple[Bools, Floats, Floats]:
+        events = self._events(walls, ears, times)
         line = straightened(self.obstacles.mirrors, walls, events, times, self.medium)
         delay = events.delay[:, 0]
-        pace = self.rates.over(times - _EARLIER * (half + delay), times, half)
+        pace = self.rates.over(ears, times - _EARLIER * (half + delay), times, half)
         met = np.array(np.all((events.share[:, 0] > 0.0) & (events.share[:, 0] < 1.0), axis=1))
         holds, apart, far = self._on_faces(walls, line)
         met &= np.all(holds, axis=1)
@@ -161,21 +171,39 @@ class MirrorLook:
         free, sure, order = np.ones(len(some), dtype=bool), np.array(kept), walls.shape[1]
         padded: Any = np.pad(walls, ((0, 0), (1, 1)), constant_values=-1)
         when = line.now[:, None] + line.time
-        held = np.zeros((order + 1, 2, *pace.speed.shape[1:]), dtype=bool)
-        held[0, 0], held[-1, 1] = pace.held[:, 0], pace.held[:, 1]
         for leg in range(order + 1):
             rows = np.flatnonzero(free)
             p = some[rows]
             legs = Legs(line.place[p, leg], line.place[p, leg + 1], when[p, leg], when[p, leg + 1])
+            held = pace.held[p] & np.array([leg == 0, leg == order])
             changes = LegDrift(
-                change.place[p, leg], change.place[p, leg + 1], change.dilation[p, leg : leg + 2].max(axis=1),
-                np.broadcast_to(held[leg].T, (len(p), *held[leg].T.shape)), pace.part(p),
+                change.place[p, leg], change.place[p, leg + 1], change.dilation[p, leg : leg + 2].max(axis=1), held,
+                pace.part(p),
             )  # fmt: skip
             blocked, certain = self.obstacles.looked(legs, padded[rows, leg], padded[rows, leg + 1], changes)
             free[rows] = ~blocked
             certain = np.minimum(certain, kept[rows])
             sure[rows] = np.where(blocked, certain, np.minimum(sure[rows], certain))
         return free, sure
+
+
+class _Ears:
+    """Receivers (n,) of paths as one motion, of times (n, T)."""
+
+    def __init__(self, motions: Sequence[Motion], which: Rows) -> None:
+        self._motions, self._rows = motions, [(ear, np.flatnonzero(which == ear)) for ear in np.unique(which).tolist()]
+
+    def position(self, times: Floats) -> Floats:
+        return self._of("position", times)
+
+    def velocity(self, times: Floats) -> Floats:
+        return self._of("velocity", times)
+
+    def _of(self, name: str, times: Floats) -> Floats:
+        out = np.empty((*times.shape, 3))
+        for ear, rows in self._rows:
+            out[rows] = getattr(self._motions[ear], name)(times[rows])
+        return out
 
 
 def _absent(line: Line, change: Drift, holds: Bools, beside: Floats) -> Floats:

@@ -67,12 +67,15 @@ class Middle:
         How far points of the body are from it at most, and from axes through it about which the body turns, m.
     limit : float
         The same of places at which mirrors are taken from the body's motion, m.
+    fastest : float
+        Bound of the speed of any point of the body, m/s.
     """
 
     place: Floats
     radius: float
     lever: float
     limit: float
+    fastest: float
 
 
 @lru_cache(maxsize=256)
@@ -83,7 +86,7 @@ def middle_of(body: Body) -> Middle:
     away = corners - place
     lever = 0.0 if turning is None else turning.lever(away)
     limit = FARTHEST * body.radius + float(np.linalg.norm(place))
-    return Middle(read_only(place), float(np.linalg.norm(away, axis=1).max()), lever, limit)
+    return Middle(read_only(place), float(np.linalg.norm(away, axis=1).max()), lever, limit, body.peak_speed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +144,7 @@ class Pace:
         Accelerations of the middles, m/s², and by how much those of other points may differ for each metre, 1/s².
     jolt, twist : ndarray (n, B)
         By how much velocities of the middles, m/s, and angular velocities, rad/s, jump within them in all.
-    held : ndarray (B, 2) bool
+    held : ndarray (n, B, 2) bool
         Whether bodies hold source and receiver where they are.
     """
 
@@ -158,7 +161,7 @@ class Pace:
 
     def part(self, rows: NDArray[np.int64]) -> Pace:
         """Return some of the stretches."""
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)[:-1]})
+        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
     @property
     def all_ways(self) -> Floats:
@@ -195,33 +198,37 @@ class BodyRates:
         found = [_body_cells(body, first, last) for body in bodies]
         return BodyRates(tuple(bodies), tuple(p for p, _ in found), tuple(j for _, j in found), first, last)
 
-    def of_ends(self, ends: tuple[Motion, Motion]) -> EndRates:
-        """Return those of two ends as well."""
-        own = [_end_cells(end, self.first, self.last) for end in ends]
-        held = [[seen_by(body.trajectory, end).is_static for end in ends] for body in self.bodies]
-        return EndRates(self, (own[0], own[1]), np.array(held))
+    def of_ends(self, source: Motion, receivers: Sequence[Motion]) -> EndRates:
+        """Return those of a source and of receivers as well."""
+        own = tuple(_end_cells(end, self.first, self.last) for end in (source, *receivers))
+        held = [[seen_by(body.trajectory, end).is_static for body in self.bodies] for end in (source, *receivers)]
+        pairs = [np.stack([held[0], other], axis=1) for other in held[1:]]
+        return EndRates(self, own[0], own[1:], np.array(pairs))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndRates:
-    """How fast bodies and two ends move.
+    """How fast bodies, a source and receivers move.
 
     Attributes
     ----------
     bodies : BodyRates
         Of all bodies.
-    ends : tuple of Peaks
-        Of the speeds of source and receiver.
-    held : ndarray (B, 2) bool
-        Whether bodies hold source and receiver where they are.
+    source : Peaks
+        Of the speed of the source.
+    receivers : tuple of Peaks
+        Of the speeds of R receivers.
+    held : ndarray (R, B, 2) bool
+        Whether bodies hold the source and each receiver where they are.
     """
 
     bodies: BodyRates
-    ends: tuple[Peaks, Peaks]
+    source: Peaks
+    receivers: tuple[Peaks, ...]
     held: NDArray[np.bool_]
 
-    def over(self, emitted: Floats, middle: Floats, half: Floats) -> Pace:
-        """Return bounds for what is received within `half` of times (n,), the first of it emitted at others (n,), s."""
+    def over(self, receiver: NDArray[np.int64], emitted: Floats, middle: Floats, half: Floats) -> Pace:
+        """Return bounds for what receivers (n,) hear within `half` of times (n,), emitted from others (n,) on, s."""
         count, end, table = len(middle), middle + half, self.bodies
         columns = np.zeros((6, count, len(table.bodies)))
         for i, (peaks, jumps) in enumerate(zip(table.peaks, table.jumps, strict=True)):
@@ -230,11 +237,15 @@ class EndRates:
                 jumps[np.searchsorted(peaks.bounds, end, "right")]
                 - jumps[np.searchsorted(peaks.bounds, emitted, "left")]
             ).T
-        source, receiver = (peaks.over(emitted, end)[:, 0] for peaks in self.ends)
+        heard, source = np.empty(count), self.source.over(emitted, end)[:, 0]
+        for ear in np.unique(receiver).tolist():
+            rows = np.flatnonzero(receiver == ear)
+            heard[rows] = self.receivers[ear].over(emitted[rows], end[rows])[:, 0]
         speed, turn, gain, lift, jolt, twist = columns
-        return Pace(half, source, receiver, speed, turn, gain, lift, jolt, twist, self.held)
+        return Pace(half, source, heard, speed, turn, gain, lift, jolt, twist, self.held[receiver])
 
 
+@lru_cache(maxsize=16)
 def _end_cells(motion: Motion, first: float, last: float) -> Peaks:
     if motion.is_static:
         return Peaks.of(np.array([first, last]), np.zeros((1, 1)))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -14,12 +15,12 @@ from clsim.errors import InputError
 from clsim.paths.moving.family import BodyPaths
 from clsim.paths.moving.looks import looks
 from clsim.paths.moving.mirror_looks import MirrorLook
-from clsim.paths.moving.rates import BodyRates
+from clsim.paths.moving.rates import BodyRates, EndRates
 from clsim.paths.moving.subdivision import intervals
 from clsim.paths.moving.visibility import Obstacles
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
-from clsim.paths.specular.mesh import BEAM_LIMIT, visibility_query
+from clsim.paths.specular.mesh import BEAM_LIMIT, report, visibility_query
 from clsim.paths.specular.occlusion import air_sides
 from clsim.paths.specular.wall_lookup import WallLookup
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
@@ -28,10 +29,11 @@ from clsim.scene.motion.carried import even_ways
 from clsim.scene.room.walls import build_walls
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.moving.rates import EndRates
     from clsim.paths.propagation import UniformAir
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import VisibilityQuery
@@ -40,6 +42,10 @@ if TYPE_CHECKING:
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
+    Progress = Callable[[float], None]
+    Span = tuple[float, float]
+
+Found = TypeVar("Found")
 _POSES = 0.3  # m, which images by bodies go, half way, from one pose in which sequences are looked for to the next
 _RATE = 1000.0  # Hz, at which speeds are looked at
 _SHORTEST = 1e-3  # s between poses
@@ -147,7 +153,8 @@ class BodySearch:
         times = looks(scene.bodies, motions, last, longest, self.search.body_step)
         lifted: Any = tuple(_Lifted(scene, ends[i], PERTURBATIONS[i]) for i in range(2))
         medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
-        return PairQuery(lifted, medium, self._rates(longest, last).of_ends(motions), times, query.resolution)
+        rates = self._rates(longest, last).of_ends(motions[0], motions[1:])
+        return PairQuery(lifted, medium, rates, times, query.resolution)
 
     def _rates(self, longest: float, last: float) -> BodyRates:
         """Return how fast bodies are, from before the first emission until a last time, s."""
@@ -155,8 +162,13 @@ class BodySearch:
             self._known = BodyRates.of(self.scene.bodies, longest, last)
         return self._known
 
-    def paths(self) -> BodyPaths:
+    def paths(self, progress: Progress = lambda share: None) -> BodyPaths:
         """Return every path by bodies.
+
+        Parameters
+        ----------
+        progress : callable
+            Takes the share of the work that is done.
 
         Raises
         ------
@@ -164,28 +176,48 @@ class BodySearch:
             If there are more than the limit, or more beams than can be looked at.
         """
         found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]] = []
-        count = 0
-        for source in range(len(self.scene.sources)):
+        count, sources = 0, len(self.scene.sources)
+        for source in range(sources):
             pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
-            sequences = self._sequences(source, pairs)
-            for receiver, pair in enumerate(pairs):
-                path, begin, end = self._heard(pair, *sequences[receiver])
-                found.append((path, begin, end, (source, receiver)))
-                count += len(path)
-                if count > self.search.path_limit:
-                    raise InputError(
-                        "body_order", f"must give at most {self.search.path_limit} paths (path_limit), but gives more"
-                    )
+            part = partial(report, progress, source / sources, (source + 1) / sources)
+            for receiver, heard in enumerate(self._heard(source, pairs, part)):
+                found.append((*heard, (source, receiver)))
+                count += len(heard[0])
+            if count > self.search.path_limit:
+                raise InputError(
+                    "body_order", f"must give at most {self.search.path_limit} paths (path_limit), but gives more"
+                )
         return self._family(found)
 
     def _heard(
-        self, pair: PairQuery, sequence: NDArray[np.int32], spans: NDArray[np.int64], cells: Floats
-    ) -> tuple[NDArray[np.int32], Floats, Floats]:
-        """Return the mirrors of paths, and when they are heard, of sequences (n, N) in cells (n,) of time."""
-        which, begin, end = _runs(sequence, spans, np.minimum(cells, pair.last))
-        looks = MirrorLook(self.obstacles, pair.ends, pair.medium, pair.rates, sequence, self.search.body_step)
-        path, begin, end = intervals(looks.look, looks.status, (which, begin, end), pair.resolution)
-        return _merged(sequence[path], *pair.bounded(begin, end))
+        self, source: int, pairs: list[PairQuery], progress: Progress
+    ) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
+        """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""
+        found, runs, first = self._sequences(source, pairs), [], 0
+        for pair, (sequence, cell, bounds) in zip(pairs, found, strict=True):
+            which, begin, end = _runs(sequence, cell, np.minimum(bounds, pair.last))
+            runs.append((first + which, begin, end))
+            first += len(sequence)
+        surfaces = np.concatenate([sequence for sequence, _, _ in found])
+        receiver = np.repeat(np.arange(len(pairs)), [len(sequence) for sequence, _, _ in found])
+        looks = self.mirror_look(pairs, surfaces, receiver)
+        spans: Any = tuple(np.concatenate([run[i] for run in runs]) for i in range(3))
+        path, begin, end = intervals(looks.look, looks.status, spans, pairs[0].resolution, progress)
+        for ear, pair in enumerate(pairs):
+            mine = np.flatnonzero(receiver[path] == ear)
+            yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
+
+    def mirror_look(
+        self, pairs: Sequence[PairQuery], surfaces: NDArray[np.int32], receiver: NDArray[np.int64]
+    ) -> MirrorLook:
+        """Return what looks at paths by mirrors (P, N) by which pairs (P,) of one source are heard."""
+        widest = max((pair.rates for pair in pairs), key=lambda rates: rates.bodies.last)
+        rates = EndRates(
+            widest.bodies, widest.source, tuple(pair.rates.receivers[0] for pair in pairs),
+            np.concatenate([pair.rates.held for pair in pairs]),
+        )  # fmt: skip
+        source, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
+        return MirrorLook(self.obstacles, source, ears, medium, rates, surfaces, receiver, self.search.body_step)
 
     def _sequences(
         self, source: int, pairs: list[PairQuery]
@@ -193,25 +225,36 @@ class BodySearch:
         """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
         query, longest = self.queries[source]
         last = max(pair.times[-1] for pair in pairs)
-        spans = self.spans(last)[::-1]
-        bounds, rows = [0.0], []
-        while spans:
-            begin, end = spans.pop()
-            try:
-                rows.append(self._cell(query, longest, (begin, end)))
-                bounds.append(end)
-            except TooManyBeamsError as error:
-                if end - begin < 2.0 * _SHORTEST:
-                    raise InputError("body_order", str(error)) from error
-                spans += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
-        cells, found = np.array(bounds), []
+        rows = self.cells(last, lambda span: self._cell(query, longest, span))
+        cells, found = np.array([0.0, *(end for (_, end), _ in rows)]), []
         for receiver in range(len(pairs)):
-            mine = [sequence[receivers == receiver] for sequence, receivers in rows]
+            mine = [sequence[receivers == receiver] for _, (sequence, receivers) in rows]
             number = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
             found.append((np.concatenate(mine), number, cells))
         return found
 
-    def spans(self, last: float) -> list[tuple[float, float]]:
+    def cells(self, last: float, find: Callable[[Span], Found]) -> list[tuple[Span, Found]]:
+        """Return stretches of time until a last one, s, and what is found in each, in order.
+
+        In each bodies are about one pose; they are halved where there are more beams than can be looked at.
+
+        Raises
+        ------
+        InputError
+            If there are as many in the shortest, too.
+        """
+        waiting, found = self._spans(last)[::-1], []
+        while waiting:
+            begin, end = waiting.pop()
+            try:
+                found.append(((begin, end), find((begin, end))))
+            except TooManyBeamsError as error:
+                if end - begin < 2.0 * _SHORTEST:
+                    raise InputError("body_order", str(error)) from error
+                waiting += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
+        return found
+
+    def _spans(self, last: float) -> list[Span]:
         """Return stretches of time until a last one, s, in each of which bodies are about one pose."""
         instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
         size = self.room.walls.size
@@ -243,7 +286,7 @@ class BodySearch:
         ears = ends.receiver_spheres(begin, end)
         start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
         ears = BoundingSpheres(ears.centre, ears.radius + slack)
-        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), _Unhidden(walls))
+        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), UnhiddenLookup(walls))
         first, width = len(self.scene.room.faces), max(self.order, 1)
         parts = [(np.empty((0, width), dtype=np.int32), np.empty(0, dtype=np.int64))]
         for batch in tree.candidates(self.order):
@@ -299,7 +342,7 @@ class BodySearch:
         )  # fmt: skip
 
 
-class _Unhidden(WallLookup):
+class UnhiddenLookup(WallLookup):
     """Looks up walls of which none hides another."""
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Any, Any, Any]:

@@ -7,6 +7,7 @@ Where it differs before and after, the change is found to the resolution by halv
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,16 +59,26 @@ def intervals(
     whole, done = float(np.sum(end - begin)) or 1.0, 0.0
     found: list[tuple[Any, Any, Any]] = [(which[:0], begin[:0], end[:0])]
     for part in parts:
-        found.append(_of_part(look, status, (which[part], begin[part], end[part]), resolution))
-        done += float(np.sum(end[part] - begin[part]))
-        progress(done / whole)
+        share = float(np.sum(end[part] - begin[part])) / whole
+        tell = partial(_tell, progress, done, share)
+        found.append(_of_part(look, status, (which[part], begin[part], end[part]), resolution, tell))
+        done += share
+    progress(1.0)
     path, first, last = (np.concatenate([each[i] for each in found]) for i in range(3))
     return path, first, last
 
 
-def _of_part(look: Look, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float) -> Any:
+def _tell(progress: Callable[[float], None], first: float, share: float, left: float) -> None:
+    """Tell the share of the work that is done, where of one share of it, behind a first one, some is left."""
+    progress(first + share * (1.0 - left))
+
+
+def _of_part(
+    look: Look, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float, tell: Callable[[float], None]
+) -> Any:
     which, begin, end = spans
     number, length = np.arange(len(which)), end - begin
+    whole = float(np.sum(length)) or 1.0
     (at_first, after, _), (at_last, before, _) = (look(which, t, length) for t in (begin, end))
     left, right = begin + _CERTAIN * after, end - _CERTAIN * before
     stack: list[Gaps] = [_open((number, left, right, at_first, at_last))]
@@ -85,6 +96,7 @@ def _of_part(look: Look, status: Status, spans: tuple[Rows, Floats, Floats], res
         changes.append(tuple(x[differs] for x in gaps))
         if not np.all(short):
             stack.append(_divided(look, which, tuple(x[~short] for x in gaps)))
+        tell(sum(float(np.sum(late - early)) for _, early, late, _, _ in stack) / whole)
     path, first, last, there, _ = (np.concatenate([each[i] for each in changes]) for i in range(5))
     return _joined(spans, at_first, (path, _narrowed(status, which[path], first, last, there, resolution), there))
 

@@ -203,7 +203,7 @@ def hidden_by(
     """
     walls, found = body.mesh.walls, np.zeros(len(legs.left), dtype=bool)
     middle = middle_of(body)
-    reach = _SPARE * middle.radius + 0.5 * body.peak_speed * np.abs(legs.arrived - legs.left)
+    reach = _SPARE * middle.radius + 0.5 * middle.fastest * np.abs(legs.arrived - legs.left)
     beside = _apart(body.placed(middle.place, 0.5 * (legs.left + legs.arrived)), legs) - reach
     sure, around = np.zeros(len(found)), beside <= 0.0
     if drift is not None:
