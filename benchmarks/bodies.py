@@ -1,10 +1,13 @@
 """What moving bodies cost: the search over steps, and nodes of paths by a door against those of paths by walls.
 
-Processor time, least of some runs in turn: ``python benchmarks/bodies.py``. A node is a path's delay and gains at the end of a
+Processor time, least of some runs in turn: ``python benchmarks/bodies.py``, with a number of seconds that somebody walks (2 where
+left out). A node is a path's delay and gains at the end of a
 block. Timed is all that makes nodes: what is uploaded for a chunk, `coarse_delays` and `tracks`; both kinds in one rendering, on
 the device, and, for comparison, those by the door on the host.
 """
 
+import resource
+import sys
 import time
 import warnings
 from typing import Any
@@ -33,6 +36,30 @@ def scene(door: bool, swift: bool = False) -> clsim.Scene:
     body = clsim.Body.box("door", (0.9, 0.0, 2.0), wood, hinge, centre=(0.5, 0.0, 1.1))
     return clsim.Scene(
         clsim.Shoebox((4.0, 3.0, 2.5), wood), clsim.Air(), [source], [ear], bodies=[body] if door else []
+    )
+
+
+def walk(duration: float) -> clsim.Scene:
+    """Return a room with 64 receivers, in which a box of the size of a person goes slowly."""
+    wood = clsim.Material.from_reflection(0.9)
+    tone = clsim.Signal.tone(40e3, duration, RATE)
+    way = clsim.Trajectory.line((1.0, 2.2, 0.0), (1.0 + 0.07 * duration, 2.4, 0.0), duration)
+    body = clsim.Body.box("walker", (0.4, 0.5, 1.7), wood, way, centre=(0.0, 0.0, 0.9))
+    places = [(0.3 + 0.7 * (i % 8), 0.3 + 0.6 * (i // 8), 1.8) for i in range(64)]
+    ears = [clsim.Receiver(f"r{i}", clsim.Trajectory.fixed(place)) for i, place in enumerate(places)]
+    source = clsim.Source("s", tone, clsim.Trajectory.fixed((5.5, 2.5, 1.2)))
+    return clsim.Scene(clsim.Shoebox((6.0, 5.0, 3.0), wood), clsim.Air(), [source], ears, bodies=[body])
+
+
+def tell_walk(duration: float) -> None:
+    """Print what the search costs while somebody walks."""
+    made, begun = walk(duration), time.process_time()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    rows = len(clsim.find_paths(made, 1, engine="reference").families[-1])
+    spent, after = time.process_time() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(
+        f"a walk of {duration:g} s, 64 receivers, order 1: search {spent:.2f} s of processor time, "
+        f"{(after - before) / 1024:.0f} MiB more; {rows} rows by the walker"
     )
 
 
@@ -81,6 +108,7 @@ def filled(paths: PathSet) -> PathSet:
 def main() -> None:
     """Print all figures."""
     warnings.simplefilter("ignore")
+    tell_walk(float(sys.argv[1]) if len(sys.argv) > 1 else 2.0)
     for order in (1, 2, 3):
         begun = time.process_time()
         clsim.find_paths(scene(door=False), order)
