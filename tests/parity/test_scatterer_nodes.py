@@ -126,6 +126,14 @@ def test_the_scene_has_all_that_such_paths_do() -> None:
     assert set(np.unique(found.receiver)) == {0, 1}
 
 
+def test_what_is_between_the_ends_in_turns_has_a_way() -> None:
+    """Near to a rim, ends as wind carries them to one place show another one, and from there the first."""
+    found = paths(WINDY).families[0]
+    rows = np.flatnonzero((found.scatterer == 0) & (found.receiver == 0))
+    delay = found.arrivals(rows, np.array([0.0337, 0.03372, 0.03374])).delay
+    assert np.abs(np.diff(delay, axis=1)).max() < 1e-6
+
+
 MUTANTS = {
     "the later leg is as late as both": ("RETARDED ? time - b->late : time", "RETARDED ? time - a->delay : time"),
     "the weight of the way to the receiver": ("(1.0 - coming) / (1.0 - leaving) * faster;", "(1.0 - coming) * (1.0 - leaving) * faster;"),
