@@ -18,7 +18,7 @@ _STEPS = 40  # of Newton's, at most, where ends are far from where they were
 _LONGEST_STEP = 0.5  # rad
 _FAR, _FOUND = 0.1, 1e-3  # rad, as for ellipsoids
 _SMALL = 1e-300
-_FLATTEST = 1e-9  # 1/m
+FLATTEST = 1e-9  # 1/m
 NEAR_JUNCTION = 1e-4  # slope of the way where the side ends below which the bend there is that of the place itself
 ASPECTS = 11  # numbers that a field takes
 
@@ -58,6 +58,7 @@ def capsule_glint(
         place, change = _search(radius, half, (source, receiver), near, (between, at), weight)
     else:
         place, change = _newton(radius, half, (source, receiver), _split(half, near.place), weight, _LONGEST_STEP)
+        hidden = near.staying(hidden)
     if hidden.any():
         place, change = np.where(hidden, between, place), np.where(hidden, 0.0, change)
     return Glint(place, place, hidden, float(change.max(initial=0.0)))
@@ -98,7 +99,7 @@ def capsule_aspects(
         place = radius * aside + np.stack([0.0 * at, 0.0 * at, np.full(len(at), sign * half)])
         axis = np.broadcast_to(np.array([[0.0], [0.0], [sign]]), place.shape)
         there, slope, _, flat, pressed = _ways(radius, ends, place, (aside, around, axis))
-        late, sharp = np.maximum(there - way, 0.0), np.maximum(flat + pressed / radius, _FLATTEST)
+        late, sharp = np.maximum(there - way, 0.0), np.maximum(flat + pressed / radius, FLATTEST)
         on_end |= slope < 0.0
         # Where the specular point is on this round end, the parabola that is as late at the junction.
         held = slope**2 / (slope**2 + NEAR_JUNCTION**2)
@@ -106,10 +107,10 @@ def capsule_aspects(
         sharp = np.where((slope < 0.0) & (late > 0.0), sharp + held * (other - sharp), sharp)
         lit = np.sign(slope + _SMALL) * _obliquity(0.5 * pressed)
         columns = [late]
-        for h in (sharp, np.maximum(flat, _FLATTEST)):
+        for h in (sharp, np.maximum(flat, FLATTEST)):
             columns += [0.5 * lit / np.sqrt(h), np.abs(slope) / np.sqrt(2.0 * h)]
         aspects[:, 1 + 5 * i : 6 + 5 * i] = np.stack(columns, axis=1)
-    bend = np.maximum(side + np.where(on_end, np.maximum(inward, 0.0) / radius, 0.0), _FLATTEST)
+    bend = np.maximum(side + np.where(on_end, np.maximum(inward, 0.0) / radius, 0.0), FLATTEST)
     aspects[:, 0] = _obliquity(cosine) / np.sqrt(bend)
     aspects[glint.hidden] = 0.0
     return 1.0 / np.sqrt(steep), aspects
@@ -243,7 +244,7 @@ def _ways(
         way, inward = way + distance, inward - _dot(normal, away) / distance
         g = [g[0] + a, g[1] + b]
         h = [h[0] + (1.0 - a * a) / distance, h[1] - a * b / distance, h[2] + (1.0 - b * b) / distance]
-    steep = np.maximum(h[0] + np.maximum(inward, 0.0) / radius, _FLATTEST)
+    steep = np.maximum(h[0] + np.maximum(inward, 0.0) / radius, FLATTEST)
     off = g[0] / steep
     return way - 0.5 * g[0] * off, g[1] - h[1] * off, steep, np.maximum(h[2] - h[1] ** 2 / steep, 0.0), inward
 
@@ -271,7 +272,7 @@ def _newton(
     hpp, hqq = hpp + np.abs(inward) / radius, hqq + np.abs(inward) / radius
     size = np.maximum(hpp * hqq - hpq**2, _SMALL)
     by_p, by_q = (hqq * hzp - hpq * hzq) / size, (hpp * hzq - hpq * hzp) / size
-    bend = np.maximum(hzz - hzp * by_p - hzq * by_q, _FLATTEST)
+    bend = np.maximum(hzz - hzp * by_p - hzq * by_q, FLATTEST)
     moved = np.clip(at - (gz - gp * by_p - gq * by_q) / bend, -half, half)
     gp, gq = gp + hzp * (moved - at), gq + hzq * (moved - at)
     first, second = (hpq * gq - hqq * gp) / size / radius, (hpq * gp - hpp * gq) / size / radius

@@ -42,12 +42,19 @@ class Glint:
         Whether the body is between the ends.
     change : float
         Largest change of u by the last step, rad; infinity for what is guessed.
+    stays : bool
+        Whether from here on what is hidden stays so.
     """
 
     place: Floats
     normal: Floats
     hidden: NDArray[np.bool_]
     change: float
+    stays: bool = False
+
+    def staying(self, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which ends are hidden from each other at the next step, of those (n,) that it finds to be."""
+        return hidden | self.hidden if self.stays else hidden
 
     def guessed(self, normal: Floats) -> Glint:
         """Return what is known by vectors (3, m) near to u of other ends."""
@@ -92,6 +99,7 @@ def ellipsoid_glint(
         u, change = _search(scale, source, receiver, between, begin, weight)
     else:
         u, change = _newton(scale, source, receiver, near.normal, weight, LONGEST_STEP)
+        hidden = near.staying(hidden)
     place = scale * u
     if hidden.any():
         change, place = np.where(hidden, 0.0, change), np.where(hidden, scale * between, place)

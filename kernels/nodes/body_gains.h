@@ -1,4 +1,5 @@
-// Paths by bodies at nodes: what is expected of events within a walk, and what mirrors do that depend on the angle: twin of `BodyPaths.response` in paths/moving/family.py.
+// Paths by bodies at nodes: what is expected of events within a walk, and what mirrors do that depend on the angle: twin of
+// `BodyPaths.response` in paths/moving/family.py.
 
 #if BODIES
 // Events that are expected within a walk from those at four ends of walks.
@@ -29,8 +30,8 @@ static double length_by_mirrors(const mirrored* met, int beside)
     return length;
 }
 
-// The factors of all of them, if there are any; `bounce` of a wall is its table, behind which stand how many mirrors that move are met before it,
-// and whether it is one itself.
+// The factors of all of them, if there are any; `bounce` of a wall is its table, behind which stand how many mirrors that move
+// are met before it, and whether it is one itself.
 static int by_mirrors(const surroundings* around, const mirrored* met, int beside, int slots, int slot,
                       response* field)
 {

@@ -1,8 +1,6 @@
 // Where capsules reflect, at nodes side by side: twin of acoustics/capsule.py. What is known of it is the place, m.
 
 #if SCATTERERS
-#define FLATTEST 1e-9  // 1/m
-
 // A place on the axis of a capsule.
 static triples on_axis(reals at)
 {

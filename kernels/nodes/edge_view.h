@@ -6,6 +6,7 @@ typedef struct {
     double source_turn[9], source_shift[3];      // from the room to across, out and along the edge, seen by the walls between
     double receiver_turn[9], receiver_shift[3];
     double n;                                    // exterior angle over half a turn
+    double low[2];                               // where angles of source and receiver begin
     double wide[2], narrow[2];                   // sine and cosine of n half turns, and of a quarter turn over n
     double end;                                  // m along the edge, where `end_side` is not 0
     int lit[4];                                  // of its terms: 1 or -1, 0 for those that are left out

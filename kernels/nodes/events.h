@@ -47,7 +47,7 @@ static choices event_round(const trajectory* path, const pose_table* poses, __gl
     for (int k = count - 1; k >= 0; k--) {
         const reals near = height_of(met + k, met_at, place), far = height_of(met + k, at[k + 1], image[k + 1]);
         const reals across = near - far, share = near / (across == 0.0 ? (reals)1.0 : across);
-        const reals part = share < 1.0 - MOST_OF_LEG ? (reals)(1.0 - MOST_OF_LEG) : share > MOST_OF_LEG ? (reals)MOST_OF_LEG : share;
+        const reals low = -BEYOND_LEG, high = 1.0 + BEYOND_LEG, part = share < low ? low : share > high ? high : share;
         met_at += part * (at[k + 1] - met_at);
         place = further(place, part, further(image[k + 1], -1.0, place));
         next.time[k] = met_at, next.place[k] = place;

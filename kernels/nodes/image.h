@@ -32,7 +32,7 @@ static triples turned_back(__global const double* matrix, long slots, int slot, 
     return out;
 }
 
-// Receivers as seen from the source's own room, or by what a path turns round: where they are, how they move and turn, and their clocks.
+// Receivers as seen from the source's own room, or by what a path turns round or is scattered by: where they are, how they move and turn, and their clocks.
 typedef struct {
     listener ear;
     triples frame[3];

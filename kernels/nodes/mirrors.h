@@ -3,8 +3,6 @@
 // at rest move, too.
 
 #if BODIES
-#define FACE_COLUMNS 16  // of a knot of the table of poses: cubics [power][normal], and [power] of the offset, m
-#define MOST_OF_LEG 1.5  // by which events of paths that are not there may lie off it
 #define EVENT_ERROR 1e-17  // s^2, of where and when mirrors were met from what was taken for it: delays are wrong by its square
 #define MOST_ROUNDS 20
 
@@ -52,8 +50,10 @@ static int mirrors_of(__global const view* seen)
     return count;
 }
 
-// A mirror at events of paths received at times `now`.
-static mirror mirror_at(const trajectory* path, const pose_table* poses, __global const body_view* of, reals now, reals event, triples place)
+// A mirror at events of paths received at times `now`. Of a knot FACE_COLUMNS are told: cubics [power][xyz] of the normal, and
+// [power] of the offset, m.
+static mirror mirror_at(const trajectory* path, const pose_table* poses, __global const body_view* of, reals now, reals event,
+                        triples place)
 {
     const reals at = ((RETARDED ? now + event : now) - poses->first) * poses->rate;
     __global const double* c[NODES_AT_ONCE];

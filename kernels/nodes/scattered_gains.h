@@ -1,6 +1,8 @@
 // Paths by scatterers at nodes: what is expected of them from the ends of walks, and how strong they are.
 
 #if SCATTERERS
+#define NOTHING_BACK 1e30  // m, over what pressure falls where nothing is sent back
+
 // What is known at four ends of walks, MORE numbers of each: a septic of what comes after the scatterer, and cubics of the
 // weight and of the glint, on [-1, 1].
 static void predict_more(__global const double* coarse, long slots, double walk_time, double* expected)
@@ -25,8 +27,8 @@ static void expect_more(const double* expected, reals u, scattering* b)
     b->glint = glint;
 }
 
-// Over what pressure falls, m: lengths of both legs over the strength; large where nothing is sent back. The field over that
-// is told in `field` of capsules and spheres.
+// Over what pressure falls, m: lengths of both legs over the strength. What of capsules and spheres, which have phases, is over that
+// is told in `field`.
 static double scattered_length(const edge_tables* tables, __global const view* seen, const scattering* b, int beside,
                                response* field)
 {
@@ -56,6 +58,6 @@ static double scattered_length(const edge_tables* tables, __global const view* s
 #if MACH_EXPONENT >= 2
     spread *= 1.0 - OF_NODE(b->leaving, beside);
 #endif
-    return strength > 1e-30 * spread ? spread / strength : 1e30;
+    return strength * NOTHING_BACK > spread ? spread / strength : NOTHING_BACK;
 }
 #endif

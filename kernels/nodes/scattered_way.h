@@ -3,7 +3,6 @@
 
 #if SCATTERERS
 #define ROUNDS 60
-#define NO_WAY -1e6  // s, a delay that tells that none was found
 
 // How sound passes a leg: time, s, and by how much it grows with the length and with the wind's share of the way.
 typedef struct {
@@ -42,8 +41,8 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
         b->change = 0.0;
         b->hidden = (choices)0;
     } else {
-        #if WIND
-        const triples start = first ? from : b->start, stop = first ? receiver->position : b->stop;
+#if WIND
+        const triples start = first > KNOWN ? from : b->start, stop = first > KNOWN ? receiver->position : b->stop;
 #else
         const triples start = from, stop = receiver->position;
 #endif
@@ -82,7 +81,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
     b->arrival = turned_back(seen->receiver_turn, 1, 0, coming2);
     b->spread = squared1 * inverse1 * DOT(leaving1, direction1) * squared2 * inverse2 * DOT(coming2, direction2);
     b->leaving = leaving;
-    const choices unsettled = WIND && first && seen->shape != POINT ? b->weight == b->weight : b->change > SETTLED;
+    const choices unsettled = WIND && first > KNOWN && seen->shape != POINT ? b->weight == b->weight : b->change > SETTLED;
 #if RETARDED
     const reals later = (on.time - b->late) / (1.0 - leaving);
     const reals more = (to.time - early + later * (mach - coming)) / (1.0 - mach);
@@ -104,7 +103,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
 #endif
 }
 
-// As solve_delay of delay.h; NO_WAY where none was found.
+// As solve_delay of delay.h; NO_WAY where none is found.
 static void solve_scattered(const trajectory* path, const pose_table* poses, __global const view* seen, const listener* receiver,
                             reals time, double small, int first, arrivals* a, scattering* b)
 {
@@ -112,7 +111,7 @@ static void solve_scattered(const trajectory* path, const pose_table* poses, __g
     for (int k = 1; k < ROUNDS && ANY(open); k++) {
         arrivals next = *a;
         scattering met = *b;
-        const choices still = scattered_step(path, poses, seen, receiver, time, small, 0, &next, &met);
+        const choices still = scattered_step(path, poses, seen, receiver, time, small, k < PATIENCE ? KNOWN : LASTING, &next, &met);
         keep(open, &next, &met, a, b);
         open &= still;
     }

@@ -3,7 +3,10 @@
 #if SCATTERERS
 #define PREDICTED 1  // what the first step is made from
 #define UNKNOWN 2
+#define KNOWN 0      // of a further one
+#define LASTING -1   // likewise; what is hidden stays so
 #define GLINT_STEPS 40
+#define ROUNDED 1e-15  // of a way, by which it may be longer and counts as shorter
 
 // What is known of where a path is scattered, at nodes side by side.
 typedef struct {
@@ -59,7 +62,7 @@ static __attribute__((noinline)) triples glint_search(const glint_of* g, triples
         reals moved;
         const triples next = nearer(g, glint, longest, &moved);
         const reals shorter = way_by(g, next);
-        const choices better = shorter <= way * (1.0 + 1e-15);
+        const choices better = shorter <= way * (1.0 + ROUNDED);
         const reals longer = better ? smaller(2.0 * longest, (reals)LONGEST_STEP) : 0.25 * smaller(longest, moved);
         longest = open ? longer : longest;
         choose(open & better, next, &glint);
@@ -93,10 +96,12 @@ static void reflect_at(__global const view* seen, const pose* p, triples source,
     const triples scale = {seen->semi_axes[0], seen->semi_axes[1], seen->semi_axes[2]};
     const glint_of g = {scale, b->source, b->receiver, b->weight, seen->shape};
     triples other;
-    const triples between = between_them(&g, &other, &b->hidden), before = begin_from(&g, b->glint, first);
+    choices hidden;
+    const triples between = between_them(&g, &other, &hidden), before = begin_from(&g, b->glint, first);
+    b->hidden = first == LASTING ? hidden | b->hidden : hidden;
     b->glint = nearer(&g, before, (reals)LONGEST_STEP, &b->change);
     const choices far = b->change > GLINT_FAR;
-    if (first && ANY(far)) {
+    if (first > KNOWN && ANY(far)) {
         reals change;
         const triples found = glint_search(&g, before, other, &change);
         choose(far, found, &b->glint);

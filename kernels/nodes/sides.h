@@ -1,4 +1,4 @@
-// Ends of paths as seen from where these turn, are scattered or meet a body: rows of a matrix and a shift.
+// Ends of paths as seen from where these turn at an edge or are scattered: rows of a matrix and a shift.
 
 #define TWO_SIDED (EDGES || SCATTERERS)
 

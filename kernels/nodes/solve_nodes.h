@@ -11,7 +11,7 @@ typedef struct {
     __global const double* image_matrix;
     triple offset;
     int slots, slot;
-    __global const view* seen;           // what the path turns round, or is scattered by
+    __global const view* seen;           // what the path has besides its image, see views.h
     const pose_table* poses;
     __global const receiver_node* rows;  // of the walk's first node on
     double start, block_time;            // time of the walk's first block, s
@@ -19,7 +19,7 @@ typedef struct {
     const double* predicted;             // delays over the walk, a septic on [-1, 1]
     const double* expected;              // of what goes with them, see `predict_more`
     int ready;                           // the group that is solved
-    edge_tables tables;                  // of paths over edges
+    edge_tables tables;                  // of paths over edges, or by capsules and spheres
     receivers_in_image receiver[STATIC_RECEIVERS ? 1 : AT_ONCE];
     arrivals node[AT_ONCE];
 #if MORE

@@ -5,7 +5,7 @@
 
 __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
-                     __global const int* receiver_of, __global const view* views,  // [slots]; views of paths that are more than reflected
+                     __global const int* receiver_of, __global const view* views,  // [slots]; as in views.h
                      __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
@@ -38,7 +38,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      double max_rate,                      // bound of how fast a delay changes
                      __global int* activity,               // [blocks][slots]: subblocks in which it sounds, see activity.h
                      __global const bins* transition, __global const bins* faces, __global const bins* waves, double middle)
-                                                           // these in edge_field.h
+                                                           // these in transition_table.h
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1), first = walk * walk_blocks;
     const int last = first + walk_blocks < blocks ? first + walk_blocks : blocks;

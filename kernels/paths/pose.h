@@ -1,17 +1,17 @@
-// Where things are that are neither source nor receiver, and how they are turned: cubics between knots that stand at
-// even distances and wherever a motion has a corner. Twin of `pose_knots` in paths/pose_cubics.py.
+// Where things are that are neither source nor receiver, and how they are turned, as cubics between knots. Those of scatterers
+// stand at even distances and wherever a motion has a corner: twin of `pose_knots` in paths/pose_cubics.py. Those of mirrors
+// stand at even distances only, one in each cell: nodes/mirrors.h.
 
 typedef struct {
-    __global const double* knots;  // rows of a kind's own width
-    __global const int* cells;     // [things][count]: the knot at the beginning of every cell
+    __global const double* knots;  // rows, as wide as the kind of paths says
+    __global const int* cells;     // [things][count + 1]: the knot at the beginning of every cell; of scatterers
     int count;
     double first, rate;            // time of the first cell, s, and cells per second
 } pose_table;
 
 #if SCATTERERS
-#define POSE_COLUMNS 38  // time of the knot, s, and knots per second until the next one; cubics of position and two axes
-
-// Things at nodes side by side.
+// Things at nodes side by side. Of a knot POSE_COLUMNS are told: its time, s, knots per second until the next one, and cubics
+// of the position and of two axes.
 typedef struct {
     triples place, velocity, axes[3], turning[3];  // turning: by how much the axes change in a second
 } pose;

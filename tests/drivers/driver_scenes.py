@@ -158,23 +158,26 @@ def swinging(device: str) -> Plan:
     door = clsim.Body.box("door", (0.08, 0.0, 0.1), POROUS, hinge, centre=(0.045, 0.0, 0.055))
     slide = clsim.Body.box("slide", (0.0, 0.08, 0.1), REAL[1], LINE((0.02, 0.05, 0.055), (0.021, 0.05, 0.055), 0.04))
     of = dataclasses.replace(still, bodies=(door, slide))
-    found = clsim.find_paths(of, 2)
-    return plan(PathSet(of, found.families[-1:]), device, blocks=(96,))
+    found = clsim.find_paths(of, 2).families[-1]
+    some = found.part(np.arange(0, len(found), 2))  # no more than are looked at side by side, the last by both
+    return plan(PathSet(of, (some,)), device, duration=96 / RATE)
 
 
 @scene
 def sonar(device: str) -> Plan:
-    """Paths by an ellipsoid that turns, a ball, and a point, with a wall on either leg, in wind."""
+    """Paths by an ellipsoid that turns, by a capsule and a sphere, which have phases, and by a point, with walls, in wind."""
     turned = [[0.0, 0.0, 0.0, 1.0], [0.0, 0.1, 0.2, 0.97468]]
     way = clsim.Trajectory.waypoints([0.0, 0.04], [(0.08, 0.06, 0.05), (0.08, 0.061, 0.05)], turned)
     things = [
         clsim.Scatterer.ellipsoid("e", (0.004, 0.012, 0.008), way),
-        clsim.Scatterer.sphere("b", 0.005, FIXED((0.03, 0.1, 0.08)), model="geometrical"),
+        clsim.Scatterer.capsule("c", 0.003, 0.012, LINE((0.05, 0.1, 0.03), (0.05, 0.1, 0.031), 0.04)),
+        clsim.Scatterer.sphere("b", 0.005, FIXED((0.03, 0.1, 0.08))),
         clsim.Scatterer.point("p", -40.0, LINE((0.12, 0.03, 0.03), (0.12, 0.03, 0.031), 0.04)),
     ]
     of = dataclasses.replace(world(air=WINDY), scatterers=things)
     found = clsim.find_paths(of, 0, scattering_order=1).families[-1]
-    return plan(PathSet(of, (found.part(np.arange(0, len(found), 7)),)), device, responses="centre")
+    few = np.arange(0, len(found), 26)  # of each one with walls on both legs, and one with fewer
+    return plan(PathSet(of, (found.part(few),)), device, responses="centre", duration=96 / RATE)
 
 
 @scene

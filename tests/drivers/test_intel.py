@@ -7,7 +7,7 @@ import pytest
 from driver_scenes import SCENES
 from drivers import EVERYTHING, FEW_ON_GPUS, INTEL, PARITY_DB, apart_db, render
 
-FEW = ["phased", "doubled", "pulses", "mesh", "crowd", "baseband_pulses", "pairs"]
+FEW = ["phased", "doubled", "pulses", "mesh", "swinging", "sonar", "crowd", "baseband_pulses", "pairs"]
 NAMES = [f"{name}.cpu" for name in (SCENES if EVERYTHING else FEW)] + [
     f"{name}.gpu" for name in (SCENES if EVERYTHING else FEW_ON_GPUS[:1])
 ]

@@ -225,3 +225,22 @@ def test_in_wind_there_and_back_are_not_alike(paths: PathSet) -> None:
     scene = clsim.Scene(paths.scene.room, air, *ends, scatterers=[clsim.Scatterer.point("p", 0.0, at[2])])
     delay = clsim.scatterer_truth(scene, [0.1]).delay.ravel()[0]
     assert delay == pytest.approx(3.0 / 350.0 + 3.0 / 330.0, rel=2e-5)
+
+
+def test_what_leaves_the_line_between_the_ends_in_wind_is_found_all_along(paths: PathSet) -> None:
+    """Where its shadow ends the specular point jumps, and by that wind shows the ends elsewhere: behind it again, or not."""
+    ways = [((0.5, 0.6, 0.9), (0.7, 0.9, 1.1)), ((3.6, 3.0, 1.4), (3.4, 2.9, 1.5)), ((2.0, 1.8, 1.2), (2.0, 2.2, 1.2))]
+    source, receiver, across = (clsim.Trajectory.line(*way, 0.1) for way in ways)
+    scene = clsim.Scene(
+        clsim.Shoebox((4.2, 4.0, 2.4), clsim.Material.from_reflection(0.5)), clsim.Air(wind=(4.0, -3.0, 1.0)),
+        [clsim.Source("s", paths.scene.sources[0].signal, source)], [clsim.Receiver("r", receiver)],
+        scatterers=[clsim.Scatterer.ellipsoid("e", (0.09, 0.3, 0.15), across)],
+    )  # fmt: skip
+    scattered = clsim.find_paths(scene, 0, scattering_order=0).families[-1]
+    times = np.arange(0.082, 0.088, 5e-6)
+    found = scattered.arrivals(np.array([0]), times)
+    assert found.strength[0, 0] == 0.0
+    assert found.strength[0, -1] > 0.0
+    assert np.all(np.diff(found.strength[0] > 0.0, prepend=0)[1:] >= 0)
+    # A jump along a surface that sound grazes is hardly one of the delay: within 0.1 µs of what changes evenly.
+    assert np.abs(found.delay[0] - np.polyval(np.polyfit(times, found.delay[0], 2), times)).max() < 1e-7

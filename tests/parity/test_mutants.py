@@ -175,8 +175,8 @@ MUTANTS = {
     "middle of a cell": ("tracks", "(float)(cell - from) + 0.5f", "(float)(cell - from)"),
     "Newton's scheme": ("tracks", "p[m] = here * p[m] + more * p[m - 1]", "p[m] = here * p[m] - more * p[m - 1]"),
     "emission at reception": ("tracks", "RETARDED ? time - a->delay : time, a);\n    const triples from = cubics(", "time, a);\n    const triples from = cubics("),
-    "Mach exponent": ("tracks", "#if MACH_EXPONENT >= 1", "#if MACH_EXPONENT >= 2"),
-    "Mach exponent twice": ("tracks", "#if MACH_EXPONENT >= 2", "#if MACH_EXPONENT >= 1"),
+    "Mach exponent": ("tracks", "#if MACH_EXPONENT >= 1\n    common", "#if MACH_EXPONENT >= 2\n    common"),
+    "Mach exponent twice": ("tracks", "#if MACH_EXPONENT >= 2\n    common", "#if MACH_EXPONENT >= 1\n    common"),
     "rate without stretch": ("tracks", "(receding - mach) * a->mach_factor;\n    const reals step = (quasi_static", "(receding - mach);\n    const reals step = (quasi_static"),
     "source's speed": ("tracks", "COLUMN(3) + u * (2 * COLUMN(6)", "COLUMN(3) + u * (COLUMN(6)"),
     "receiver's speed dropped": ("tracks", "STATIC_RECEIVERS ? (reals)0.0 : path->slowness * DOT(direction, receiver->velocity)", "0.0"),
@@ -190,7 +190,7 @@ MUTANTS = {
     "another frequency's beam": ("tracks", "r->part[0][b] *= by->part[0][b]", "r->part[0][b] *= by->part[0][BIN_VECTORS - 1 - b]"),
     "projection shifted": ("tracks", "sum[m % 4] += projection[m * GAIN_VECTORS + k]", "sum[m % 4] += projection[(m ^ 1) * GAIN_VECTORS + k]"),
     "gain of the function before": ("tracks", "g[k * apart] = ((const float*)gain)[k]", "g[k * apart] = ((const float*)gain)[k > 1 ? k - 1 : k]"),
-    "beam's place": ("tracks", "u = at - (float)cell", "u = at - (float)cell + 0.5f"),
+    "beam's place": ("tracks", "at - (float)cell, r);", "at - (float)cell + 0.5f, r);"),
 }  # fmt: skip
 # In other scenes than the first.
 ELSEWHERE = {

@@ -138,7 +138,7 @@ MUTANTS = {
     "the third axis": ("across(out.axes[0], out.axes[1])", "across(out.axes[1], out.axes[0])"),
     "the specular point": ("(b.bend_both * b.slope_other - b.bend_other * b.slope_one)", "(b.bend_both * b.slope_one - b.bend_other * b.slope_one)"),
     "curvature": ("bends_at(g, u, (reals)1.0)", "bends_at(g, u, (reals)2.0)"),
-    "along a capsule": ("(b.gz - b.gp * by_p - b.gq * by_q) / bend", "b.gz / bend"),
+    "along a capsule": ("held_to(at - (b.gz", "held_to(at + (b.gz"),
     "an end of a capsule": ("flatter + inward / OF_NODE(radius, beside)", "flatter + 2.0 * inward / OF_NODE(radius, beside)"),
     "phases along a capsule": ("t->waves[b] * (float)(-late)", "t->waves[b] * (float)(late)"),
     "angle at a sphere": ("2.0 * asin(cosine < 1.0 ? cosine : 1.0)", "1.9 * asin(cosine < 1.0 ? cosine : 1.0)"),

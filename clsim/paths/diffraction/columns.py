@@ -8,6 +8,7 @@ import numpy as np
 
 from clsim.acoustics.diffraction import TERMS
 from clsim.arrays import read_only
+from clsim.paths.diffraction.visibility import ENDS_BESIDE, SIDES
 from clsim.paths.family import DIFFRACTION, NONE, SPECULAR
 from clsim.paths.specular.mesh import image_isometries
 
@@ -34,7 +35,7 @@ def path_columns(scene: Scene, edges: Edges, order: int, rows: list[dict[str, An
         kinds[i, : n + m + len(things)] = [SPECULAR] * n + [DIFFRACTION] * len(things) + [SPECULAR] * m
     longest = order + max((1 + (r["faces"][0] >= 0) for r in rows), default=1)
     objects, kinds = objects[:, :longest], kinds[:, :longest]
-    sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, 2 * TERMS + 1)
+    sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, SIDES)
     isometries = [(np.empty((0, 3, 3)), np.empty((0, 3)))] * 2
     if count:
         walls = scene.room.as_mesh().walls
@@ -57,6 +58,7 @@ def path_columns(scene: Scene, edges: Edges, order: int, rows: list[dict[str, An
         "lit": sides[:, :TERMS],
         "end_place": np.where(end < 0, np.nan, np.where(end == 0, 0.0, edges.length[edge])),
         "end_side": sides[:, TERMS],
+        "beside": sides[:, ENDS_BESIDE],
     }
     return {name: read_only(column) for name, column in columns.items()}
 

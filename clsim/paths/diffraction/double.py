@@ -95,7 +95,8 @@ class DoubleEdgePaths(EdgePaths):
         terms by faces are left out have neither.
         """
         (r_s, t_s, z_s), (r_r, t_r, z_r) = (
-            cylindrical(n[index], seen) for n, seen in ((self.n, emitted_at), (self.last_n, heard_at))
+            cylindrical(n[index], seen, beside)
+            for n, seen, beside in zip((self.n, self.last_n), (emitted_at, heard_at), self.beside[index].T, strict=True)
         )
         beyond = self._beyond(index)
         heard, sent = beyond[0](r_r, z_r), beyond[1](r_s, z_s)

@@ -45,6 +45,8 @@ class EdgePaths(TwoSidedPaths):
         How far along the edge the end is that a path runs over, m; NaN for those over the edge itself.
     end_side : ndarray (paths,) int8
         1 while the shortest way over the line of the edge meets the edge, -1 while it passes the end.
+    beside : ndarray (paths, 2) int8
+        -1 where source or receiver goes on beyond the 0-face, 1 where beyond the n-face, 0 where as far beyond both.
     edge_names : tuple of str
         Of all edges of the room.
     """
@@ -55,11 +57,12 @@ class EdgePaths(TwoSidedPaths):
     lit: NDArray[np.int8]
     end_place: Floats
     end_side: NDArray[np.int8]
+    beside: NDArray[np.int8]
     edge_names: tuple[str, ...]
 
     columns: ClassVar[tuple[str, ...]] = (
         "before_matrix", "before_offset", "after_matrix", "after_offset", "frame", "n", "faces", "lit",
-        "end_place", "end_side",
+        "end_place", "end_side", "beside",
     )  # fmt: skip
 
     costly: ClassVar[bool] = True
@@ -185,7 +188,10 @@ class EdgePaths(TwoSidedPaths):
         self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse
     ) -> Any:
         """Return the field (P, T, F) of ends seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = (cylindrical(self.n[index], x) for x in (emitted_at, heard_at))
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = (
+            cylindrical(self.n[index], x, beside)
+            for x, beside in zip((emitted_at, heard_at), self.beside[index].T, strict=True)
+        )
         way = edge_way(r_s, z_s, r_r, z_r)
         angles = lit_angles(self.n[index][:, None], t_s, t_r)
         factors = face_factors(self.faces[index], np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
@@ -246,11 +252,20 @@ def end_factor(
     return -0.5 * signed[..., None] * transition(root[..., None] * np.sqrt(wave))
 
 
-def cylindrical(n: Floats, seen: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return r, θ and z of coordinates (3, P, T) about edges (P,)."""
+def cylindrical(n: Floats, seen: Floats, beside: NDArray[np.int8]) -> tuple[Floats, Floats, Floats]:
+    """Return r, θ and z of coordinates (3, P, T) about edges (P,), see `least_angle`."""
     x, y, z = seen
-    low, angle = (0.5 * np.pi * (n - 2.0))[:, None], np.arctan2(y, x)
+    low, angle = least_angle(n, beside)[:, None], np.arctan2(y, x)
     return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
+
+
+def least_angle(n: Floats, beside: NDArray[np.int8]) -> Floats:
+    """Return where the turn of angles about edges (P,) begins.
+
+    In the middle of the wedge; of ends that go on beyond the 0-face, -1, or beyond the n-face, 1, a quarter of the air
+    before or after that: in the middle of a sheet they would jump at its very plane.
+    """
+    return np.asarray(0.5 * np.pi * (n - 2.0) + 0.25 * np.pi * n * beside)
 
 
 def sum_of_terms(lit: NDArray[np.int8], weight: Floats, root: Floats, phase: Floats, factors: list[Any]) -> Any:

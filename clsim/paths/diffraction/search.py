@@ -16,7 +16,7 @@ from clsim.paths.diffraction.exact import ExactEdgePaths
 from clsim.paths.diffraction.family import EdgePaths
 from clsim.paths.diffraction.intervals import EdgeSearch
 from clsim.paths.diffraction.swaps import with_swaps
-from clsim.paths.diffraction.visibility import EdgeCandidates, EdgeVisibility
+from clsim.paths.diffraction.visibility import ENDS_BESIDE, SIDES, EdgeCandidates, EdgeVisibility
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
@@ -60,7 +60,7 @@ class _Pieces:
     row: NDArray[np.int64]
     begin: Floats
     end: Floats
-    sides: NDArray[np.int8]  # (n, 9), see `EdgeVisibility.sides`
+    sides: NDArray[np.int8]  # (n, 11), see `EdgeVisibility.sides`
 
 
 def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> EdgePaths:
@@ -118,7 +118,7 @@ def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily
     last = np.array([r["edges"][1] for r in rows], dtype=np.int64)
     more: dict[str, Any] = {
         "last_frame": edges.frames[last], "last_n": edges.n[last], "last_faces": edges.faces[last],
-        "last_lit": np.array([r["sides"][TERMS + 1 :] for r in rows], dtype=np.int8).reshape(-1, TERMS),
+        "last_lit": np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS),
         "shared": np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2),
     }  # fmt: skip
     held = {name: read_only(column) for name, column in more.items()}
@@ -279,10 +279,10 @@ def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:
 def _pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> _Pieces:
     """Return the intervals in which candidates are there, cut at the boundaries of their terms."""
     there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
-    ignored = np.zeros((len(candidates.edge), 2 * TERMS + 1), dtype=bool)
+    ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)
     if candidates.before.shape[1] + candidates.after.shape[1] == order:
-        ignored[:, 2:TERMS] = ignored[:, TERMS + 3 :] = True
-    no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, 2 * TERMS + 1), np.int8)
+        ignored[:, 2:TERMS] = ignored[:, TERMS + 3 : 2 * TERMS + 1] = True
+    no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8)
     stack, found = [(there.path, there.begin, there.end)], [no]
     while stack:
         row, begin, end = stack.pop()
@@ -338,7 +338,7 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Part
         before, after = asked.before[row].tolist(), asked.after[row][::-1].tolist()
         time = float(begin[i])
         for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():
-            if term != TERMS:
+            if term not in (TERMS, *ENDS_BESIDE):
                 way = (*before, *_instead(edges, asked, row, term), *after)
                 time = partners.nearest(int(asked.receiver[row]), way, float(begin[i]), within)
             if time != begin[i]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.diffraction import EdgeWay, edge_way, lit_angles
+from clsim.acoustics.diffraction import TERMS, EdgeWay, edge_way, lit_angles
 from clsim.paths.specular.visibility import EVER, Reach, mirrored, moves_within, path_status
 from clsim.paths.trajectory_tables import PERTURBATIONS
 
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     Rows = NDArray[np.int64]
 
 FAR = 1e3  # sizes of the room
+SIDES = 2 * TERMS + 3  # of a path, see `EdgeVisibility.sides`
+ENDS_BESIDE = (SIDES - 2, SIDES - 1)  # those of its ends
+NEAR_WRAP = 0.2 * np.pi  # from the middle of a wedge, where angles wrap: nearer to it they go on beyond it
 CONTRACTIONS = 100
 CONTRACTED = 1e-13  # s
 
@@ -82,8 +85,8 @@ class EdgeStance:
     across : tuple of ndarray (n,)
         How far the other end is beyond each edge, rolled out, m.
     ways : tuple of EdgeWay
-        The shortest over the lines of the edges, as each edge sees it; emission is by the way over the end of those that
-        run over one.
+        The shortest over the lines of the edges, as each edge sees it; emission is by the way over the end of those
+        that run over one.
     places : tuple of ndarray (n,)
         Where each path meets each edge, m from its start.
     apexes : tuple of ndarray (n, 3)
@@ -174,11 +177,12 @@ class EdgeVisibility:
         return valid, ratio * stance.reach, stance.reach
 
     def sides(self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats) -> tuple[NDArray[np.int8], Bools]:
-        """Return on which sides of their boundaries candidates are, (n, 9), and whether that is sure within `half`.
+        """Return on which sides of their boundaries candidates are, (n, 11), and whether that is sure within `half`.
 
         The sides are those of the four partners, 1 where one is seen and -1 where not; of the end of the edge, 1 while
-        the shortest way meets the edge, 0 for candidates that run over no end; and of the partners at the second edge,
-        0 for paths over one.
+        the shortest way meets the edge, 0 for candidates that run over no end; of the partners at the second edge, 0
+        for paths over one; and those of both ends, -1 near the 0-face and 1 near the n-face of a sheet, or of a wedge
+        nearly as thin, whose plane they may pass beyond its other edges, 0 elsewhere.
         """
         asked, stance = self.candidates, self.stance(query, which, time, half)
         (one, other), (face, other_face), end = asked.edge[which].T, asked.face[which].T, asked.end[which]
@@ -192,13 +196,15 @@ class EdgeVisibility:
         )
         sure = near & np.all(np.abs(angles) > np.where(double, turn, turn + other_turn)[:, None], axis=1)
         sure &= ~double | np.all(np.abs(others) > other_turn[:, None], axis=1)
+        beside, passed = _beside(self.edges.n[asked.edge[which].T], np.stack(stance.angles))
+        sure &= np.all(passed > np.stack([turn, other_turn]), axis=0)
         apex = stance.ways[0].apex
         inside = np.where(end == 0, apex, self.edges.length[one] - apex)
         over_end = self.slides(stance, 0, np.full(len(end), -1), query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
         last = np.where(end < 0, 0, np.where(inside >= 0.0, 1, -1))
         second = np.where(double[:, None], np.where(others >= 0.0, 1, -1), 0)
-        return np.column_stack([np.where(angles >= 0.0, 1, -1), last, second]).astype(np.int8), sure
+        return np.column_stack([np.where(angles >= 0.0, 1, -1), last, second, *beside]).astype(np.int8), sure
 
     def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
         """Return how far the place on the first or second edge may move along it, (n,) m."""
@@ -219,6 +225,14 @@ class EdgeVisibility:
             found.append(np.where((angle >= 0.0) & (angle <= whole), away, -away))
             found.append(np.where(end < 0, np.minimum(place, self.edges.length[edge] - place), EVER))
         return np.stack(found)
+
+
+def _beside(n: Floats, angle: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return near which face ends are to the middle of the wedge, see `EdgeVisibility.sides`, and up to which turn."""
+    off = angle - 0.5 * np.pi * n
+    left = np.pi - np.abs(off)
+    beside = np.where(left < NEAR_WRAP, np.where(off < 0.0, -1, 1), 0)
+    return beside, np.minimum(left, np.abs(left - NEAR_WRAP))
 
 
 def _imaged(walls: Walls, sequence: NDArray[np.int32], places: Floats) -> Floats:

@@ -197,7 +197,8 @@ class EdgeSolver:
             _from_moving(moved / c, axes, direction, distance, sign)
             for direction, distance, sign in ((coming, first.distance, -1.0), (onwards, ahead, 1.0))
         ]
-        source, receiver = (cylindrical(self.lines.n[edge], place) for place in places)
+        plain = np.zeros(len(edge), dtype=np.int8)
+        source, receiver = (cylindrical(self.lines.n[edge], place, plain) for place in places)
         doppler = np.hypot(source[0], source[2]) / (first.distance * first.stretch)
         still = _from_moving(np.broadcast_to(-wind / c, moved.shape), axes, coming, np.ones(time.shape), -1.0)
         return source, receiver, doppler, np.linalg.norm(still, axis=0) / first.carried

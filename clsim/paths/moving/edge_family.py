@@ -12,18 +12,19 @@ from clsim.acoustics.diffraction import EdgeWay, edge_way, lit_angles
 from clsim.arrays import read_only
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.exact import exact_field
-from clsim.paths.diffraction.family import end_factor, face_factors, utd_field
-from clsim.paths.family import BODY, DIFFRACTION, NONE, SPECULAR, PathFamily, ends_at
+from clsim.paths.diffraction.family import end_factor, face_factors, least_angle, utd_field
+from clsim.paths.family import BODY, DIFFRACTION, NONE, SPECULAR
 from clsim.paths.moving.edge_events import Chains, EdgeSolver
 from clsim.paths.moving.edge_lines import EdgeLines
-from clsim.paths.moving.mirrors import ROOM, Mirrors
-from clsim.paths.propagation import UniformAir, delay_bounds
+from clsim.paths.moving.mirrors import ROOM
+from clsim.paths.moving.moving_paths import MovingPaths
+from clsim.paths.propagation import UniformAir
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.paths.family import Instant, PeakSpeeds, Rows
+    from clsim.paths.family import Instant, Rows
     from clsim.paths.moving.edge_events import EdgeEvents
     from clsim.paths.response import SceneResponse
 
@@ -53,7 +54,7 @@ class EdgeArrivals(Arrivals):
 
 
 @dataclass(frozen=True, eq=False)
-class MovingEdgePaths(PathFamily):
+class MovingEdgePaths(MovingPaths):
     """Paths over one edge, or one of its ends, of which the edge or a mirror belongs to a body.
 
     Each row is a piece between two boundaries of its terms, as of `EdgePaths`, and goes on smoothly beyond its ends.
@@ -72,7 +73,7 @@ class MovingEdgePaths(PathFamily):
         1 while the shortest way over the line of the edge meets the edge, -1 while it passes the end that the path
         runs over, 0 for paths over the edge itself.
     beside : ndarray (paths, 2) int8
-        Whether source and receiver are on the side of the 0-face, 0, or of the n-face, 1: angles beyond it go on.
+        -1 where source or receiver is on the side of the 0-face, 1 where on that of the n-face: angles beyond go on.
     model : str
         Of the field at an edge.
     """
@@ -103,19 +104,9 @@ class MovingEdgePaths(PathFamily):
         super().__post_init__()
 
     @cached_property
-    def mirrors(self) -> Mirrors:
-        """Walls and faces."""
-        return Mirrors.of(self.scene)
-
-    @cached_property
     def lines(self) -> EdgeLines:
         """Edges of the room and of bodies."""
         return EdgeLines.of(self.scene)
-
-    @property
-    def moves(self) -> bool:
-        """Whether any body moves or turns."""
-        return not all(body.is_static for body in self.scene.bodies)
 
     @property
     def is_complex(self) -> bool:
@@ -213,7 +204,7 @@ class MovingEdgePaths(PathFamily):
         edge, lit = self.edge[index], self.lit[index]
         (r_s, t_s, z_s), (r_r, t_r, z_r) = (np.moveaxis(x, 2, 0) for x in (found.emitted_at, found.heard_at))
         way, n = edge_way(r_s, z_s, r_r, z_r), self.lines.n[edge]
-        t_s, t_r = (_beside(n, half, t) for half, t in zip(self.beside[index].T, (t_s, t_r), strict=True))
+        t_s, t_r = (_beside(n, side, t) for side, t in zip(self.beside[index].T, (t_s, t_r), strict=True))
         factors = face_factors(self.lines.faces[edge], np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
         law = exact_field if self.model == "btm" else utd_field
         field = law(n, lit, lit_angles(n[:, None], t_s, t_r), (r_s, r_r), way, wave, factors)
@@ -237,12 +228,7 @@ class MovingEdgePaths(PathFamily):
             found[p, n + 2 : n + m + 3] = events.last.place[p, 0, 1 : m + 2]
         return found
 
-    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        """Return how long paths (P,) are by bodies as they are at 0 s, with their ends at places (P, 3), m."""
-        return self._lengths(np.arange(len(self))[rows], source, receiver, 0.0)
-
     def _lengths(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> Floats:
-        """Return the same by bodies as they are at a time, or at times (P,)."""
         now, none = np.array(np.broadcast_to(times, index.shape)[:, None]), np.zeros((len(index), 1))
         edge, end = self.edge[index], self.over_end[index]
         ends = []
@@ -265,33 +251,12 @@ class MovingEdgePaths(PathFamily):
         owner = np.append(self.mirrors.owner, ROOM)[np.concatenate([self.before, self.after], axis=1)]
         return read_only(peak[owner].sum(axis=1) + peak[self.lines.owner[self.edge]])
 
-    def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
-        """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
-
-        Notes
-        -----
-        A mirror or an edge that moves by d makes a way longer by at most 2 d.
-        """
-        scene, index = self.scene, np.arange(len(self))[rows]
-        source, receiver = self.source[index], self.receiver[index]
-        middle, half = 0.5 * (start + end), 0.5 * (end - start)
-        places = ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle)
-        emitting = speeds.source[source] + 2.0 * self.speeds[index]
-        slack = half * (emitting + speeds.receiver[receiver])
-        return delay_bounds(self.speed_range, self._lengths(index, *places, middle), slack, emitting)
-
-    def max_rate(self, source_speed: float, receiver_speed: float) -> float:
-        """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
-        c, most = self.speed_range.slowest, float(self.speeds.max(initial=0.0))
-        return (c + receiver_speed) * (c + most) / ((c - most) * (c - source_speed)) - 1.0
-
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times the largest field at an edge."""
         return _LOUDEST * at.largest_reflection(np.concatenate([self.before[rows], self.after[rows]], axis=1))
 
 
-def _beside(n: Floats, half: NDArray[np.int8], angle: Floats) -> Floats:
-    """Return angles (P, T) about edges as they go on beyond the 0-face, or beyond the n-face, (P,) 0 or 1."""
-    middle = np.pi * n * (0.25 + 0.5 * half)
-    turns = np.round((angle - middle[:, None]) / (2.0 * np.pi))
+def _beside(n: Floats, side: NDArray[np.int8], angle: Floats) -> Floats:
+    """Return angles (P, T) about edges as they go on beyond a face, see `least_angle`."""
+    turns = np.floor((angle - least_angle(n, side)[:, None]) / (2.0 * np.pi))
     return np.asarray(angle - 2.0 * np.pi * turns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from clsim.paths.moving.edge_ties import tied
 from clsim.paths.moving.looks import ROUNDS
 from clsim.paths.moving.mirrors import ROOM
 from clsim.paths.moving.search import UnhiddenLookup
-from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
+from clsim.paths.specular.beam_tree import BeamTree
 from clsim.paths.specular.mesh import BEAM_LIMIT
 from clsim.paths.trajectory_tables import BoundingSpheres
 
@@ -80,8 +80,8 @@ class _EdgeFinder:
         """Return the paths between two ends as columns."""
         pair = self._search.pair(source, receiver)
         chains, looks, count = [], [], 0
-        for span in self._search.spans(pair.times[-1]):
-            chains.append(self._chains(source, receiver, span))
+        for span, met in self._search.cells(pair.times[-1], partial(self._chains, source, receiver)):
+            chains.append(met)
             rows = count + np.arange(len(chains[-1].edge))
             inner = pair.times[(pair.times > span[0]) & (pair.times < span[1])]
             looks.append((rows, np.unique([span[0], *inner, span[1]])))
@@ -104,7 +104,7 @@ class _EdgeFinder:
             "order": (met + 1).astype(np.int32), "start": heard[0], "end": heard[1], "before": chains.before,
             "after": chains.after, "edge": chains.edge, "over_end": chains.end.astype(np.int8),
             "lit": lit.astype(np.int8), "end_side": side.astype(np.int8),
-            "beside": np.column_stack([(code & bit) > 0 for bit in _HALVES]).astype(np.int8),
+            "beside": np.column_stack([np.where(code & bit, 1, -1) for bit in _HALVES]).astype(np.int8),
         }  # fmt: skip
 
     def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> Chains:
@@ -154,13 +154,10 @@ class _EdgeFinder:
         tree = BeamTree(walls, ball[0], ball[1] + slack, spheres, BEAM_LIMIT, None, UnhiddenLookup(walls))
         width = max(self._order, 1)
         found: list[list[Any]] = [[np.empty((0, width), dtype=np.int32)] for _ in everyone]
-        try:
-            for batch in tree.candidates(self._order):
-                for edge in np.unique(batch.receiver).tolist():
-                    given = batch.sequence[batch.row[batch.receiver == edge]]
-                    found[edge].append(self._padded(edge, given, receiver is not None))
-        except TooManyBeamsError as error:
-            raise InputError("body_order", str(error)) from error
+        for batch in tree.candidates(self._order):
+            for edge in np.unique(batch.receiver).tolist():
+                given = batch.sequence[batch.row[batch.receiver == edge]]
+                found[edge].append(self._padded(edge, given, receiver is not None))
         return [np.concatenate(parts) for parts in found]
 
     def _padded(self, edge: int, given: NDArray[np.int32], backwards: bool) -> NDArray[np.int32]:

@@ -34,7 +34,7 @@ _LEAST = 6 * _APART  # times, for that
 _LONGEST_GAP = 0.05  # s between these
 _FEW_ROUNDS = 3  # from there on
 _FOUND = 1e-11  # s; what the next step leaves of this is its share of the mirrors' Mach numbers
-_BEYOND = 0.5  # of a leg, by which events of paths that are not there may lie off it
+BEYOND_LEG = 0.5  # of a leg, by which events of paths that are not there may lie off it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,7 +272,7 @@ def _traced(
         far = planes[k].height(seen.time[k + 1], seen.place[k + 1])
         apart = near - far
         share = np.where(apart == 0.0, 0.0, near / np.where(apart == 0.0, 1.0, apart))
-        part = np.clip(share, -_BEYOND, 1.0 + _BEYOND)
+        part = np.clip(share, -BEYOND_LEG, 1.0 + BEYOND_LEG)
         time, place = (
             time + part * (seen.time[k + 1] - time),
             place + part[..., None] * (seen.place[k + 1] - place),

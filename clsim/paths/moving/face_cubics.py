@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from clsim.paths.moving.mirrors import Mirrors
     from clsim.scene.body import Body
 
-FACE_COLUMNS = (
-    16  # coefficients between two knots of a normal, [power][xyz], and of the offset, [power]: nodes/mirrors.h
-)
+FACE_COLUMNS = 16  # coefficients of a normal between two knots, [power][xyz], and of the offset, [power]
 _SLICE = 20_000  # knots looked at at a time
 
 

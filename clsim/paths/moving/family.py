@@ -10,16 +10,16 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
-from clsim.paths.family import BODY, NONE, SPECULAR, PathFamily, ends_at
+from clsim.paths.family import BODY, NONE, SPECULAR
 from clsim.paths.moving.events import find_events
-from clsim.paths.moving.mirrors import Mirrors
-from clsim.paths.propagation import UniformAir, delay_bounds
+from clsim.paths.moving.moving_paths import MovingPaths
+from clsim.paths.propagation import UniformAir
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.paths.family import Instant, PeakSpeeds, Rows
+    from clsim.paths.family import Instant, Rows
     from clsim.paths.moving.events import Events
     from clsim.paths.response import SceneResponse
 
@@ -40,7 +40,7 @@ class BodyArrivals(Arrivals):
 
 
 @dataclass(frozen=True, eq=False)
-class BodyPaths(PathFamily):
+class BodyPaths(MovingPaths):
     """Paths by mirrors of which one or more are faces of bodies.
 
     Attributes
@@ -63,20 +63,10 @@ class BodyPaths(PathFamily):
         object.__setattr__(self, "objects", read_only(self.surfaces - walls * of_body))
         super().__post_init__()
 
-    @cached_property
-    def mirrors(self) -> Mirrors:
-        """Walls and faces."""
-        return Mirrors.of(self.scene)
-
     @property
     def device(self) -> str:
         """The program for images of events."""
         return "bodies"
-
-    @property
-    def moves(self) -> bool:
-        """Whether any body moves or turns."""
-        return not all(body.is_static for body in self.scene.bodies)
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -149,12 +139,7 @@ class BodyPaths(PathFamily):
         found[np.arange(found.shape[1]) > self.order[rows][:, None] + 1] = np.nan
         return found
 
-    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        """Return how long paths (P,) are by bodies as they are at 0 s, with their ends at places (P, 3), m."""
-        return self._lengths(np.arange(len(self))[rows], source, receiver, 0.0)
-
     def _lengths(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> Floats:
-        """Return the same by bodies as they are at a time, or at times (P,)."""
         return self.mirrors.distances(self.surfaces[index], source, receiver, times)
 
     @cached_property
@@ -163,26 +148,6 @@ class BodyPaths(PathFamily):
         peak = np.array([body.peak_speed for body in self.scene.bodies])
         owner = np.append(self.mirrors.owner, -1)[self.surfaces]
         return read_only(np.where(owner >= 0, np.append(peak, 0.0)[owner], 0.0).sum(axis=1))
-
-    def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
-        """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
-
-        Notes
-        -----
-        A mirror that moves by d makes a way longer by at most 2 d.
-        """
-        scene, index = self.scene, np.arange(len(self))[rows]
-        source, receiver = self.source[index], self.receiver[index]
-        middle, half = 0.5 * (start + end), 0.5 * (end - start)
-        places = ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle)
-        emitting = speeds.source[source] + 2.0 * self.speeds[index]
-        slack = half * (emitting + speeds.receiver[receiver])
-        return delay_bounds(self.speed_range, self._lengths(index, *places, middle), slack, emitting)
-
-    def max_rate(self, source_speed: float, receiver_speed: float) -> float:
-        """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
-        c, most = self.speed_range.slowest, float(self.speeds.max(initial=0.0))
-        return (c + receiver_speed) * (c + most) / ((c - most) * (c - source_speed)) - 1.0
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F), 1 where they depend on the angle."""

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -43,7 +43,9 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
     Progress = Callable[[float], None]
+    Span = tuple[float, float]
 
+Found = TypeVar("Found")
 _POSES = 0.3  # m, which images by bodies go, half way, from one pose in which sequences are looked for to the next
 _RATE = 1000.0  # Hz, at which speeds are looked at
 _SHORTEST = 1e-3  # s between poses
@@ -223,25 +225,36 @@ class BodySearch:
         """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
         query, longest = self.queries[source]
         last = max(pair.times[-1] for pair in pairs)
-        spans = self.spans(last)[::-1]
-        bounds, rows = [0.0], []
-        while spans:
-            begin, end = spans.pop()
-            try:
-                rows.append(self._cell(query, longest, (begin, end)))
-                bounds.append(end)
-            except TooManyBeamsError as error:
-                if end - begin < 2.0 * _SHORTEST:
-                    raise InputError("body_order", str(error)) from error
-                spans += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
-        cells, found = np.array(bounds), []
+        rows = self.cells(last, lambda span: self._cell(query, longest, span))
+        cells, found = np.array([0.0, *(end for (_, end), _ in rows)]), []
         for receiver in range(len(pairs)):
-            mine = [sequence[receivers == receiver] for sequence, receivers in rows]
+            mine = [sequence[receivers == receiver] for _, (sequence, receivers) in rows]
             number = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
             found.append((np.concatenate(mine), number, cells))
         return found
 
-    def spans(self, last: float) -> list[tuple[float, float]]:
+    def cells(self, last: float, find: Callable[[Span], Found]) -> list[tuple[Span, Found]]:
+        """Return stretches of time until a last one, s, and what is found in each, in order.
+
+        In each bodies are about one pose; they are halved where there are more beams than can be looked at.
+
+        Raises
+        ------
+        InputError
+            If there are as many in the shortest, too.
+        """
+        waiting, found = self._spans(last)[::-1], []
+        while waiting:
+            begin, end = waiting.pop()
+            try:
+                found.append(((begin, end), find((begin, end))))
+            except TooManyBeamsError as error:
+                if end - begin < 2.0 * _SHORTEST:
+                    raise InputError("body_order", str(error)) from error
+                waiting += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
+        return found
+
+    def _spans(self, last: float) -> list[Span]:
         """Return stretches of time until a last one, s, in each of which bodies are about one pose."""
         instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
         size = self.room.walls.size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from clsim.scene.scatterer import Scatterer
 
 _ROUNDS = 60
+# Rounds after which what is hidden stays so: where shadows begin specular points jump, and with them what wind shows.
+PATIENCE = 8
 _APART = 4  # times from one at which ways are looked for to the next: between them it is known about where they are
 _LEAST = 6 * _APART  # times, for that
 _LONGEST_GAP = 0.05  # s between these
@@ -109,10 +111,13 @@ class Body:
         """By how much the specular point has turned when it was last looked for, rad."""
         return 0.0 if self.glint is None else self.glint.change
 
-    def seen(self, times: Floats, source: Floats, receiver: Floats, weight: Floats | float) -> tuple[Floats, Floats]:
+    def seen(
+        self, times: Floats, source: Floats, receiver: Floats, weight: Floats | float, stays: bool = False
+    ) -> tuple[Floats, Floats]:
         """Return place and velocity (..., 3) of what scatters at times (...) for ends (..., 3).
 
-        The weight of the way to the receiver is that of `ellipsoid_glint`.
+        The weight of the way to the receiver is that of `ellipsoid_glint`; with `stays`, ends that the scatterer hid
+        from each other it hides again.
         """
         centre, velocity = self._trajectory.position(times), self._trajectory.velocity(times)
         away = [end - centre for end in (source, receiver)]
@@ -121,7 +126,8 @@ class Body:
             away = [np.einsum("...ij,...i->...j", axes, v) for v in away]
         source, receiver = (np.ascontiguousarray(v.reshape(-1, 3).T) for v in away)
         flat = weight.ravel() if isinstance(weight, np.ndarray) else weight
-        self.glint = self._shape.glint(source, receiver, self.glint, flat)
+        near = self.glint if self.glint is None else replace(self.glint, stays=stays)
+        self.glint = self._shape.glint(source, receiver, near, flat)
         self._ends = source, receiver
         if self.glint is None:
             return centre, velocity
@@ -228,10 +234,10 @@ def _solved(
     now, late, first_time, weight = np.broadcast_to(times, shape), known.late, known.first_time, known.weight
     carried: tuple[Floats, Floats] | None = None
     weight_at_rest: Floats | float = 1.0
-    for _ in range(_ROUNDS):
+    for done in range(_ROUNDS):
         event = times - late if retarded else now
         image, real, source_velocity = ends.emitted(event - first_time if retarded else event)
-        place, velocity = body.seen(event, *(carried or (image, ends.heard_at)), weight)
+        place, velocity = body.seen(event, *(carried or (image, ends.heard_at)), weight, done >= PATIENCE)
         second = _leg(medium, place, ends.heard_at, ends.receiver - place)
         first = _leg(medium, image, place, place - real)
         coming, leaving = (leg.sound.growth(leg.direction, velocity) for leg in (first, second))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.paths.diffraction.family import least_angle
 from clsim.paths.diffraction.ways import EdgeView
 from clsim.render.opencl.device_nodes import DeviceTracks
 
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 # An edge as both ends are seen by it, as in nodes/edge_view.h.
 EDGE_VIEW = np.dtype(
     [("source_turn", "f8", 9), ("source_shift", "f8", 3), ("receiver_turn", "f8", 9), ("receiver_shift", "f8", 3),
-     ("n", "f8"), ("wide", "f8", 2), ("narrow", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"),
-     ("face", "i4", 2), ("unused", "i4")]
+     ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("end", "f8"), ("lit", "i4", 4),
+     ("end_side", "i4"), ("face", "i4", 2), ("unused", "i4")]
 )  # fmt: skip
 
 
@@ -47,6 +48,7 @@ class EdgeTracks(DeviceTracks):
             edges[name] = getattr(family, name)[rows]
         for name, angle in (("wide", np.pi * edges["n"]), ("narrow", 0.5 * np.pi / edges["n"])):
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        edges["low"] = np.stack([least_angle(family.n[rows], beside) for beside in family.beside[rows].T], axis=1)
         edges["end"] = np.nan_to_num(family.end_place[rows])
         edges["face"] = around.tables_of(family.faces[rows])
         return self._uploaded(views=edges) | {"image_matrix": None, "image_offset": None}

@@ -1,16 +1,23 @@
 """What programs are told of the kinds of paths: constants that say which kind a build is for, and what these need."""
 
-from clsim.acoustics.capsule import NEAR_JUNCTION
+from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import ON_BOUNDARY
 from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
+from clsim.paths.moving.events import BEYOND_LEG
+from clsim.paths.moving.face_cubics import FACE_COLUMNS
+from clsim.paths.pose_cubics import POSE_COLUMNS
+from clsim.paths.scattering.way import PATIENCE
 
-POINT, ELLIPSOID, CAPSULE, SPHERE = range(4)  # shapes of scatterers that programs know
+POINT, ELLIPSOID, CAPSULE, SPHERE = range(4)  # shapes of scatterers that programs know: from CAPSULE on with phases
+NO_WAY = -1e6  # s, a delay that tells that no way by a scatterer is found
 _SETTLED = 1e-5  # rad of a specular point: after the step it is wrong by about its square, its strength too
 KINDS = {
     "EDGES": 0, "SCATTERERS": 0,  # 1 in builds for this kind
     "BODIES": 0,  # most mirrors that move on a path, in builds for paths by bodies
     "MORE": 0,  # numbers that are predicted besides the delay and its rate
     "POINT": POINT, "CAPSULE": CAPSULE,
-    "LONGEST_STEP": LONGEST_STEP, "GLINT_FAR": FAR, "GLINT_FOUND": FOUND, "SETTLED": _SETTLED,
+    "LONGEST_STEP": LONGEST_STEP, "GLINT_FAR": FAR, "GLINT_FOUND": FOUND, "SETTLED": _SETTLED, "FLATTEST": FLATTEST,
+    "NO_WAY": NO_WAY, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
+    "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
 }  # fmt: skip
 OF_GAINS = {"SPHERE": SPHERE, "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION}

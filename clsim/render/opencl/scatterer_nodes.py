@@ -12,7 +12,7 @@ from clsim.errors import InputError
 from clsim.paths.pose_cubics import pose_knots, pose_rate
 from clsim.render.opencl.device_nodes import DeviceTracks
 from clsim.render.opencl.lookup_tables import cubics, transition_table
-from clsim.render.opencl.path_kinds import CAPSULE, ELLIPSOID, POINT, SPHERE
+from clsim.render.opencl.path_kinds import CAPSULE, ELLIPSOID, NO_WAY, POINT, SPHERE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import SceneTracks
 
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
-_NO_WAY = -1e5  # s, above what the program tells where it found no way
 # A scatterer as both ends are seen by it, as in nodes/views.h.
 SCATTERER_VIEW = np.dtype(
     [("source_turn", "f8", 9), ("source_shift", "f8", 3), ("receiver_turn", "f8", 9), ("receiver_shift", "f8", 3),
@@ -75,7 +74,7 @@ class ScattererTracks(DeviceTracks):
             If a scatterer is not seen from both ends.
         """
         made = super().nodes(chunk, start, block, blocks, meanwhile)
-        if made.shortest < _NO_WAY:
+        if made.shortest < 0.5 * NO_WAY:  # less a clock's error
             begin, end = (sample / self._plan.sampling_rate for sample in (start, start + block * blocks))
             raise InputError(
                 "scatterers",

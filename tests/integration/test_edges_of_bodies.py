@@ -1,0 +1,101 @@
+"""Edges of bodies from a scene file to the files that come of it: one door, run, stopped and resumed, seen, varied."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from failing import Failing
+
+import clsim
+from clsim.cli import main
+from clsim.paths.view import view_scene, viewed
+from clsim.render import planning
+from clsim.scene_file.scene import build_scene
+from clsim.study.content import computed
+from clsim.study.file import load_study
+from clsim.workflow import checkpoint
+
+SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [4.0, 3.0, 2.5]
+walls = { reflection = 0.5 }
+[[sources]]
+name = "beacon"
+signal = { kind = "tone", frequency = 24e3, duration = 0.11, sampling_rate = 96e3, fade = 0.002 }
+trajectory = { kind = "fixed", position = [1.0, 1.4, 1.0] }
+[[receivers]]
+name = "ear"
+trajectory = { kind = "fixed", position = [3.0, 1.5, 1.2] }
+[[bodies]]
+kind = "box"
+name = "door"
+size = [0.0, 0.9, 2.0]
+centre = [0.0, 0.5, 1.1]
+material = { reflection = 0.9 }
+trajectory = { kind = "swing", axis_point = [2.0, 0.6, 0.0], axis = [0, 0, 1], angles = [0, -0.1], times = [0, 0.2] }
+[paths]
+max_order = 0
+diffraction = 1
+[render]
+sampling_rate = 192e3
+duration = 0.12
+chunk = 18432
+"""
+STUDY = 'format = 1\nscene = "scene.toml"\nkeep = ["ground_truth"]\n[[vary]]\nfield = "paths.diffraction_model"\nvalues = ["utd", "btm"]\n'
+
+
+def test_a_door_from_its_scene_file_to_what_is_heard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], device: None
+) -> None:
+    """The line of sight is hidden all the time: all that is heard comes over edges of the door."""
+    pytest.importorskip("zarr")
+    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE, "utf-8")
+    fails = [-1]
+    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
+    assert main(["run", str(path), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
+    fails[0] = 18432
+    assert main(["run", str(path), "-o", str(tmp_path / "b"), "--no-plots"]) == 2
+    fails[0] = -1
+    without = tmp_path / "without.toml"
+    without.write_text(SCENE.replace("diffraction = 1", "diffraction = 0"), "utf-8")
+    capsys.readouterr()
+    assert main(["run", str(without), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 2
+    assert "scene.paths.diffraction was 1 and is 0" in capsys.readouterr().err
+    assert main(["run", str(path), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
+    assert (tmp_path / "a" / "ear.wav").read_bytes() == (tmp_path / "b" / "ear.wav").read_bytes()
+    assert "diffraction = 1" in (tmp_path / "a" / "scene.completed.toml").read_text("utf-8")
+    with np.load(tmp_path / "a" / "ground_truth.npz") as found:
+        assert not found["line_of_sight"].any()
+        assert found["body_names"].tolist() == ["door"]
+
+    file = clsim.load_scene(path)
+    paths = clsim.find_paths(file.scene, **file.paths)
+    assert len(clsim.find_paths(file.scene, 0)) == 0
+    table = paths.table(np.array([0.04]))
+    ways = [table.name_way(i) for i in np.flatnonzero(table.heard[:, 0])]
+    assert ways
+    assert all("edge door" in way for way in ways)
+    recorded = clsim.load_recording(tmp_path / "a")
+    assert np.abs(recorded.pressure).max() > 0.01 / 2.0, "over the door's near edge"
+
+    capsys.readouterr()
+    assert main(["paths", str(path), "--at", "0.04"]) == 0
+    assert "edge door" in capsys.readouterr().out
+    view = viewed(paths, duration=0.05, frames=2)
+    assert any("edge door" in label for label in view.frames[1].labels)
+    view_scene(paths, tmp_path / "view.html", duration=0.05, frames=2)
+    assert "edge door" in (tmp_path / "view.html").read_text("utf-8")
+
+    (tmp_path / "study.toml").write_text(STUDY, "utf-8")
+    study = load_study(tmp_path / "study.toml")
+    content = computed(study, study.members[0], None, tmp_path / "member")[0]
+    assert not content.line_of_sight.any()
+    assert content.body_visible.values.all(), "its nearest point, from the side of the source"
+    models = [build_scene(study.content_of(member), tmp_path).paths["diffraction_model"] for member in study.members]
+    assert models == ["utd", "btm"]
+    exact = clsim.find_paths(file.scene, **{**file.paths, "diffraction_model": "btm"})
+    assert exact.digest() != paths.digest()
