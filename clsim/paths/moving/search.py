@@ -201,8 +201,8 @@ class BodySearch:
         surfaces = np.concatenate([sequence for sequence, _, _ in found])
         receiver = np.repeat(np.arange(len(pairs)), [len(sequence) for sequence, _, _ in found])
         looks = self.mirror_look(pairs, surfaces, receiver)
-        spans: Any = tuple(np.concatenate([run[i] for run in runs]) for i in range(3))
-        path, begin, end = intervals(looks.look, looks.status, spans, pairs[0].resolution, progress)
+        which, begin, end = (np.concatenate([run[i] for run in runs]) for i in range(3))
+        path, begin, end = intervals(looks.look, looks.status, (which, begin, end), pairs[0].resolution, progress)
         for ear, pair in enumerate(pairs):
             mine = np.flatnonzero(receiver[path] == ear)
             yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
