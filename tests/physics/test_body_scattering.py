@@ -268,12 +268,11 @@ def test_all_that_moves_is_wind() -> None:
         assert len(some[0]) == len(some[1]) >= (kind == "BodyScatteredPaths") * 10 + 1, kind
         at = [SceneResponse(paths.scene, 0, np.array([40e3])) for paths in (one, other)]
         gains = [family.response(slice(None), x, times, a) for family, x, a in zip(some, found, at, strict=True)]
-        # Without bodies directions to the ends are those of rays in the room: off by Mach numbers of 0.02 in strengths.
-        exact = kind != "ScatteredPaths"
-        for name, allowed in (("delay", 1e-11), ("delay_rate", 1e-13), ("departure", 1e-5), ("arrival", 1e-5)):
+        exact = kind != "ScatteredPaths"  # of these the specular point is found to some 1e-9
+        for name, allowed in (("delay", 1e-12), ("delay_rate", 1e-13), ("departure", 1e-8), ("arrival", 1e-8)):
             worst = np.abs(getattr(found[0], name) - getattr(found[1], name)).max()
             assert worst < (1e-13 if exact else allowed), (kind, name)
-        assert np.abs(gains[0] / gains[1] - 1.0).max() < (1e-12 if exact else 0.03), kind
+        assert np.abs(gains[0] / gains[1] - 1.0).max() < (1e-12 if exact else 1e-8), kind
 
 
 def test_ways_come_when_sound_meets_the_edge_and_engines_agree(device: None) -> None:
