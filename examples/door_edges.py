@@ -16,7 +16,7 @@ WINDOW = 32  # samples of the envelope, 2 ms, over which levels are means
 
 
 def levels(scene: clsim.Scene, order: int, edges: int, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return times, s, and the level, dB relative to the direct sound in the open, as the envelope has it."""
+    """Return times, s, and the level, dB relative to the direct sound in the open and without absorption by air."""
     paths = clsim.find_paths(scene, order, diffraction=edges)
     envelope = clsim.render(paths, RATE, baseband=clsim.Baseband(CARRIER, 8e3, 16e3), duration=duration)
     power = np.abs(envelope.samples[0]) ** 2
@@ -47,7 +47,7 @@ def main() -> None:
         angle = np.degrees(2.0 * np.arctan2(*turns.orientation(times[kept]).T[2:]))
         axes.plot(angle, level[kept], linewidth=1.0, label=label)
     axes.set(
-        xlabel="angle of the door (degrees)", ylabel="level (dB re direct sound)", ylim=(-60.0, 8.0),
+        xlabel="angle of the door (degrees)", ylabel="level (dB re 1/r)", ylim=(-60.0, 8.0),
         title="Behind a door that opens: a tone of 40 kHz",
     )  # fmt: skip
     axes.legend(loc="lower right")
