@@ -127,7 +127,7 @@ def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
     )
     assert resource
     scene.write_text(SCENE % "3.0", "utf-8")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-B", "-c", code], capture_output=True, text=True)  # no bytecode cut short
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.splitlines()[-1].startswith("clsim: error: ")
