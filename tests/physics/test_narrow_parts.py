@@ -210,9 +210,9 @@ PLATE = clsim.Body(
 @pytest.mark.parametrize(
     ("room", "ear", "things", "search", "nodes"),
     [
-        pytest.param(OPEN, SPOT, {"scatterers": [POINT]}, {}, {"images", None}, id="scatterer"),
+        pytest.param(OPEN, SPOT, {"scatterers": [POINT]}, {}, {"images", "scatterers"}, id="scatterer"),
         pytest.param(OPEN, SPOT, {"air": STIRRED}, {}, {None}, id="air that fluctuates"),
-        pytest.param(OPEN, SPOT, {"bodies": [PLATE]}, {"max_order": 1}, {"images", None}, id="body"),
+        pytest.param(OPEN, SPOT, {"bodies": [PLATE]}, {"max_order": 1}, {"images", "bodies"}, id="body"),
         pytest.param(
             clsim.MeshRoom(PILLAR.vertices + np.array([1.3, 2.0, 2.0]), PILLAR.triangles, PILLAR.faces.materials[0]),
             clsim.Trajectory.fixed((1.7, 2.05, 2.0)), {}, {"diffraction": 2}, {None}, id="two edges",

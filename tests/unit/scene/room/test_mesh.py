@@ -111,7 +111,7 @@ def test_parts_are_joined() -> None:
     room = clsim.MeshRoom.joined([clsim.Shoebox((8, 6, 3), {"default": WALL, "z_min": SOFT}), board])
     assert room.faces.names[:6] == ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
     assert room.reflections(40e3).tolist() == [0.9, 0.9, 0.9, 0.9, 0.1, 0.9, 0.1]
-    with pytest.raises(clsim.InputError, match="parts: must hold at least one"):
+    with pytest.raises(clsim.InputError, match="parts: must be a list of at least one room"):
         clsim.MeshRoom.joined([])
     with pytest.raises(clsim.InputError, match=r"parts\[0\]: must be a room"):
         clsim.MeshRoom.joined(["room"])  # type: ignore[list-item]
