@@ -61,6 +61,21 @@ def test_frames_must_fit() -> None:
         page_text(title="t", walls=[wall], ends=[pair], times=np.zeros(2), frames=[none, none])
 
 
+def test_a_failure_leaves_the_old_page(paths: clsim.PathSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "x.html"
+    path.write_text("old")
+
+    def fail(self: Path, text: str, encoding: str) -> None:
+        self.write_bytes(text[:9].encode(encoding))
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Path, "write_text", fail)
+    with pytest.raises(OSError, match="disk full"):
+        view_scene(paths, path, duration=0.5, frames=2)
+    assert [p.name for p in tmp_path.iterdir()] == ["x.html"]
+    assert path.read_bytes() == b"old"
+
+
 def test_a_scene_at_rest_has_one_frame(tmp_path: Path) -> None:
     scene = clsim.Scene(
         clsim.Shoebox((8, 6, 3), WALL), clsim.Air(),

@@ -145,21 +145,6 @@ def test_what_does_not_fit_is_refused(changed: dict[str, Any], message: str, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failure_leaves_the_old_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "x.html"
-    path.write_text("old")
-
-    def fail(self: Path, text: str, encoding: str) -> None:
-        self.write_bytes(text[:9].encode(encoding))
-        raise OSError("disk full")
-
-    monkeypatch.setattr(Path, "write_text", fail)
-    with pytest.raises(OSError, match="disk full"):
-        write(path)
-    assert [p.name for p in tmp_path.iterdir()] == ["x.html"]
-    assert path.read_bytes() == b"old"
-
-
 @pytest.fixture(scope="module")
 def loaded(browser: Any, page: Path) -> Iterator[Any]:
     tab = browser.new_page(viewport={"width": 560, "height": 400})
