@@ -104,6 +104,36 @@ def earliest(way: Callable[[Any], Any], start: Any) -> float:
     return float(way(x[None])[0])
 
 
+def back(place: Callable[[Any], Any], heard: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Return when sound was at a thing, and where, that is at places later."""
+    flight = np.zeros(len(heard[0]))
+    for _ in range(12):
+        where = place(heard[0] - flight)
+        flight = np.linalg.norm(where - heard[1], axis=1) / C
+    return heard[0] - flight, where
+
+
+def on_mirror(scene: clsim.Scene, wall: int, uv: Any, near: Any, when: float) -> Callable[[Any], Any]:
+    """Return where a point of a mirror is at times, told by two unknowns (n, 2) from where it is met."""
+    if wall >= len(scene.room.faces):
+        plate = scene.bodies[0]
+        own = plate.seen(near, np.array(when)) * [0, 1, 1] + np.pad(uv, ((0, 0), (1, 0)))
+        return lambda t: plate.placed(own, t)
+    places = near + uv @ np.linalg.svd(scene.room.faces.normals[wall][None])[2][1:]
+    return lambda t: places
+
+
+def on_body(body: clsim.Scatterer, uv: Any, near: Any, when: float) -> Callable[[Any], Any]:
+    """Return where a point of a scatterer's surface is at times, told by two unknowns (n, 2)."""
+    motion, shape = body.trajectory, body.shape
+    towards = rotate(motion.orientation(when) * [-1, -1, -1, 1], near - motion.position(when))
+    axes = np.maximum(getattr(shape, "semi_axes", np.full(3, shape.radius)), 1e-12)
+    towards = (towards + 1e-14) / axes / np.linalg.norm((towards + 1e-14) / axes)
+    v = towards + 10.0 * uv @ np.linalg.svd(towards[None])[2][1:]
+    own = axes * v / np.linalg.norm(v, axis=1)[:, None]
+    return lambda t: motion.position(t) + rotate(motion.orientation(t), own)
+
+
 def emitted_last(scene: clsim.Scene, body: clsim.Scatterer, walls: tuple[Any, Any], time: float, events: Any) -> Any:
     """Return how far back sound goes (n,) that is heard at a time, by points of all surfaces told by unknowns (n, m).
 
@@ -112,35 +142,10 @@ def emitted_last(scene: clsim.Scene, body: clsim.Scatterer, walls: tuple[Any, An
     before, after = walls
     count = 2 * len(before)
 
-    def back(place: Callable[[Any], Any], heard: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return when sound was at a thing, and where, that is at places later."""
-        flight = np.zeros(len(heard[0]))
-        for _ in range(12):
-            where = place(heard[0] - flight)
-            flight = np.linalg.norm(where - heard[1], axis=1) / C
-        return heard[0] - flight, where
-
-    def on_mirror(wall: int, uv: Any, near: Any, when: float) -> Callable[[Any], Any]:
-        if wall >= len(scene.room.faces):
-            plate = scene.bodies[0]
-            own = plate.seen(near, np.array(when)) * [0, 1, 1] + np.pad(uv, ((0, 0), (1, 0)))
-            return lambda t: plate.placed(own, t)
-        places = near + uv @ np.linalg.svd(scene.room.faces.normals[wall][None])[2][1:]
-        return lambda t: places
-
-    def on_body(uv: Any, near: Any, when: float) -> Callable[[Any], Any]:
-        motion, shape = body.trajectory, body.shape
-        towards = rotate(motion.orientation(when) * [-1, -1, -1, 1], near - motion.position(when))
-        axes = np.maximum(getattr(shape, "semi_axes", np.full(3, shape.radius)), 1e-12)
-        towards = (towards + 1e-14) / axes / np.linalg.norm((towards + 1e-14) / axes)
-        v = towards + 10.0 * uv @ np.linalg.svd(towards[None])[2][1:]
-        own = axes * v / np.linalg.norm(v, axis=1)[:, None]
-        return lambda t: motion.position(t) + rotate(motion.orientation(t), own)
-
     def by_mirrors(leg: Any, mirrors: Any, uv: Any, heard: tuple[Any, Any], last: float) -> tuple[Any, Any]:
         for k in range(len(mirrors) - 1, -1, -1):
             near, when = leg.place[0, 0, k + 1], last + leg.time[0, 0, k + 1]
-            heard = back(on_mirror(mirrors[k], uv[:, 2 * k : 2 * k + 2], near, when), heard)
+            heard = back(on_mirror(scene, mirrors[k], uv[:, 2 * k : 2 * k + 2], near, when), heard)
         return heard
 
     def way(unknown: Any) -> Any:
@@ -148,7 +153,7 @@ def emitted_last(scene: clsim.Scene, body: clsim.Scatterer, walls: tuple[Any, An
         heard = by_mirrors(events.second, after, unknown[:, count:], (np.full(len(unknown), time), place), time)
         when = float(events.time[0, 0])
         own = unknown[:, -2:] if body.shape.radius else np.zeros((len(unknown), 2))
-        heard = back(on_body(own, events.second.place[0, 0, 0], when), heard)
+        heard = back(on_body(body, own, events.second.place[0, 0, 0], when), heard)
         heard = by_mirrors(events.first, before, unknown, heard, when)
         return C * (time - back(scene.sources[0].trajectory.position, heard)[0])
 

@@ -263,8 +263,8 @@ def _drift(moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats
     dilation, late, slide = crude[0][:, 0], crude[0][:, 1:-1], crude[1]
     mach, order = moves.mach, moves.mach.shape[1]
     doppler, over = (1.0 + mach) / (1.0 - mach), 1.0 / (1.0 - mach**2)
-    half = np.maximum(pace.half, 1e-12)[:, None]
-    quickens = (moves.gain * late + moves.jolt / half + moves.turn * slide) / c  # of Mach numbers, 1/s
+    jolts = moves.jolt / np.maximum(pace.half, 1e-12)[:, None]
+    quickens = (moves.gain * late + jolts + moves.turn * slide) / c  # of Mach numbers, 1/s
     own, other, mixed = 2.0 * over, (1.0 + mach**2) * over, 2.0 * mach * over
 
     def pushed(apart: Floats, k: int) -> tuple[Floats, Floats]:
@@ -276,18 +276,17 @@ def _drift(moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats
         space, time = pushed(apart, k)
         return other[:, k] * a + mixed[:, k] * b + space, other[:, k] * b + mixed[:, k] * a + time
 
-    a, b = pace.source, np.zeros(len(half))
+    a, b = pace.source, np.zeros(len(mach))
     for k in range(order):
         a, b = through(a, b, moves.start[:, k], k)
     least = np.maximum((1.0 - (pace.source + wind) / c) / np.prod(doppler, axis=1), 1e-3)
     slower = (pace.receiver + a + b) / (c * least)
     fronts = [(pace.source * dilation + wind * (dilation - 1.0), c * (dilation - 1.0))]
-    backs = [(pace.receiver, np.zeros(len(half)))]
+    backs = [(pace.receiver, np.zeros(len(mach)))]
     for k in range(order):
         fronts.append(through(*fronts[-1], moves.start[:, k], k))
-        backs.append(through(*backs[-1], moves.stop[:, order - 1 - k], order - 1 - k))
-    backs = backs[::-1]
-    share, place, start, stop = (np.empty((len(half), order)) for _ in range(4))
+        backs.insert(0, through(*backs[0], moves.stop[:, order - 1 - k], order - 1 - k))
+    share, place, start, stop = (np.empty(mach.shape) for _ in range(4))
     for k in range(order):
         s, r = np.abs(line.share[:, k]), np.abs(1.0 - line.share[:, k])
         line_moves = np.minimum(s * backs[k][0] + r * fronts[k][0], s * backs[k + 1][0] + r * fronts[k + 1][0])
@@ -299,5 +298,5 @@ def _drift(moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats
         for out, (x, y), apart in ((start, fronts[k], moves.start[:, k]), (stop, backs[k + 1], moves.stop[:, k])):
             out[:, k] = x + mach[:, k] * y + moves.speed[:, k] + apart * tilts
     places = np.column_stack([pace.source * dilation, np.minimum(place, FAR), pace.receiver])
-    slower = np.pad(line.length[:, None] / c * share, ((0, 0), (1, 1))) + slower[:, None]
-    return Drift(1.0 + slower, places, share, start, stop, np.empty(0))
+    dilation = 1.0 + (np.pad(line.length[:, None] / c * share, ((0, 0), (1, 1))) + slower[:, None])
+    return Drift(dilation, places, share, start, stop, np.empty(0))

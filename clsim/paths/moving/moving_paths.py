@@ -47,20 +47,24 @@ class MovingPaths(PathFamily):
     def _lengths(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> Floats:
         """Return the same by bodies as they are at a time, or at times (P,)."""
 
+    def _spare(self, index: NDArray[np.int64]) -> Floats:
+        """Return half of by how much ways (P,) may be shorter than lengths are said to be, m."""
+        return np.zeros(len(index))
+
     def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
         """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
 
         Notes
         -----
-        A mirror or an edge that moves by d makes a way longer by at most 2 d.
+        A mirror, an edge or a scatterer that moves by d makes a way longer by at most 2 d.
         """
         scene, index = self.scene, np.arange(len(self))[rows]
         source, receiver = self.source[index], self.receiver[index]
         middle, half = 0.5 * (start + end), 0.5 * (end - start)
         places = ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle)
-        emitting = speeds.source[source] + 2.0 * self.speeds[index]
-        slack = half * (emitting + speeds.receiver[receiver])
-        return delay_bounds(self.speed_range, self._lengths(index, *places, middle), slack, emitting)
+        emitting, spare = speeds.source[source] + 2.0 * self.speeds[index], self._spare(index)
+        slack = half * (emitting + speeds.receiver[receiver]) + spare
+        return delay_bounds(self.speed_range, self._lengths(index, *places, middle) - spare, slack, emitting)
 
     def max_rate(self, source_speed: float, receiver_speed: float) -> float:
         """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""

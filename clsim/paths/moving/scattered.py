@@ -10,17 +10,17 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
-from clsim.paths.family import BODY, NONE, SCATTERING, SPECULAR, PathFamily, ends_at
-from clsim.paths.moving.mirrors import Mirrors
+from clsim.paths.family import BODY, NONE, SCATTERING, SPECULAR, ends_at
+from clsim.paths.moving.moving_paths import MovingPaths
 from clsim.paths.moving.scattered_way import find_scattered
-from clsim.paths.propagation import UniformAir, delay_bounds
+from clsim.paths.propagation import UniformAir
 from clsim.paths.scattering.family import ScatteredArrivals, scatter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.paths.family import Instant, PeakSpeeds, Rows
+    from clsim.paths.family import Instant, Rows
     from clsim.paths.moving.scattered_way import ScatteredEvents
     from clsim.paths.response import SceneResponse
 
@@ -43,7 +43,7 @@ class BodyScatteredArrivals(ScatteredArrivals):
 
 
 @dataclass(frozen=True, eq=False)
-class BodyScatteredPaths(PathFamily):
+class BodyScatteredPaths(MovingPaths):
     """Paths by one scatterer each, and by mirrors of which one or more are faces of bodies.
 
     Attributes
@@ -78,16 +78,10 @@ class BodyScatteredPaths(PathFamily):
             object.__setattr__(self, name, read_only(np.take_along_axis(values, order, axis=1)))
         super().__post_init__()
 
-    @cached_property
-    def mirrors(self) -> Mirrors:
-        """Walls and faces."""
-        return Mirrors.of(self.scene)
-
     @property
     def moves(self) -> bool:
         """Whether any body or scatterer moves or turns."""
-        still = [*(body.is_static for body in self.scene.bodies), *(s.is_static for s in self.scene.scatterers)]
-        return not all(still)
+        return super().moves or not all(scatterer.is_static for scatterer in self.scene.scatterers)
 
     @property
     def is_complex(self) -> bool:
@@ -208,9 +202,13 @@ class BodyScatteredPaths(PathFamily):
                 found[p, n + 2 : n + m + 3] = back[0, 1 : m + 2]
         return found
 
-    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        """Return how long paths (P,) are by all as it is at 0 s, with their ends at places (P, 3), m."""
-        return sum(self.legs(np.arange(len(self))[rows], source, receiver, 0.0), np.zeros(len(source)))
+    def _lengths(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> Floats:
+        """Return the sums (P,) of both legs by centres of scatterers."""
+        return sum(self.legs(index, source, receiver, times), np.zeros(len(source)))
+
+    def _spare(self, index: NDArray[np.int64]) -> Floats:
+        """Return the radii (P,) of spheres that hold the scatterers: their diameters may be taken off the way, m."""
+        return np.array([scatterer.shape.radius for scatterer in self.scene.scatterers])[self.scatterer[index]]
 
     def legs(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> tuple[Floats, Floats]:
         """Return how long both legs (P,) are by centres of scatterers and bodies as they are at a time, or times (P,).
@@ -236,29 +234,6 @@ class BodyScatteredPaths(PathFamily):
         surface = np.array([scatterer.peak_speeds()[1] for scatterer in self.scene.scatterers])
         bodies = np.where(owner >= 0, np.append(peak, 0.0)[owner], 0.0).sum(axis=1)
         return read_only(bodies + surface[self.scatterer])
-
-    def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
-        """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
-
-        Notes
-        -----
-        A mirror that moves by d makes a way longer by at most 2 d, as a scatterer does, and the way by the surface is
-        shorter than that by the centre by at most the diameter of a sphere that holds the thing.
-        """
-        scene, index = self.scene, np.arange(len(self))[rows]
-        source, receiver = self.source[index], self.receiver[index]
-        middle, half = 0.5 * (start + end), 0.5 * (end - start)
-        places = ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle)
-        radius = np.array([scatterer.shape.radius for scatterer in scene.scatterers])[self.scatterer[index]]
-        length = sum(self.legs(index, *places, middle), -radius)
-        emitting = speeds.source[source] + 2.0 * self.speeds[index]
-        slack = half * (emitting + speeds.receiver[receiver]) + radius
-        return delay_bounds(self.speed_range, length, slack, emitting)
-
-    def max_rate(self, source_speed: float, receiver_speed: float) -> float:
-        """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
-        c, most = self.speed_range.slowest, float(self.speeds.max(initial=0.0))
-        return (c + receiver_speed) * (c + most) / ((c - most) * (c - source_speed)) - 1.0
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times a bound of what scatterers send back."""
