@@ -13,15 +13,14 @@ import numpy as np
 
 from clsim.errors import ClsimError, DeviceError
 from clsim.opencl.kernel_cache import Trial, TriedKernel
-from clsim.opencl.kernels import PROGRAMS, declarations, kernel_source
+from clsim.opencl.kernels import PROGRAMS, kernel_source
 from clsim.opencl.launch import Launch
+from clsim.opencl.pocl import HEADER_READ, as_built
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     Constant = int | float | str | np.float32
-
-_HEADER_READ = "-D_OPENCL_H_"  # by which the header of OpenCL C, 980 KiB of Clang's, knows that it was read
 
 _compilers: dict[Any, Compiler] = {}
 _log = logging.getLogger(__name__)
@@ -97,7 +96,7 @@ class Compiler:
             uncached: Any = False  # as PyOpenCL takes it, but does not say in its types
             ways = [(text, options, None), (text, anew, uncached)]
             if self.context.devices[0].platform.name == "Portable Computing Language":
-                ways.insert(0, (f"{declarations()}\n{text}", [*options, _HEADER_READ], None))
+                ways.insert(0, (as_built(program, text), [*options, HEADER_READ], None))
             for source, told, cache in ways:
                 try:
                     built = cl.Program(self.context, source).build(options=told, cache_dir=cache)
