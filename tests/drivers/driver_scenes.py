@@ -312,8 +312,10 @@ def mutated(mutant: str) -> Iterator[None]:
         replace_text(*wrong)
     elif wrong is not None:
         cl.enqueue_fill_buffer = lambda *_: None
-    yield
-    compiler_module.kernel_source, cl.enqueue_fill_buffer = source, fill
+    try:
+        yield
+    finally:
+        compiler_module.kernel_source, cl.enqueue_fill_buffer = source, fill
 
 
 @contextmanager
@@ -324,17 +326,21 @@ def filled_up_to(paths: int) -> Iterator[None]:
     for module in modules:
         module.BATCH = paths
     defaults["group"] = min(paths, group)
-    yield
-    for module in modules:
-        module.BATCH = before
-    defaults["group"] = group
+    try:
+        yield
+    finally:
+        for module in modules:
+            module.BATCH = before
+        defaults["group"] = group
 
 
 def rendered(device: str, name: str) -> np.ndarray:
     """Return what is heard in a scene."""
     scene_name, layout, mutant = f"{name}.".split(".")[:3]
-    whole = not mutant and (layout == "gpu" or scene_name in WHOLE_BATCHES)
-    with mutated(mutant), filled_up_to(64 if whole else 8), warnings.catch_warnings():
+    paths = (
+        8 if mutant else 64 if scene_name in WHOLE_BATCHES else 32 if layout == "gpu" else 8
+    )  # at least of all workers
+    with mutated(mutant), filled_up_to(paths), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual
         made = SCENES[scene_name](device)
         if isinstance(made, Streams):

@@ -60,7 +60,7 @@ OCLGRIND = Driver(
     "Oclgrind", "lib/oclgrind/liboclgrind-rt-icd.so", "apt install oclgrind (Debian, Ubuntu)",
     {
         "OCLGRIND_BUILD_OPTIONS": "-O0", "OCLGRIND_DATA_RACES": "1", "OCLGRIND_UNINITIALIZED": "1",
-        "OCLGRIND_NUM_THREADS": "1", "OCLGRIND_GLOBAL_MEM_SIZE": str(2**30), "OCLGRIND_MAX_ERRORS": "200",
+        "OCLGRIND_NUM_THREADS": "1", "OCLGRIND_GLOBAL_MEM_SIZE": str(2**30), "OCLGRIND_MAX_ERRORS": "2000",
         "OCLGRIND_MAX_WGSIZE": "64", "OCLGRIND_LOCAL_MEM_SIZE": str(2**15),  # as small as of real GPUs
     },
 )  # fmt: skip
