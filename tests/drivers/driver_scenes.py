@@ -40,7 +40,9 @@ FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
 REAL = [clsim.Material.from_reflection(f) for f in (0.9, -0.8, 0.7, 0.6, -0.5, 0.8)]
 CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
 SWEEP = clsim.Signal.chirp(37e3, 43e3, 0.02, RATE, window="tukey")
-WHOLE_BATCHES = {"pulses", "crowd"}  # of 64 paths, as by default
+# Paths of a batch, to which scenes are filled up: at least as many as workers share. `make drivers` has 64, as by default.
+BATCHES = {"pulses.cpu": 64, "crowd.cpu": 64, "plain.gpu": 32, "pulses.gpu": 32}
+FEWEST = 64 if os.environ.get("CLSIM_ALL_DRIVERS") else 8
 LAYOUTS = {"cpu": CPU_LAYOUT, "gpu": GPU_LAYOUT}
 DISPERSING, WINDY = clsim.Air(dispersion=True), clsim.Air(wind=(9.0, -4.0, 1.0))
 CLOCK = clsim.Electronics(clock_ppm=300.0, clock_offset=1e-5)
@@ -337,10 +339,7 @@ def filled_up_to(paths: int) -> Iterator[None]:
 def rendered(device: str, name: str) -> np.ndarray:
     """Return what is heard in a scene."""
     scene_name, layout, mutant = f"{name}.".split(".")[:3]
-    paths = (
-        8 if mutant else 64 if scene_name in WHOLE_BATCHES else 32 if layout == "gpu" else 8
-    )  # at least of all workers
-    with mutated(mutant), filled_up_to(paths), warnings.catch_warnings():
+    with mutated(mutant), filled_up_to(max(FEWEST, BATCHES.get(name, 0))), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual
         made = SCENES[scene_name](device)
         if isinstance(made, Streams):
