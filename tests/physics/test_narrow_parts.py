@@ -196,7 +196,7 @@ NEAR = clsim.Trajectory.line((3.0, 2.0, 1.0), (5.0, 2.0, 1.0), 0.2)
 SLOW = clsim.Trajectory.line((3.0, 2.0, 1.0), (3.4, 2.0, 1.0), 0.2)
 
 
-C, SPOT = 343.0, clsim.Trajectory.line((1.5, 2.0, 2.0), (1.5, 2.01, 2.0), 0.1)
+C, SPOT = 343.0, clsim.Trajectory.fixed((1.5, 2.0, 2.0))
 OPEN = clsim.Shoebox((8.0, 6.0, 4.0), clsim.Material.from_reflection(0.0))
 STIRRED = clsim.Air(speed_of_sound=C, fluctuation=clsim.Fluctuation(2e-6, 0.2, 0.3, 3))
 POINT = clsim.Scatterer.point("p", 0.0, clsim.Trajectory.line((2.5, 2.0, 2.0), (2.4, 2.0, 2.0), 0.1))
@@ -216,7 +216,7 @@ PLATE = clsim.Body(
         pytest.param(OPEN, SPOT, {"bodies": [PLATE]}, {"max_order": 1}, {"images", "bodies"}, id="body"),
         pytest.param(
             clsim.MeshRoom(PILLAR.vertices + np.array([1.3, 2.0, 2.0]), PILLAR.triangles, PILLAR.faces.materials[0]),
-            clsim.Trajectory.line((1.7, 2.05, 2.0), (1.71, 2.05, 2.0), 0.1), {}, {"diffraction": 2}, {None}, id="two edges",
+            clsim.Trajectory.fixed((1.7, 2.05, 2.0)), {}, {"diffraction": 2}, {None}, id="two edges",
         ),
         pytest.param(
             OPEN, clsim.Trajectory.line((1.02, 2.0, 2.0), (1.12, 2.0, 2.0), 0.1), {}, {}, {"images"},
