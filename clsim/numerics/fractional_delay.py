@@ -290,7 +290,7 @@ def _largest_deviation(
 @lru_cache(maxsize=16)  # of some 150 KB each
 def _turns(cutoff: float, length: int, centre: int) -> NDArray[np.complex128]:
     """Return the responses of single taps up to the cutoff, (frequencies, length)."""
-    return np.exp(-1j * np.outer(np.linspace(0.0, cutoff, _FREQUENCIES), np.arange(length) - centre))
+    return np.asarray(np.exp(-1j * np.outer(np.linspace(0.0, cutoff, _FREQUENCIES), np.arange(length) - centre)))
 
 
 def _importance_at(w: Floats, cutoff: float, importance: tuple[float, ...]) -> Floats:
