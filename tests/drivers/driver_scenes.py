@@ -1,8 +1,7 @@
 """Small scenes that run every kernel with every option: rendered by one driver in a process of its own.
 
-Usage: driver_scenes.py DEVICE FOLDER NAME.LAYOUT... writes FOLDER/NAME.LAYOUT.npz for each: `heard`, and `launched`, lines of JSON
-with program and compile-time constants. MUTANT in the environment is a JSON list of program, text and what stands there instead;
-the program "" is the host, whose buffers are then not cleared.
+Usage: driver_scenes.py DEVICE FOLDER NAME.LAYOUT[.MUTANT]... writes FOLDER/NAME.LAYOUT[.MUTANT].npz for each: `heard`, `launched`,
+lines of JSON with program and compile-time constants, and `reported`, what Oclgrind had to say of it.
 """
 
 import dataclasses
@@ -10,7 +9,8 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,11 @@ from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 import clsim
 from clsim.opencl import compiler as compiler_module
 from clsim.opencl import device as device_module
+from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
+from clsim.render import plan as plan_module
 from clsim.render.opencl import engine as engine_module
+from clsim.render.opencl import limits as limits_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.plane_waves import DeviceWaves
@@ -37,6 +40,7 @@ FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
 REAL = [clsim.Material.from_reflection(f) for f in (0.9, -0.8, 0.7, 0.6, -0.5, 0.8)]
 CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
 SWEEP = clsim.Signal.chirp(37e3, 43e3, 0.02, RATE, window="tukey")
+WHOLE_BATCHES = {"pulses", "crowd"}  # of 64 paths, as by default
 LAYOUTS = {"cpu": CPU_LAYOUT, "gpu": GPU_LAYOUT}
 DISPERSING, WINDY = clsim.Air(dispersion=True), clsim.Air(wind=(9.0, -4.0, 1.0))
 CLOCK = clsim.Electronics(clock_ppm=300.0, clock_offset=1e-5)
@@ -104,12 +108,6 @@ def phased(device: str) -> Plan:
 
 
 @scene
-def lopsided(device: str) -> Plan:
-    """Directivities without symmetry, and the Mach factor squared."""
-    return plan(world(beams=(Lopsided(False), Lopsided(True))), device, 0, amplitude="convective")
-
-
-@scene
 def fine(device: str) -> Plan:
     """Short blocks, and paths that come and go at once."""
     return plan(partly(world(), 0.001), device, blocks=(24,), transition=0.0)
@@ -125,8 +123,8 @@ def doubled(device: str) -> Plan:
 @scene
 def pulses(device: str) -> Plan:
     """Silence between pulses, several functions, and paths that come and go."""
-    pulse = clsim.Signal.pulses(clsim.Signal.chirp(38e3, 42e3, 0.2e-3, RATE, window="hann"), 1.5e-3, 2)
-    return plan(partly(world(pulse, walls=[CURTAIN, *REAL[1:]]), 0.0012), device, duration=0.003)
+    pulse = clsim.Signal.pulses(clsim.Signal.chirp(38e3, 42e3, 0.2e-3, RATE, window="hann"), 0.75e-3, 2)
+    return plan(partly(world(pulse, walls=[CURTAIN, *REAL[1:]]), 0.0012), device, duration=0.0015)
 
 
 @scene
@@ -137,7 +135,7 @@ def mesh(device: str) -> Plan:
     screen = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 5, 2)], REAL[0])
     way, ear = LINE((0.05, 0.05, 0.05), (0.05, 0.07, 0.05), 0.02), LINE((0.10, 0.08, 0.05), (0.10, 0.085, 0.05), 0.02)
     of = clsim.Scene(screen, WINDY, [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
-    return plan(clsim.find_paths(of, 1, diffraction=2, resolution=1e-4), device, responses="centre")
+    return plan(clsim.find_paths(of, 1, diffraction=2, resolution=1e-3), device, responses="centre")
 
 
 @scene
@@ -147,7 +145,7 @@ def bend(device: str) -> Plan:
     screen = clsim.MeshRoom(corners, [(0, 1, 2)], REAL[0])
     way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.08, 0.05), 0.04), LINE((0.10, 0.08, 0.05), (0.10, 0.09, 0.05), 0.04)
     of = clsim.Scene(screen, clsim.Air(), [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
-    return plan(clsim.find_paths(of, 0, diffraction=1, resolution=1e-4), device, responses="centre")
+    return plan(clsim.find_paths(of, 0, diffraction=1, resolution=1e-3), device, responses="centre")
 
 
 @scene
@@ -196,13 +194,13 @@ def crowd(device: str) -> Plan:
 
 
 def envelopes(device: str, of: clsim.Scene | PathSet, **options: Any) -> Plan:
-    return plan(of, device, blocks=(), baseband=(40e3, 12e3), **options)
+    return plan(of, device, **{"blocks": (), "baseband": (40e3, 12e3)} | options)
 
 
 @scene
 def baseband(device: str) -> Plan:
     """Complex envelopes, in wind."""
-    return envelopes(device, world(walls=[CURTAIN, *REAL[1:]], air=WINDY))
+    return envelopes(device, world(walls=[CURTAIN, *REAL[1:]], air=WINDY), blocks=(96,))
 
 
 @scene
@@ -210,13 +208,6 @@ def baseband_pulses(device: str) -> Plan:
     """Complex envelopes with silence, and paths that come and go."""
     pulse = clsim.Signal.pulses(clsim.Signal.chirp(39.5e3, 40.5e3, 2e-3, RATE, window="hann"), 15e-3, 2)
     return envelopes(device, partly(world(pulse), 0.03), duration=0.035)
-
-
-@scene
-def pairs(device: str) -> Plan:
-    """Without float64: beams, and ends that move, with clocks, in air that disperses."""
-    beams = (clsim.Piston(0.004), Lopsided(True))
-    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=beams, air=DISPERSING), device, 0)
 
 
 @scene
@@ -245,6 +236,20 @@ class Streams:
 def waves(device: str) -> Streams:
     """A diffuse tail's plane waves."""
     return Streams(device)
+
+
+# The last ones, as their tables are large: after every launch Oclgrind clears notes of all memory that there is.
+@scene
+def lopsided(device: str) -> Plan:
+    """Directivities without symmetry, and the Mach factor squared."""
+    return plan(world(beams=(Lopsided(False), Lopsided(True))), device, 0, amplitude="convective")
+
+
+@scene
+def pairs(device: str) -> Plan:
+    """Without float64: beams, and ends that move, with clocks, in air that disperses."""
+    beams = (clsim.Piston(0.004), Lopsided(True))
+    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=beams, air=DISPERSING), device, 0)
 
 
 def without_float64(wanted: str | None) -> tuple[device_module.DeviceInfo, Any]:
@@ -285,6 +290,65 @@ def replace_text(program: str, old: str, new: str) -> None:
     compiler_module.kernel_source = lambda name: source(name).replace(old, new) if name == program else source(name)
 
 
+# Program, text, and what stands there instead; without a program it is the host, whose buffers are then not cleared.
+MUTANTS = {
+    "": None,
+    "off_by_one": ("branches", "tap_count - 1 - k]", "tap_count - k]"),
+    "no_barrier": (
+        "render",
+        "subblock_sum);\n                }\n                SYNCHRONISE;",
+        "subblock_sum);\n                }",
+    ),
+    "not_cleared": (),
+}
+
+
+@contextmanager
+def mutated(mutant: str) -> Iterator[None]:
+    """Have one thing wrong."""
+    source, fill = compiler_module.kernel_source, cl.enqueue_fill_buffer
+    wrong = MUTANTS[mutant]
+    if wrong:
+        replace_text(*wrong)
+    elif wrong is not None:
+        cl.enqueue_fill_buffer = lambda *_: None
+    try:
+        yield
+    finally:
+        compiler_module.kernel_source, cl.enqueue_fill_buffer = source, fill
+
+
+@contextmanager
+def filled_up_to(paths: int) -> Iterator[None]:
+    """Have paths filled up to batches of so many, and work-groups of no more: what fills them up sounds of nothing."""
+    modules, defaults = (plan_module, limits_module, engine_module), work.__kwdefaults__
+    before, group = plan_module.BATCH, defaults["group"]
+    for module in modules:
+        module.BATCH = paths
+    defaults["group"] = min(paths, group)
+    try:
+        yield
+    finally:
+        for module in modules:
+            module.BATCH = before
+        defaults["group"] = group
+
+
+def rendered(device: str, name: str) -> np.ndarray:
+    """Return what is heard in a scene."""
+    scene_name, layout, mutant = f"{name}.".split(".")[:3]
+    paths = (
+        8 if mutant else 64 if scene_name in WHOLE_BATCHES else 32 if layout == "gpu" else 8
+    )  # at least of all workers
+    with mutated(mutant), filled_up_to(paths), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual
+        made = SCENES[scene_name](device)
+        if isinstance(made, Streams):
+            return made.heard(LAYOUTS[layout].lanes)
+        engine = OpenclEngine if made.baseband is None else BasebandEngine
+        return engine(made, LAYOUTS[layout]).render(0, made.samples)
+
+
 def noting(compile_kernel: Callable) -> tuple[Callable, list[str]]:
     """Return a `Compiler.kernel` that notes what it is asked for, and its notes."""
     notes: list[str] = []
@@ -300,25 +364,15 @@ def main(device: str, folder: str, *names: str) -> None:
     """Render scenes."""
     if device == "Oclgrind":
         without_false_reports()
-    mutant = json.loads(os.environ.get("MUTANT", "[]"))
-    if mutant and mutant[0]:
-        replace_text(*mutant)
-    elif mutant:
-        cl.enqueue_fill_buffer = lambda *_: None
     compiler_module.Compiler.kernel, notes = noting(compiler_module.Compiler.kernel)
-    warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual
+    log, said = Path(os.environ["OCLGRIND_LOG"]), ""
     for name in names:
-        scene_name, layout = name.split(".")
         notes.clear()
-        made = SCENES[scene_name](device)
-        if isinstance(made, Streams):
-            heard = made.heard(LAYOUTS[layout].lanes)
-            np.savez(Path(folder, f"{name}.npz"), launched=sorted(set(notes)), heard=heard)
-            continue
-        engine_module.find_device = without_float64 if scene_name.startswith("pairs") else device_module.find_device
-        engine = OpenclEngine if made.baseband is None else BasebandEngine
-        heard = engine(made, LAYOUTS[layout]).render(0, made.samples)
-        np.savez(Path(folder, f"{name}.npz"), launched=sorted(set(notes)), heard=heard)
+        engine_module.find_device = without_float64 if name.startswith("pairs") else device_module.find_device
+        heard = rendered(device, name)
+        before, said = said, log.read_text() if log.exists() else ""
+        reported = said.removeprefix(before)
+        np.savez(Path(folder, f"{name}.npz"), launched=sorted(set(notes)), heard=heard, reported=reported)
 
 
 if __name__ == "__main__":
