@@ -171,7 +171,7 @@ MUTANTS = {
 @pytest.mark.slow
 @pytest.mark.exhaustive
 def test_mutants_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    mutants = Mutants("tracks", MUTANTS)
+    mutants = Mutants("tracks", MUTANTS, optimised=True)
     mutants.play(monkeypatch)
     assert difference_db(phased=True) < TOLERANCE_DB, "none of them is chosen"
     assert mutants.unseen(lambda: difference_db(phased=True) < TOLERANCE_DB) == []
