@@ -6,6 +6,7 @@ from clsim.exchange.mcap_files import write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
+from clsim.paths.echo_truth import EchoTruth
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
 from clsim.paths.moving.truth import BodyTruth, body_truth
@@ -61,6 +62,7 @@ __all__ = [
     "ClsimWarning",
     "DeviceError",
     "Directivity",
+    "EchoTruth",
     "Electronics",
     "FirstOrder",
     "Fluctuation",

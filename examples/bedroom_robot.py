@@ -72,8 +72,9 @@ def draw(paths: clsim.PathSet, pressure: np.ndarray, chirp: np.ndarray, file: Pa
     count, step = pressure.shape[1] // round(PERIOD * RATE), round(PERIOD * RATE)
     emitted = np.arange(count) * PERIOD
     table = paths.table(emitted + 0.005)
+    matched = np.conj(hilbert(chirp))[::-1]  # of its output the magnitude is the envelope
     for r, axes in enumerate(figure.subplots(2, 2, sharex=True, sharey=True).flat):
-        found = np.abs(hilbert(oaconvolve(pressure[r].astype(float), chirp[::-1])[len(chirp) - 1 :]))
+        found = np.abs(oaconvolve(pressure[r].astype(float), matched)[len(chirp) - 1 :])
         image = found[: count * step].reshape(count, step)[:, : round(LONGEST * RATE)]
         level = 20.0 * np.log10(np.maximum(image[:, ::4].T, 1e-9))
         shown = axes.imshow(

@@ -9,6 +9,7 @@ table, the loudest of their images by a wall on one leg or on either.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ import clsim
 RATE, CARRIER, DURATION, SPEED = 192e3, 40e3, 3.5, 1.2
 WINDOW = 512  # samples of the envelope
 FAINT = 16.0  # dB below the loudest way, above which images are marked
-LOOK, BETWEEN, SEEDS = 1.6, 0.12, 8  # s: about when and how long the map is looked at; of so many noises
+LOOK, BETWEEN, SEEDS = 1.6, 0.12, 6  # s: about when and how long the map is looked at; of so many noises
+EVERY = 4  # samples: the noise's envelope needs no more
 
 
 def main() -> None:
@@ -40,7 +42,7 @@ def main() -> None:
         noise = clsim.Signal.noise(2.0 * BETWEEN, RATE, seed=seed, band=(32e3, 48e3))
         faded = noise.read(0, noise.count) * tukey(noise.count, 0.1)
         noise = clsim.Signal.from_array(faded, RATE)
-        scene = scene_of(noise, LOOK - 1.4 * BETWEEN)
+        scene = replace(scene, sources=[sonar(noise, LOOK - 1.4 * BETWEEN)])
         echoes = clsim.find_paths(scene, max_order=0, scattering_order=options.scattering_order, direct=False)
         heard.append(clsim.render(echoes, RATE, duration=LOOK + 0.6 * BETWEEN).pressure[0])
         sent.append(np.zeros(len(heard[0])))
@@ -49,13 +51,18 @@ def main() -> None:
     draw_map(echoes, heard, sent, options.output / "walking_person_map.png")
 
 
-def scene_of(signal: clsim.Signal, start: float = 0.0) -> clsim.Scene:
-    """Return the person before a sonar that sends a signal from a time on, s."""
+def sonar(signal: clsim.Signal, start: float = 0.0) -> clsim.Source:
+    """Return what sends a signal from a time on, s."""
+    return clsim.Source("sonar", signal, clsim.Trajectory.fixed((0.5, 2.4, 1.0)), start=start)
+
+
+def scene_of(signal: clsim.Signal) -> clsim.Scene:
+    """Return the person before a sonar that sends a signal."""
     way = clsim.Trajectory.line((7.0, 2.4, 0.0), (7.0 - SPEED * (DURATION + 0.1), 2.6, 0.0), DURATION + 0.1)
-    sonar = clsim.Source("sonar", signal, clsim.Trajectory.fixed((0.5, 2.4, 1.0)), start=start)
     ear = clsim.Receiver("ear", clsim.Trajectory.fixed((0.5, 2.6, 1.0)))
     room = clsim.Shoebox((9.0, 5.0, 2.6), clsim.Material.from_reflection(0.6))
-    return clsim.Scene(room, clsim.Air(), [sonar], [ear], scatterers=clsim.walking_person("person", 1.75, way))
+    person = clsim.walking_person("person", 1.75, way)
+    return clsim.Scene(room, clsim.Air(), [sonar(signal)], [ear], scatterers=person)
 
 
 def range_speed_map(
@@ -64,21 +71,21 @@ def range_speed_map(
     """Return ranges (n,), m, and the magnitude (speeds, n) of filters that are matched to every speed, about `LOOK`."""
     from scipy.signal import hilbert
 
-    middle, half = round(LOOK * RATE), round(0.5 * BETWEEN * RATE)
-    late, size = round(latest * RATE), 2 ** int(np.ceil(np.log2(2 * half + round(latest * RATE))))
-    ranges, ago = np.arange(late) / RATE * c / 2.0, np.arange(-half - late, half)
+    middle, half, late = round(LOOK * RATE), round(0.5 * BETWEEN * RATE / EVERY), round(latest * RATE / EVERY)
+    size = 2 ** int(np.ceil(np.log2(2 * half + late)))
+    ranges, ago = np.arange(late) * EVERY / RATE * c / 2.0, EVERY * np.arange(-half - late, half)
     both = np.zeros((len(speeds), late), dtype=complex)
     for echo, noise in zip(heard, sent, strict=True):
         count = np.arange(len(noise))
-        envelope = hilbert(noise) * np.exp(-2j * np.pi * CARRIER * (count - middle) / RATE)
-        part = np.fft.fft(hilbert(echo)[middle - half : middle + half] * np.hanning(2 * half), size)
+        carrier = np.exp(-2j * np.pi * CARRIER * (count - middle) / RATE)
+        envelope = hilbert(noise) * carrier
+        part = (hilbert(echo) * carrier)[middle - EVERY * half : middle + EVERY * half : EVERY]
+        part = np.fft.fft(part * np.hanning(2 * half), size)
         for row, speed in enumerate(speeds):  # `ago`: samples from the middle at which what is heard now was sent
-            place = (1.0 - 2.0 * speed / c) * ago
-            copy = np.interp(middle + place, count, envelope) * np.exp(2j * np.pi * CARRIER * place / RATE)
-            found = np.fft.ifft(
-                part * np.fft.fft(copy[::-1].conj(), size)
-            )  # its lag k: sent late + half - 1 - k before
-            both[row] += found[2 * half - 1 : 2 * half - 1 + late]
+            shift = -2.0 * speed / c * ago
+            copy = np.interp(middle + ago + shift, count, envelope) * np.exp(2j * np.pi * CARRIER * shift / RATE)
+            found = np.fft.ifft(part * np.fft.fft(copy[::-1].conj(), size))
+            both[row] += found[2 * half - 1 : 2 * half - 1 + late]  # its lag k: sent late + half - 1 - k before
     lags = [np.interp(ranges, (1.0 - 2.0 * v / c) * ranges, x) for v, x in zip(speeds, np.abs(both), strict=True)]
     return ranges, np.array(lags)  # by the lag of what was sent
 

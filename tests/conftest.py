@@ -5,8 +5,9 @@ import json
 import os
 import pickle
 import shutil
+import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,20 @@ import numpy as np
 import pytest
 
 from clsim.opencl.device import list_devices
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Have every other process load a folder's files from its end: what one has rewritten to tell more, others read."""
+    report = yield
+    if int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 2:
+        for file in (node for node in reversed(report.result) if isinstance(node, pytest.Module)):
+            try:
+                _ = file.obj
+            except BaseException:  # it is loaded again in its turn, and skipped or told then: not half of it as it is
+                for name in [n for n, m in sys.modules.items() if getattr(m, "__file__", None) == str(file.path)]:
+                    del sys.modules[name]
+    return report
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -33,10 +33,13 @@ class Tasks(Protocol):
         What they are, a word.
     several : bool
         Whether a process does several at a time, if it has threads for them.
+    loads : tuple of str
+        Modules that every worker would load itself: where workers are forked, it is done once for all.
     """
 
     kind: str
     several: bool
+    loads: tuple[str, ...]
 
     def check(self) -> Call:
         """Return what a new worker is asked; it tells what keeps it from working, or "", and if that is its device."""

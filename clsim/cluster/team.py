@@ -253,10 +253,9 @@ def _load_ahead(tasks: Tasks) -> None:
     from distributed.utils import get_mp_context
 
     function, _ = tasks.check()
-    needed = ["distributed", function.__module__, *(name for name in ("zarr", "xarray") if name in sys.modules)]
     context = get_mp_context()
     if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload(needed)
+        context.set_forkserver_preload(["distributed", function.__module__, *tasks.loads])
 
 
 @contextmanager

@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 
 _OUT_OF_BAND_WEIGHT = 1e-6  # of the least squares above the band; 1e-4 stops at -88 dB, see docs/validation.md
 _LARGEST_LENGTH = 301
+_FREQUENCIES = 256  # at which errors are looked at
+_DELAYS = np.cos(np.linspace(0.0, math.pi, 65))  # over the largest, likewise
+_FIRST_DELAYS = _DELAYS[[0, 16, 20, 24, 28]]  # some of them, beside which errors are mostly largest
 _LARGEST_DEGREE = 40
 
 
@@ -151,20 +154,9 @@ def chebyshev_bank(
     10.12.3, see `chebyshev_degree`) has the response ``(2 - [k=0]) (-j)^k J_k(w mu_max)`` up to the cutoff and is
     rolled off above it with a small weight, since odd branches would otherwise jump at Nyquist.
     """
-    from scipy.special import jv
-
-    w = np.linspace(0.0, math.pi, 8 * (half + 1) + 128)
-    inside = w <= cutoff * (1 + 1e-12)
-    w = np.union1d(w, np.linspace(0.0, cutoff, int(inside.sum()) + 32))
-    inside = w <= cutoff * (1 + 1e-12)
+    w, inside, even, odd = _branch_shapes(half, cutoff)
     weight = np.where(inside, _importance_at(w, cutoff, importance), _OUT_OF_BAND_WEIGHT)[:, None]
-    m = np.arange(1, half + 1)
-    even = np.concatenate([np.ones((len(w), 1)), 2 * np.cos(np.outer(w, m))], axis=1)  # h[0], h[m] = h[-m]
-    odd = 2 * np.sin(np.outer(w, m))  # h[m] = -h[-m]
-    k = np.arange(degree + 1)
-    target = np.where(inside[:, None], jv(k, w[:, None] * mu_max) * np.where(k == 0, 1.0, 2.0), 0.0)
-    # (-j)^k J_k against sum h[m] exp(-j w m): real part (-1)^(k/2) for even k, -j times (-1)^((k-1)/2) for odd k.
-    target = target * np.where(k % 4 < 2, 1.0, -1.0)
+    target = np.stack([_branch_target(k, half, cutoff, mu_max) for k in range(degree + 1)], axis=1)
     taps = np.zeros((degree + 1, 2 * half + 1))
     solved = np.linalg.lstsq(even * weight, target[:, ::2] * weight, rcond=1e-14)[0]
     taps[::2, half:] = solved.T
@@ -174,6 +166,33 @@ def chebyshev_bank(
         taps[1::2, half + 1 :] = solved.T
         taps[1::2, :half] = -solved.T[:, ::-1]
     return (_powers(degree) @ taps) / (mu_max ** np.arange(degree + 1))[:, None]
+
+
+@lru_cache(maxsize=16)  # of some 200 KB each: banks of one band are tried in one order of lengths
+def _branch_shapes(half: int, cutoff: float) -> tuple[Floats, NDArray[np.bool_], Floats, Floats]:
+    """Return the frequencies (n,) of the least squares, whether each is in the band, and responses of taps there.
+
+    Those are real of even branches, (n, half + 1), and -j times what is told of odd ones, (n, half).
+    """
+    w = np.linspace(0.0, math.pi, 8 * (half + 1) + 128)
+    inside = w <= cutoff * (1 + 1e-12)
+    w = np.union1d(w, np.linspace(0.0, cutoff, int(inside.sum()) + 32))
+    inside = w <= cutoff * (1 + 1e-12)
+    m = np.arange(1, half + 1)
+    even = np.concatenate([np.ones((len(w), 1)), 2 * np.cos(np.outer(w, m))], axis=1)  # h[0], h[m] = h[-m]
+    odd = 2 * np.sin(np.outer(w, m))  # h[m] = -h[-m]
+    return w, inside, even, odd
+
+
+@lru_cache(maxsize=1024)  # of some 4 KB each
+def _branch_target(k: int, half: int, cutoff: float, mu_max: float) -> Floats:
+    """Return what branch k has to be at the frequencies of `_branch_shapes`, (n,)."""
+    from scipy.special import jv
+
+    w, inside, _, _ = _branch_shapes(half, cutoff)
+    target = np.where(inside, jv(k, w * mu_max) * (1.0 if k == 0 else 2.0), 0.0)
+    # (-j)^k J_k against sum h[m] exp(-j w m): real part (-1)^(k/2) for even k, -j times (-1)^((k-1)/2) for odd k.
+    return np.asarray(target * (1.0 if k % 4 < 2 else -1.0))
 
 
 @lru_cache(maxsize=_LARGEST_DEGREE + 1)
@@ -216,12 +235,14 @@ def design_bandlimited(
     """
     degree = chebyshev_degree(cutoff, mu_max, 10 ** ((error_db - 6.0) / 20), importance)
     half, step = max(2, (degree + 1) // 2), 1
+    enough = (1.0 + 1e-9) * 10 ** (error_db / 20)
     while 2 * half + 1 <= _LARGEST_LENGTH:
         taps = chebyshev_bank(degree, half, cutoff, mu_max, importance)
-        reached = bank_error(taps, half, 0.0, cutoff, mu_max, importance)
-        if 20 * math.log10(reached) <= error_db:
-            taps.flags.writeable = False
-            return taps, 20 * math.log10(reached)
+        if _largest_deviation(taps, half, 0.0, cutoff, mu_max * _FIRST_DELAYS, importance) <= enough:
+            reached = bank_error(taps, half, 0.0, cutoff, mu_max, importance)
+            if 20 * math.log10(reached) <= error_db:
+                taps.flags.writeable = False
+                return taps, 20 * math.log10(reached)
         step = max(1, half // 6)
         half += step
     raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {cutoff:.4g} rad")
@@ -252,12 +273,24 @@ def bank_error(
     float
         Largest magnitude of the deviation, times its importance.
     """
-    w = np.linspace(0.0, cutoff, 256)
-    mu = mu_max * np.cos(np.linspace(0.0, math.pi, 65))
-    response = np.exp(-1j * np.outer(w, np.arange(taps.shape[1]) - centre)) @ taps.T
+    return _largest_deviation(taps, centre, shift, cutoff, mu_max * _DELAYS, importance)
+
+
+def _largest_deviation(
+    taps: Floats, centre: int, shift: float, cutoff: float, mu: Floats, importance: tuple[float, ...]
+) -> float:
+    """Return `bank_error` over some delays (n,), samples."""
+    w = np.linspace(0.0, cutoff, _FREQUENCIES)
+    response = _turns(cutoff, taps.shape[1], centre) @ taps.T
     delayed = polynomial.polyval(mu, response.T)
     wanted = np.exp(-1j * np.outer(w, mu + shift))
     return float(np.max(np.abs(delayed - wanted) * _importance_at(w, cutoff, importance)[:, None]))
+
+
+@lru_cache(maxsize=16)  # of some 150 KB each
+def _turns(cutoff: float, length: int, centre: int) -> NDArray[np.complex128]:
+    """Return the responses of single taps up to the cutoff, (frequencies, length)."""
+    return np.asarray(np.exp(-1j * np.outer(np.linspace(0.0, cutoff, _FREQUENCIES), np.arange(length) - centre)))
 
 
 def _importance_at(w: Floats, cutoff: float, importance: tuple[float, ...]) -> Floats:

@@ -96,7 +96,7 @@ class Compiler:
             uncached: Any = False  # as PyOpenCL takes it, but does not say in its types
             ways = [(text, options, None), (text, anew, uncached)]
             if self.context.devices[0].platform.name == "Portable Computing Language":
-                ways.insert(0, (as_built(program, text), [*options, HEADER_READ], None))
+                ways.insert(0, (as_built(program, text, options), [*options, HEADER_READ], None))
             for source, told, cache in ways:
                 try:
                     built = cl.Program(self.context, source).build(options=told, cache_dir=cache)

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Sequence
 
+    from clsim.paths.echo_truth import EchoTruth
     from clsim.paths.ground_truth import DirectPath
-    from clsim.paths.moving.truth import BodyTruth
-    from clsim.paths.scattering.truth import ScattererTruth
 
 _NAMES = ("source_names", "receiver_names", "object_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more
@@ -71,9 +70,7 @@ def check_table(name: str, field: str = "path") -> None:
         check_packages(field, "Parquet", "parquet", "pyarrow")
 
 
-def write_ground_truth(
-    found: DirectPath, path: str | os.PathLike[str], echoes: Sequence[ScattererTruth | BodyTruth] = ()
-) -> None:
+def write_ground_truth(found: DirectPath, path: str | os.PathLike[str], echoes: Sequence[EchoTruth] = ()) -> None:
     """Write what receivers should find out as ``.npz``: arrays as in `DirectPath`, ``scatterer_…`` and ``body_…``.
 
     Parameters
@@ -82,7 +79,7 @@ def write_ground_truth(
         From `direct_path`.
     path : path-like
         Of the file.
-    echoes : sequence of ScattererTruth and BodyTruth
+    echoes : sequence of EchoTruth
         Of the same times.
 
     Raises
@@ -94,7 +91,7 @@ def write_ground_truth(
     columns = {name: np.array(value) if name in _NAMES else value for name, value in columns.items()}
     for echo in echoes:
         columns |= {f"{echo.KIND}_{name}": getattr(echo, name) for name in echo.MEASURES}
-        columns[f"{echo.KIND}_names"] = np.array(getattr(echo, f"{echo.KIND}_names"))
+        columns[f"{echo.KIND}_names"] = np.array(echo.names)
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **columns)
 

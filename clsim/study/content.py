@@ -30,10 +30,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clsim.output.stores import SoundStore
+    from clsim.paths.echo_truth import EchoTruth
     from clsim.paths.ground_truth import DirectPath
-    from clsim.paths.moving.truth import BodyTruth
     from clsim.paths.path_table import PathTable
-    from clsim.paths.scattering.truth import ScattererTruth
     from clsim.scene.scene import Scene
     from clsim.study.file import Member, Study
     from clsim.workflow.pipeline import PlannedScene
@@ -133,9 +132,9 @@ def _add_ground_truth(content: Any, found: DirectPath, scene: Scene) -> None:
     content["radial_speed"] = (over, found.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
 
 
-def _add_echo_truth(content: Any, found: ScattererTruth | BodyTruth) -> None:
+def _add_echo_truth(content: Any, found: EchoTruth) -> None:
     kind, units = found.KIND, {"delay": "s", "range": "m", "radial_speed": "m/s"}
-    content.coords[kind] = texts(getattr(found, f"{kind}_names"))
+    content.coords[kind] = texts(found.names)
     for name in found.MEASURES:
         over = (kind, "source", "receiver", "times", "axis")[: getattr(found, name).ndim]
         content[f"{kind}_{name}"] = (over, getattr(found, name), {"units": units[name]} if name in units else {})

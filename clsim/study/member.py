@@ -42,6 +42,7 @@ class MemberTasks:
     """
 
     kind, several = "member", True
+    loads: tuple[str, ...] = ("xarray", "dask.array", "zarr", "scipy.fft", "scipy.linalg", "pyopencl.invoker")
 
     def __init__(self, study: Study, folder: Path) -> None:
         render = study.content.get("render", {})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,6 +60,11 @@ class Tracer:
     departures: Floats
     max_order: int
 
+    @cached_property
+    def _groups(self) -> list[NDArray[np.int64]]:
+        """Bands that share rays."""
+        return self.energies.groups()
+
     def longest_way(self, speed_of_sound: float, rng: np.random.Generator) -> float:
         """Return the way in m after which next to nothing of the energy is left, by a few rays."""
         most = math.ceil(_LONGEST * speed_of_sound)
@@ -71,7 +77,7 @@ class Tracer:
                 alive[:, band] += np.bincount(first, rays.energy[:, i], most + 1)
                 alive[:, band] -= np.bincount(last, rays.energy[:, i], most + 1)
 
-        for bands in self.energies.groups():
+        for bands in self._groups:
             self._trace(_PILOT, float(most), bands, rng, note)
         energy = np.cumsum(alive, axis=0) * np.exp(-np.arange(most + 1)[:, None] * self.energies.air)
         left = np.cumsum(np.maximum(energy, 0.0)[::-1], axis=0)[::-1]
@@ -80,7 +86,7 @@ class Tracer:
 
     def run(self, count: int, until: float, listeners: Sequence[Listener], rng: np.random.Generator) -> None:
         """Trace so many rays for each group of bands up to a way in m, and have listeners note what passes."""
-        for bands in self.energies.groups():
+        for bands in self._groups:
             air = self.energies.air[bands]
 
             def note(rays: Rays, far: Floats, bands: NDArray[np.int64], air: Floats = air) -> None:
@@ -106,7 +112,7 @@ class Tracer:
             far, wall = self.walls.next(rays.origin, rays.direction)
             note(rays, far, bands)
             self._bounce(rays, far, wall, bands, rng)
-            loud = (rays.energy * np.exp(-np.multiply.outer(rays.travelled, self.energies.air[bands]))).max(axis=1)
+            loud = (rays.energy * np.exp(np.multiply.outer(rays.travelled, -self.energies.air[bands]))).max(axis=1)
             kept = (rays.travelled < until) & (loud > least) & (wall >= 0)
             rays.energy[~kept] = 0.0
             if np.count_nonzero(kept) <= len(kept) * (1.0 - 1.0 / _SEVERAL):
@@ -132,17 +138,17 @@ class Tracer:
         towards = np.einsum("ni,ni->n", rays.direction, normal)
         returned, share = self.energies.at(wall, towards, bands)
         rays.energy *= returned
-        mirrored = rays.direction - 2.0 * towards[:, None] * normal
+        rays.direction -= 2.0 * towards[:, None] * normal
         rays.order += 1
-        rays.origin -= self.walls.off * np.sign(towards)[:, None] * normal
+        if self.walls.off:
+            rays.origin -= self.walls.off * np.sign(towards)[:, None] * normal
         if not np.any(share):
-            rays.direction = mirrored
             return
-        scattered = rng.random(len(share)) < share
+        scattered = np.flatnonzero(rng.random(len(share)) < share)
         # A normal and a point on the unit sphere add up to a direction whose density is the cosine's.
-        ball = rng.standard_normal((len(share), 3))
+        ball = rng.standard_normal((len(share), 3))[scattered]
         ball /= np.linalg.norm(ball, axis=1, keepdims=True)
-        lambert = ball - np.sign(towards)[:, None] * (1.0 + 1e-9) * normal
+        lambert = ball - np.sign(towards[scattered])[:, None] * (1.0 + 1e-9) * normal[scattered]
         lambert /= np.linalg.norm(lambert, axis=1, keepdims=True)
-        rays.direction = np.where(scattered[:, None], lambert, mirrored)
-        rays.scattered |= scattered
+        rays.direction[scattered] = lambert
+        rays.scattered[scattered] = True

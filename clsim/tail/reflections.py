@@ -63,6 +63,7 @@ class WallEnergies:
 
     def at(self, walls: NDArray[np.int64], cosine: Floats, bands: NDArray[np.int64]) -> tuple[Floats, Floats]:
         """Return what of rays (n,) comes back in bands (n, B), and the share (n,) scattered in the first of them."""
-        kind = self.kind[walls]
         angle = np.minimum((_ANGLES * np.sqrt(np.abs(cosine))).astype(np.int64), _ANGLES - 1)
-        return self.returned[kind[:, None], angle[:, None], bands], self.scattered[kind, angle, bands[0]]
+        row = self.kind[walls] * _ANGLES + angle
+        returned, scattered = (table.reshape(-1, len(self.air)) for table in (self.returned, self.scattered))
+        return returned[:, bands].take(row, axis=0), scattered[:, bands[0]].take(row)

@@ -128,6 +128,7 @@ class Pieces:
     """
 
     kind, several = "piece", False
+    loads: tuple[str, ...] = ("zarr", "scipy.fft", "pyopencl.invoker", "clsim.scene.scene")
 
     def __init__(self, handed: Handed, file: PlanFile, done: int, state: State) -> None:
         plan = handed.plan

@@ -27,11 +27,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clsim.arrays import Floats
+    from clsim.paths.echo_truth import EchoTruth
     from clsim.paths.ground_truth import DirectPath
-    from clsim.paths.moving.truth import BodyTruth
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
-    from clsim.paths.scattering.truth import ScattererTruth
     from clsim.render.plan import Plan
     from clsim.scene_file.scene import SceneFile
     from clsim.workflow.console import Progress
@@ -67,7 +66,7 @@ class PlannedScene:
         """Return what receivers should find out of the direct sound, at times of reception, s."""
         return direct_path(self.paths, times, self.plan.options.motion)
 
-    def echo_truths(self, times: Floats) -> tuple[ScattererTruth | BodyTruth, ...]:
+    def echo_truths(self, times: Floats) -> tuple[EchoTruth, ...]:
         """Return what they should find out of scatterers and bodies, at times of reception, s."""
         scene, motion = self.paths.scene, self.plan.options.motion
         scattered = (scatterer_truth(scene, times, motion),) if scene.scatterers else ()

@@ -22,6 +22,11 @@ ROOT = Path(clsim.__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 # A comment, `<!-- not run: why -->`, stands before what needs files or machines that a test has not.
 FENCE = re.compile(r"(?<!-->\n)^```(python|sh|toml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+# What most pages and notebooks load, all together some seconds.
+LOADED = [
+    "clsim.workflow.pipeline", "clsim.commands.rir", "clsim.commands.run", "clsim.pictures.plots", "clsim.render.opencl.engine",
+    "clsim.study.run", "clsim.score", "scipy.signal", "xarray", "zarr", "matplotlib.pyplot", "trimesh",
+]  # fmt: skip
 # What commands need that a test cannot give: a cluster, root's rights, another machine, the network.
 ELSEWHERE = re.compile(
     r"^(make|pip|python -m (pip|pytest)|sudo|apt|dask|tail|ls|clinfo|export|git|cd)\b|--scheduler|docker|ssh"
@@ -48,7 +53,7 @@ def prelude(text: str) -> dict[str, Any]:
     pulse = clsim.Signal.chirp(20e3, 45e3, 5e-3, 192e3, window="tukey")
     scene = small_scene(tone if "baseband=(" in text else clsim.Signal.pulses(pulse, 0.05, 4))
     paths = clsim.find_paths(scene, 1)
-    recording = clsim.render(paths, 192e3)
+    recording = clsim.render(paths, 192e3) if "recording" in text else None
     t = np.linspace(0.0, 0.3, 31)
     box = clsim.Shoebox((2.0, 0.4, 1.5), clsim.Material.from_reflection(0.8)).as_mesh()
     faces = [f"v {x} {y} {z}" for x, y, z in box.vertices] + [f"f {a} {b} {c}" for a, b, c in box.triangles + 1]
@@ -171,7 +176,7 @@ def problem_of(run: Callable[[str, str, Any], None], file: Path, folder: Path) -
     if "forkserver" not in multiprocessing.get_all_start_methods():
         pytest.skip("this system does not fork")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["snippets", "clsim.cli", "scipy.signal", "xarray", "matplotlib.pyplot", "trimesh"])
+    context.set_forkserver_preload(["snippets", *LOADED])
     ours, theirs = context.Pipe()
     process = context.Process(target=run, args=(str(file), str(folder), theirs))
     process.start()

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from late import installed
-from made_clusters import made_cluster
+from made_clusters import Worker, made_cluster
 from made_studies import ENVIRONMENT, METRICS, index, runs, write, write_scene
 
 from clsim.cli import main
@@ -31,7 +31,7 @@ def folder(tmp_path: Path, device) -> Path:
 
 
 @pytest.fixture
-def cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
+def cluster(folder: Path) -> Iterator[tuple[str, list[Worker]]]:
     """Start a scheduler and two workers."""
     with made_cluster(folder, 2) as made:
         yield made

@@ -326,15 +326,16 @@ def test_any_change_of_any_column_changes_the_digest(paths: PathSet) -> None:
 
 RUN = """
 import importlib.util, os, signal, sys
-spec = importlib.util.spec_from_file_location("wedge", sys.argv[1])
+name, path, *arguments = sys.argv[1:]  # classes of paths are known by their modules' names
+spec = importlib.util.spec_from_file_location(name, path)
 wedge = importlib.util.module_from_spec(spec)
-sys.modules["wedge"] = wedge
+sys.modules[name] = wedge
 spec.loader.exec_module(wedge)
 from clsim.cli import main
 from clsim.workflow import checkpoint
 from clsim.workflow.journal import Journal
 checkpoint._PERIOD = 0.0
-save, left = Journal.save, [int(sys.argv[2])]
+save, left = Journal.save, [3]
 def killing(self, *arguments):
     save(self, *arguments)
     left[0] -= 1
@@ -342,7 +343,7 @@ def killing(self, *arguments):
         os.kill(os.getpid(), signal.SIGKILL)
 Journal.save = killing
 with wedge.registered_family("wedge", wedge.find_wedge):
-    sys.exit(main(sys.argv[3:]))
+    sys.exit(main(arguments))
 """
 
 
@@ -352,18 +353,16 @@ def test_a_killed_run_goes_on_with_it_and_not_without(tmp_path: Path, device: No
 
     (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
 
-    def run(out: str, kill_at: int) -> subprocess.CompletedProcess:
-        arguments = ["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / out), "--no-plots", "--resume"]
-        return subprocess.run(
-            [sys.executable, "-c", RUN, __file__, str(kill_at), *arguments], capture_output=True, text=True, check=False
-        )
+    def command(out: str) -> list[str]:
+        return ["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / out), "--no-plots", "--resume"]
 
-    whole = run("whole", -1)
-    assert whole.returncode == 0, whole.stderr
-    assert run("out", 3).returncode == -signal.SIGKILL
-    assert main(["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), "--no-plots", "--resume"]) == 2
+    process = [sys.executable, "-c", RUN, __name__, __file__, *command("out")]
+    killed = subprocess.run(process, capture_output=True, text=True, check=False)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    assert main(command("out")) == 2
     assert "paths was" in capsys.readouterr().err  # of other paths
-    gone_on = run("out", -1)
-    assert gone_on.returncode == 0, gone_on.stderr
+    with registered_family("wedge", find_wedge):
+        assert main(command("whole")) == 0
+        assert main(command("out")) == 0
     for name in ("wall.wav", "cart.wav"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

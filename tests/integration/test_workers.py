@@ -1,16 +1,16 @@
 """A run on many processes: to the last bit that of one, whoever is killed and whoever goes on."""
 
 import signal
-import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from killing import Killer, content
 from late import installed
-from made_clusters import made_cluster
+from made_clusters import Worker, made_cluster
 from test_resume import SCENE, command, done
 
 from clsim.cli import main
@@ -25,7 +25,7 @@ LONG = SCENE % (1.9, 2)  # 20 chunks, receivers with and without ends that ring 
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, list[subprocess.Popen]]]:
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, list[Worker]]]:
     """Start a scheduler and two workers, of which tests may kill the first."""
     with made_cluster(tmp_path_factory.mktemp("cluster"), 2) as made:
         yield made
@@ -39,10 +39,14 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(scene: Path) -> dict[str, bytes]:
+def whole(scene: Path, once: Callable[..., Any]) -> dict[str, bytes]:
     """All that a run of one process leaves."""
-    assert main(command(scene, scene.parent / "whole", "zarr")) == 0
-    return content(scene.parent / "whole")
+
+    def made() -> dict[str, bytes]:
+        assert main(command(scene, scene.parent / "whole", "zarr")) == 0
+        return content(scene.parent / "whole")
+
+    return once("20 chunks by one process", made)
 
 
 @pytest.mark.exhaustive

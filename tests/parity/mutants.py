@@ -26,7 +26,12 @@ _TOKEN = re.compile(
     r"|(?P<word>[A-Za-z_]\w*|\d[\w.]*)|(?P<operator>\+\+|--|&&|\|\||->|<<|>>|[-+*/%&|^<>=!]=|[^\s\\])|(?P<end>(?<!\\)\n)",
     re.MULTILINE,
 )  # fmt: skip
-_UNOPTIMISED = {"tracks", "edge_intervals"}  # of which a test runs so little that optimising takes longer
+_LONG = {
+    "tracks",
+    "pair_tracks",
+    "intervals",
+    "edge_intervals",
+}  # of which a test runs so little that optimising takes longer
 _CHOICE = """size_t __attribute__((overloadable, const)) get_global_offset(uint);
 #define MUTANT(number) (get_global_offset(2) == number)
 """
@@ -51,6 +56,8 @@ class Mutants:
         Its name.
     mutants : mapping of str to (str, str)
         By name: what stands once in the text of the program, and what replaces it.
+    optimised : bool
+        Whether they run so much that optimising pays.
 
     Raises
     ------
@@ -58,8 +65,9 @@ class Mutants:
         If a fragment does not stand there exactly once.
     """
 
-    def __init__(self, program: str, mutants: Mapping[str, tuple[str, str]]) -> None:
+    def __init__(self, program: str, mutants: Mapping[str, tuple[str, str]], *, optimised: bool = False) -> None:
         self.program, self._text = program, compiler_module.kernel_source(program)
+        self._optimised = optimised
         lost = [name for name, (old, _) in mutants.items() if self._text.count(old) != 1]
         if lost:
             raise ValueError(f"program {program}: not exactly once in its text is what the mutants {lost} change")
@@ -109,7 +117,8 @@ class Mutants:
             return tried(kernel if kernel.function_name != self.program else _Chosen(self, kernel), trial)
 
         def built(compiler: Any, program: str, text: str, options: list[str]) -> Any:
-            more = ["-cl-opt-disable"] if program == self.program and program in _UNOPTIMISED else []
+            hasty = program == self.program and program in _LONG and not self._optimised
+            more = ["-cl-opt-disable"] if hasty else []
             return build(compiler, program, text, [*options, *more])
 
         patch.setattr(compiler_module, "kernel_source", source)
@@ -119,6 +128,24 @@ class Mutants:
     def number(self) -> int:
         """Return the number of the chosen mutant; drivers may build launches without an offset apart, so never 0."""
         return self._number.get(self.chosen or "", 1)
+
+
+class KeptEngines:
+    """Engines by what is rendered, each kept while the text of its kernels stays: tables are made and uploaded once."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Any, tuple[list[str], Any]] = {}
+
+    def engine(self, key: Any, make: Callable[[], Any]) -> Any:
+        """Return the engine of a key, made anew if kernels have another text than when it was made."""
+        texts = [compiler_module.kernel_source(name) for name in ("branches", "tracks", "render")]
+        if key not in self._kept or self._kept[key][0] != texts:
+            self._kept[key] = texts, make()
+        return self._kept[key][1]
+
+    def forget(self, key: Any) -> None:
+        """Keep the engine of a key no longer: one that gave up."""
+        del self._kept[key]
 
 
 class _Chosen:

@@ -155,12 +155,14 @@ MUTANTS = {
 def test_mutants_are_caught(program: str, made: Plan, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     mutants = Mutants(program, {name: (old, new) for name, (of, old, new) in MUTANTS.items() if of == program})
     mutants.play(monkeypatch)
+    engine = BasebandEngine(made)
 
     def found_db() -> float:
-        return apart_db(BasebandEngine(made).render(0, made.samples), wanted)
+        return apart_db(engine.render(0, made.samples), wanted)
 
     assert found_db() < TOLERANCE_DB, "none of them is chosen"
     found = {name: found_db() for name in mutants}
+    assert found_db() < TOLERANCE_DB, "none of them is chosen any more"
     assert {name: db for name, db in found.items() if not db > TOLERANCE_DB + 6.0} == {}
 
 

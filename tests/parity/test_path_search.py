@@ -225,7 +225,7 @@ def unseen(
     names: list[str], parts: dict[str, list[tuple[Candidates, Intervals]]], patch: pytest.MonkeyPatch
 ) -> list[str]:
     """Return the mutants with which the search still finds all that its twin finds in some scenes."""
-    mutants = Mutants("intervals", {name: MUTANTS[name] for name in names})
+    mutants = Mutants("intervals", {name: MUTANTS[name] for name in names}, optimised=len(names) > 1)
     with patch.context() as played:
         mutants.play(played)
         assert agree(parts), "none of them is chosen"

@@ -162,12 +162,12 @@ MUTANTS = {
 
 @pytest.mark.parametrize("program", ["tracks", "render"])
 def test_mutants_are_caught(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    mutants = Mutants(program, {name: (old, new) for name, (of, old, new) in MUTANTS.items() if of == program})
-    mutants.play(monkeypatch)
     plans = [box_plan(pulses(0.1, 5), order=2)]
     if program == "tracks":  # gains there change slowly; near by and fast they are those of every node
         plans.append(near_plan())
-    wanted = [rendered(plan, False) for plan in plans]
+    wanted = [rendered(plan, False) for plan in plans]  # by the kernels as they are
+    mutants = Mutants(program, {name: (old, new) for name, (of, old, new) in MUTANTS.items() if of == program})
+    mutants.play(monkeypatch)
 
     def unseen() -> bool:
         return all(np.array_equal(rendered(p, True), w) for p, w in zip(plans, wanted, strict=True))

@@ -37,6 +37,8 @@ class Oracle:
         self.corners = np.array(vertices, dtype=np.float64)[np.asarray(triangles)]  # (T, 3 corners, 3)
         self.plane_of, self.normals, self.offsets = _group(self.corners)
         self.planes = len(self.normals)
+        self.across, self.from_side = _sides(self.corners)
+        self.triangles = [np.flatnonzero(self.plane_of == plane) for plane in range(self.planes)]
 
     def images(self, sequence: tuple[int, ...], sources: Array) -> Array:
         """Mirror sources (T, 3) in one plane after the other."""
@@ -112,9 +114,10 @@ class Oracle:
         out = np.zeros(len(hits), dtype=np.bool_)
         for p in np.unique(plane):
             rows = np.flatnonzero(plane == p)
-            corners = self.corners[self.plane_of == p]
-            for some in np.array_split(rows, 1 + len(rows) * len(corners) // PAIRS):
-                out[some] = np.any(_inside(hits[some][:, None], corners), axis=1)
+            here = self.triangles[p]
+            for some in np.array_split(rows, 1 + len(rows) * len(here) // PAIRS):
+                u, v = hits[some] @ self.across[:, here].swapaxes(1, 2) - self.from_side[:, None, here]
+                out[some] = np.any((u >= -EDGE) & (v >= -EDGE) & (1 - u - v >= -EDGE), axis=1)
         return out
 
     def _clear(self, sequences: Ints, points: Array) -> Bools:
@@ -140,7 +143,9 @@ class Oracle:
             t = (np.sum(normal * first, axis=1) - start @ normal.T) / (leg @ normal.T)
         out = (t > END) & (t < 1 - END)
         m, i = np.nonzero(out)
-        out[m, i] = _inside(start[m] + t[m, i, None] * leg[m], self.corners[i])
+        hit = start[m] + t[m, i, None] * leg[m]
+        u, v = np.einsum("nk,snk->sn", hit, self.across[:, i]) - self.from_side[:, i]
+        out[m, i] = (u >= -EDGE) & (v >= -EDGE) & (1 - u - v >= -EDGE)
         return np.asarray(out)
 
 
@@ -166,11 +171,13 @@ def _group(corners: Array) -> tuple[Ints, Array, Array]:
     return np.array(plane_of), normals, offsets
 
 
-def _inside(points: Array, corners: Array) -> Bools:
-    """Tell which points (..., 3), in the planes of triangles (..., 3, 3), lie in them, edges included."""
-    a, b, c = (corners[..., k, :] for k in range(3))
+def _sides(corners: Array) -> tuple[Array, Array]:
+    """Return vectors (2, T, 3) and numbers (2, T): their product with a point less these are two barycentric coordinates.
+
+    Those of the first and of the second corner; where both and what is left of 1 are 0 or more, a point in the plane of
+    a triangle (T, 3, 3) lies in it.
+    """
+    a, b, c = (corners[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)
-    square = np.sum(normal * normal, axis=-1, keepdims=True)
-    u = np.einsum("...k,...k->...", points - b, np.cross(normal, c - b) / square)
-    v = np.einsum("...k,...k->...", points - c, np.cross(normal, a - c) / square)
-    return np.asarray((u >= -EDGE) & (v >= -EDGE) & (1 - u - v >= -EDGE))
+    across = np.stack([np.cross(normal, c - b), np.cross(normal, a - c)]) / np.sum(normal * normal, axis=1)[:, None]
+    return across, np.einsum("stk,stk->st", across, np.stack([b, c]))

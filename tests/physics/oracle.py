@@ -25,7 +25,7 @@ class Wobble:
         rate = 2 * np.pi * rng.uniform(1.0, 2.5, (3, 3))
         phase = rng.uniform(0, 2 * np.pi, (3, 3))
         trial = cls(np.array(centre, float), rng.uniform(0.5, 1.0, (3, 3)), rate, phase)
-        peak = np.linalg.norm(trial.velocity(np.linspace(0, 10, 20_001)), axis=1).max()
+        peak = np.linalg.norm(trial.velocity(np.linspace(0, 10, 2001)), axis=1).max()
         return cls(trial.centre, trial.amplitude * speed / peak, rate, phase)
 
     def position(self, time: np.ndarray) -> np.ndarray:
@@ -95,7 +95,7 @@ def received(
             return x
 
         delay = lengths(at - image(times)) / c
-        for _ in range(10):  # contracts by the Mach number, at most 0.03
+        for _ in range(7):  # contracts by the Mach number, at most 0.03: to 1e-13 s
             delay = lengths(at - image(times - delay)) / c
         distance = c * delay
         velocity = source.velocity(times - delay)

@@ -3,19 +3,21 @@
 from collections.abc import Callable
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 import clsim
 
 
 def heard(
-    signal: clsim.Signal, late: np.ndarray, response: Callable[[float], np.ndarray], size: int, margin: float = 1e-3
+    signal: clsim.Signal, late: np.ndarray, response: Callable[[float], np.ndarray], margin: float = 1e-3
 ) -> np.ndarray:
     """Return what is heard (T,), from the times since emission `late` (P, T) and responses (P, T) at a frequency.
 
     Terms of less than 1e-5 of the largest are left out: all of them together are below -90 dB of the signal. Nothing
-    is heard `margin` s before and after the signal; the sum is periodic over `size` samples.
+    is heard `margin` s before and after the signal; the sum is periodic over little more than that.
     """
     rate = signal.sampling_rate
+    size = next_fast_len(signal.count + round(3.0 * margin * rate), real=True)
     spectrum = np.fft.rfft(signal.read(0, signal.count), size)
     loud = np.abs(spectrum) > 1e-5 * np.abs(spectrum).max()
     first, last = np.flatnonzero(loud)[[0, -1]]

@@ -1,6 +1,7 @@
 """Complex envelopes against closed forms, and against the sound itself mixed down by this file."""
 
-from functools import cache
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,18 +58,17 @@ def room_scene(phased: bool, **receiver) -> clsim.Scene:
     )  # fmt: skip
 
 
-@cache
-def paths_and_sound(phased: bool) -> tuple[clsim.PathSet, np.ndarray]:
-    """Return paths, and their sound by the reference engine, mixed down: the same for both engines."""
-    scene = room_scene(phased, electronics=clsim.Electronics(clock_ppm=200.0, clock_offset=1.7e-3))
-    paths = clsim.find_paths(scene, 2)
+def sound_mixed_down(paths: clsim.PathSet) -> np.ndarray:
+    """Return the sound of paths by the reference engine, mixed down: the same for both engines."""
     sound = clsim.render(paths, RATE, engine="reference", duration=LENGTH, response_error_db=-100.0)
-    return paths, mixed_down(sound.pressure[0].astype(float), 32, 2000.0)
+    return mixed_down(sound.pressure[0].astype(float), 32, 2000.0)
 
 
 @pytest.mark.parametrize("phased", [False, True])
-def test_same_as_the_sound_mixed_down(engine: str, phased: bool) -> None:
-    paths, wanted = paths_and_sound(phased)
+def test_same_as_the_sound_mixed_down(engine: str, phased: bool, once: Callable[..., Any]) -> None:
+    scene = room_scene(phased, electronics=clsim.Electronics(clock_ppm=200.0, clock_offset=1.7e-3))
+    paths = clsim.find_paths(scene, 2)
+    wanted = once(f"sound mixed down, {phased}", lambda: sound_mixed_down(paths))
     made = clsim.render(paths, RATE, baseband=(CARRIER, 4e3), engine=engine, duration=LENGTH)
     assert made.sampling_rate == 6000.0
     assert made.samples.dtype == np.complex64

@@ -42,7 +42,7 @@ def envelope(sound: np.ndarray, every: int) -> np.ndarray:
 
 
 def test_equals_a_sum_over_the_spectrum(measured: Any) -> None:
-    one, start, count = scene(), 0.0123456, 57600
+    one, start, count = scene(), 0.0123456, 38400  # until the last path is over
     made = clsim.render(clsim.find_paths(one, 4), RATE, baseband=BAND, duration=count / RATE, chunk=1)
     assert "2 of 3 pairs never move: impulse responses, convolved" in made.notes
     factors = [lambda f, r=r: np.full(len(f), r) for r in (0.93, -0.8, 0.7, 0.9, 0.6, 0.8)]

@@ -21,7 +21,7 @@ C = 343.0
 HARD = clsim.Material.from_reflection(1.0)
 TONE = clsim.Signal.tone(40e3, duration=0.15, sampling_rate=96e3)
 FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
-MIDDLE = np.array([50.0, 50.0, 50.0])  # of a room that is far away
+MIDDLE = np.array([8.0, 8.0, 8.0])  # of a room whose walls send nothing back
 
 
 def at(*place: float) -> Any:
@@ -75,7 +75,7 @@ def test_drawn_ways_over_an_edge_are_the_earliest(rng: np.random.Generator) -> N
         plate = clsim.Body.box("plate", (3.0, 0.0, 3.0), HARD, motions[0], centre=(0.0, 1.5, 0.0))
         wall = clsim.Body.box("wall", (0.0, 8.0, 8.0), HARD, motions[1], centre=(4.0, 0.0, 0.0))
         ends = tuple(LINE(*(MIDDLE + rng.uniform(-1.0, 1.0, (2, 3))), 0.2) for _ in range(2))
-        scene = far_scene((FIXED(MIDDLE + 20.0), FIXED(MIDDLE - 20.0)), [plate, wall])
+        scene = far_scene((FIXED(MIDDLE + 7.5), FIXED(MIDDLE - 7.5)), [plate, wall])
         lines = EdgeLines.of(scene)
         mirrored = [draw % 4 in (1, 3), draw % 4 >= 2]
         edge = int(rng.integers(4))

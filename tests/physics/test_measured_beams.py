@@ -51,7 +51,8 @@ def by_hand(scene: clsim.Scene, paths: clsim.PathSet, times: np.ndarray, rate: f
     spectrum, f = np.fft.rfft(signal.read(0, signal.count), count)[:-1], np.fft.rfftfreq(count, 1 / rate)[:-1]
     spectrum[0] *= 0.5
     f[0] = 1e-3  # air and walls need not know 0 Hz
-    out = np.zeros(len(times))
+    loud = np.abs(spectrum) > 1e-6 * np.abs(spectrum).max()
+    spectrum, f, out = spectrum[loud], f[loud], np.zeros(len(times))
     for p, walls in enumerate(paths.walls):
         response = (
             10 ** (-AIR.absorption_at(f) * (distance[p, :, None] - 1.0) / 20) / (distance * (1 - mach))[p, :, None]
@@ -105,7 +106,7 @@ def test_a_beacon_measured_late_and_ringing() -> None:
     paths = clsim.find_paths(scene, 0)
     made = clsim.render(paths, rate, duration=0.04).pressure[0].astype(float)
     heard = np.arange(1733, 3067)
-    wanted = by_hand(scene, paths, heard / rate, rate, 8192)
+    wanted = by_hand(scene, paths, heard / rate, rate, 4096)
     assert np.abs(made).max() == pytest.approx(np.abs(wanted).max(), rel=0.01)
     assert error_db(made[heard], wanted, rate, 0.0, 60e3) < -76.0
 

@@ -48,7 +48,7 @@ def test_the_sum_is_what_the_oracle_hears(case: Case) -> None:
     assert measured(case).error_db <= PROMISED_DB
 
 
-def scene(*signals: clsim.Signal, duration: float = 0.25, **receiver: Any) -> clsim.Scene:
+def scene(*signals: clsim.Signal, duration: float = 0.25, start: float = 0.0, **receiver: Any) -> clsim.Scene:
     """Return a room with walls and beams by frequency: sources on circles, a moving receiver and one at rest."""
     walls = clsim.Material.from_reflection(0.9)
     soft = clsim.Material.from_absorption([20e3, 40e3, 60e3, 80e3], [0.1, 0.2, 0.35, 0.5])
@@ -57,7 +57,7 @@ def scene(*signals: clsim.Signal, duration: float = 0.25, **receiver: Any) -> cl
     sources = [
         clsim.Source(
             f"s{i}", signal, clsim.Trajectory.circle((2.5, 2.5, 1.4), 0.8 + 0.3 * (i % 2), 1.0, duration), beam,
-            aim=(1.0, 0.0, 0.3), start=0.01 * i,
+            aim=(1.0, 0.0, 0.3), start=start + 0.01 * i,
         )
         for i, signal in enumerate(signals)
     ]  # fmt: skip
@@ -81,10 +81,11 @@ def apart_db(one: np.ndarray, other: np.ndarray) -> float:
     return float(20.0 * np.log10(max(np.linalg.norm(one - other) / np.linalg.norm(other), 1e-15)))
 
 
-TONE = clsim.Signal.tone(40e3, 0.1, RATE)
+# Onset, an even stretch, end: so short that kernels of the rest, and of the plain way, are those for signals that pause.
+TONE = clsim.Signal.tone(40e3, 0.04, RATE)
 BEACONS = clsim.Signal.from_array(
     sum(
-        clsim.Signal.tone(f, 0.1, RATE, fade=fade).read(0, 19200)
+        clsim.Signal.tone(f, 0.04, RATE, fade=fade).read(0, 7680)
         for f, fade in ((25e3, 0.0), (40e3, 0.01), (48e3, 0.0))
     ),
     RATE,
@@ -101,9 +102,9 @@ ELECTRONICS = clsim.Electronics(clock_ppm=40.0, clock_offset=1e-3, high_cut=70e3
                      marks=pytest.mark.exhaustive),
         pytest.param(scene(TONE, transducer=clsim.Transducer.named("MA40S4R"), electronics=ELECTRONICS), {}, [(0,)],
                      id="transducer, electronics, clock"),
-        pytest.param(scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.1, RATE), TONE), {}, [(0, 2)],
+        pytest.param(scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.04, RATE), TONE), {}, [(0, 2)],
                      id="two narrow sources and a wide one"),
-        pytest.param(scene(TONE, clsim.Signal.tone(25e3, 0.08, RATE)), {}, [(0,), (1,)], id="two carriers"),
+        pytest.param(scene(TONE, clsim.Signal.tone(25e3, 0.03, RATE)), {}, [(0,), (1,)], id="two carriers"),
         pytest.param(scene(BEACONS), {}, [(0,), (0,), (0,)], id="three carriers of one source"),
         pytest.param(scene(clsim.Signal.pulses(clsim.Signal.tone(40e3, 0.03, RATE), 0.07, 3)), {}, [(0,)],
                      id="bursts with pauses"),
@@ -134,7 +135,7 @@ def test_pairs_at_rest_are_convolved_with_all_of_the_signal() -> None:
 def test_nothing_is_heard_before_an_arrival_less_the_stated_reach() -> None:
     start = 0.05
     walls, way = clsim.Material.from_reflection(0.8), clsim.Trajectory.line((1.0, 2.0, 1.0), (2.0, 2.0, 1.0), 0.2)
-    far = clsim.Receiver("far", clsim.Trajectory.fixed((12.0, 2.0, 1.5)))
+    far = clsim.Receiver("far", clsim.Trajectory.line((12.0, 2.0, 1.5), (12.0, 2.001, 1.5), 0.2))
     source = clsim.Source("s", clsim.Signal.tone(40e3, 0.1, RATE), way, start=start)
     plan = planned(clsim.Scene(clsim.Shoebox((13.0, 4.0, 3.0), walls), clsim.Air(), [source], [far]))
     got = sound(plan)[0]
@@ -154,7 +155,7 @@ def test_nothing_is_heard_before_an_arrival_less_the_stated_reach() -> None:
 
 
 def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
-    one = scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.1, RATE, window="tukey"))
+    one = scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.04, RATE, window="tukey"), start=0.07)  # to beyond a chunk's end
     plan = planned(one, chunk=18432)
     whole = sound(plan).astype(np.float32)
     later = [piece for _, piece in clsim.render_chunks(plan, first=18432)]

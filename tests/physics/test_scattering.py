@@ -346,7 +346,7 @@ def heard_of_a_sphere(scene: clsim.Scene, radius: float, times: np.ndarray) -> n
     mach = np.sum(halves[1] * velocity, axis=1) / C
     strength = 0.5 * radius / (1.0 + 0.5 * radius * cosine * (1.0 / legs[0] + 1.0 / legs[1]))
     gain = strength / (legs[0] * legs[1] * (1.0 - mach))
-    size = 2**14
+    size = 2**13
     spectrum, out = np.fft.rfft(signal.read(0, signal.count), size), np.zeros(len(times), dtype=complex)
     loud = np.flatnonzero(np.abs(spectrum) > 1e-5 * np.abs(spectrum).max())
     f = loud * RATE / size

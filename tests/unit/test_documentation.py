@@ -124,7 +124,10 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         return
     signature = inspect.signature(value)
     arguments = [p for n, p in signature.parameters.items() if n not in ("self", "cls") and not n.startswith("_")]
-    described = parameters(told.get("Parameters", "") + (told.get("Attributes", "") if is_class else ""))
+    described = parameters(told.get("Parameters", ""))
+    for base in reversed(value.__mro__) if is_class else ():  # a public class tells of its fields where it is named
+        if base is value or (base.__name__ in clsim.__all__ and f"`{base.__name__}`" in told[""]):
+            described |= parameters(sections(base.__doc__ or "").get("Attributes", ""))
     for argument in arguments:
         kind, text = described.get(argument.name, (None, ""))
         if kind is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -137,6 +137,7 @@ class BodySearch:
                 f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
             )
         self._known: BodyRates | None = None
+        self.posed = lru_cache(maxsize=1)(self._posed)  # edges are reached from both ends in one pose
         self.queries = [
             visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
         ]
@@ -315,7 +316,7 @@ class BodySearch:
                 most = max(most, gone + way * (turned + speed / self.scene.air.slowest))
         return most
 
-    def posed(self, time: float) -> Walls:
+    def _posed(self, time: float) -> Walls:
         """Return the walls of the room and the faces of bodies as they are at a time, numbered as mirrors."""
         meshes = [self.room, *(body.mesh for body in self.scene.bodies)]
         placed = [self.room.vertices]

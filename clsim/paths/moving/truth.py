@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from clsim.acoustics.scattering import Glint
-from clsim.arrays import as_choice, as_floats, read_only, short_repr
+from clsim.arrays import as_choice, as_floats, read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import MOTIONS
+from clsim.paths.echo_truth import EchoTruth, echo_fields
 from clsim.paths.moving.scattered_way import find_scattered
 from clsim.paths.moving.visibility import Legs, Obstacles
 from clsim.paths.propagation import mean_medium_of
@@ -28,51 +29,27 @@ _TINY = 1e-300
 _STEPS = 6  # of Newton's method on a face or an edge, from where they would be met at rest
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BodyTruth:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class BodyTruth(EchoTruth):
     """The soonest way by every body between every source and receiver, (bodies, sources, receivers, T).
 
     It goes by the nearest point of the body's surface: that by which sound takes the least time from the source to the
-    receiver, on a face, an edge or a corner. No echo of the body by no other thing is earlier.
+    receiver, on a face, an edge or a corner. No echo of the body by no other thing is earlier. Delay, range and the
+    other fields are those of `EchoTruth`.
 
     Attributes
     ----------
-    times : ndarray (T,)
-        Times of reception, s.
-    delay : ndarray (bodies, sources, receivers, T)
-        From emission to reception, s, also where something is in the way.
-    doppler_factor : ndarray (bodies, sources, receivers, T)
-        Received over emitted frequency.
-    range : ndarray (bodies, sources, receivers, T)
-        From the point to the receiver, m.
-    radial_speed : ndarray (bodies, sources, receivers, T)
-        Speed of sound times the change of the delay by time of reception, over 2, m/s: for a source and a receiver at
-        one place at rest how fast the nearest point goes away.
-    bearing : ndarray (bodies, sources, receivers, T, 3)
-        Unit vectors from the receiver to the point, in the room; in wind normals of the wavefront.
     visible : ndarray (bodies, sources, receivers, T) of bool
         Whether neither the room nor any body is in the way from the source to the point, or from there to the receiver.
-    body_names, source_names, receiver_names : tuple of str
-        What the axes mean.
-    KIND, MEASURES : str, tuple of str
-        What the first axis is of, and names of the fields that have it.
+    body_names : tuple of str
+        Along the first axis.
     """
 
-    times: Floats
-    delay: Floats
-    doppler_factor: Floats
-    range: Floats
-    radial_speed: Floats
-    bearing: Floats
     visible: NDArray[np.bool_]
     body_names: tuple[str, ...]
-    source_names: tuple[str, ...]
-    receiver_names: tuple[str, ...]
 
     KIND: ClassVar[str] = "body"
-    MEASURES: ClassVar[tuple[str, ...]] = ("delay", "doppler_factor", "range", "radial_speed", "bearing", "visible")
-
-    __repr__ = short_repr
+    MEASURES: ClassVar[tuple[str, ...]] = (*EchoTruth.MEASURES, "visible")
 
 
 def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTruth:
@@ -135,12 +112,9 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
             away[here], bearing[here] = second.distance * second.carried, second.arrival
             legs = [_leg(events, at) for events, at in ((first, found.time), (second, times))]
             visible[here] = ~np.any([obstacles.blocked(leg, *2 * [np.full(len(times), -1)]) for leg in legs], axis=0)
-    speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
     return BodyTruth(
-        times, read_only(delay), read_only(1.0 - rate), read_only(away),
-        read_only(0.5 * speed[:, None, None] * rate), read_only(bearing), read_only(visible),
-        tuple(body.name for body in scene.bodies), tuple(s.name for s in scene.sources),
-        tuple(r.name for r in scene.receivers),
+        **echo_fields(scene, times, delay, rate, away, bearing),
+        visible=read_only(visible), body_names=tuple(body.name for body in scene.bodies),
     )  # fmt: skip
 
 

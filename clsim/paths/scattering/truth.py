@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
-from clsim.arrays import as_choice, as_floats, read_only, short_repr
+from clsim.arrays import as_choice, as_floats
 from clsim.errors import InputError
 from clsim.paths.arrivals import MOTIONS
+from clsim.paths.echo_truth import EchoTruth, echo_fields
 from clsim.paths.scattering.search import direct_ways
 
 if TYPE_CHECKING:
@@ -18,45 +19,21 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ScattererTruth:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ScattererTruth(EchoTruth):
     """The way by every scatterer between every source and receiver, by no wall, (scatterers, sources, receivers, T).
+
+    Delay, range and the other fields are those of `EchoTruth`.
 
     Attributes
     ----------
-    times : ndarray (T,)
-        Times of reception, s.
-    delay : ndarray (scatterers, sources, receivers, T)
-        From emission to reception, s, also where a wall is in the way; group delays in air that disperses.
-    doppler_factor : ndarray (scatterers, sources, receivers, T)
-        Received over emitted frequency.
-    range : ndarray (scatterers, sources, receivers, T)
-        From where it scatters to the receiver, m.
-    radial_speed : ndarray (scatterers, sources, receivers, T)
-        Speed of sound times the change of the delay by time of reception, over 2, m/s: for a source and a receiver at
-        one place at rest how fast the scatterer goes away.
-    bearing : ndarray (scatterers, sources, receivers, T, 3)
-        Unit vectors from the receiver to where it scatters, in the room.
-    scatterer_names, source_names, receiver_names : tuple of str
-        What the axes mean.
-    KIND, MEASURES : str, tuple of str
-        What the first axis is of, and names of the fields that have it.
+    scatterer_names : tuple of str
+        Along the first axis.
     """
 
-    times: Floats
-    delay: Floats
-    doppler_factor: Floats
-    range: Floats
-    radial_speed: Floats
-    bearing: Floats
     scatterer_names: tuple[str, ...]
-    source_names: tuple[str, ...]
-    receiver_names: tuple[str, ...]
 
     KIND: ClassVar[str] = "scatterer"
-    MEASURES: ClassVar[tuple[str, ...]] = ("delay", "doppler_factor", "range", "radial_speed", "bearing")
-
-    __repr__ = short_repr
 
 
 def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> ScattererTruth:
@@ -106,10 +83,5 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
         delay[here], rate[here] = found.delay + pair.group_lag(found), found.delay_rate
         bearing[here] = found.arrival
         away[here] = found.second_length
-    speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
-    return ScattererTruth(
-        times, read_only(delay), read_only(1.0 - rate), read_only(away),
-        read_only(0.5 * speed[:, None, None] * rate), read_only(bearing),
-        tuple(s.name for s in scene.scatterers), tuple(s.name for s in scene.sources),
-        tuple(r.name for r in scene.receivers),
-    )  # fmt: skip
+    names = tuple(scatterer.name for scatterer in scene.scatterers)
+    return ScattererTruth(**echo_fields(scene, times, delay, rate, away, bearing), scatterer_names=names)

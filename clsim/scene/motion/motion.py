@@ -55,6 +55,8 @@ class Motion:
     notes: tuple[str, ...] = ()
     breaks: Floats = field(default_factory=_no_breaks)
     residual: Floats | None = None
+    # By range and rate: every scene that the motion is in asks, and each of its scatterers' ways.
+    _peaks: dict[tuple[float, float, float], tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def duration(self) -> float:
@@ -236,8 +238,14 @@ class Motion:
         """
         start = as_number("start", start, unit="s")
         end = as_number("end", end, at_least=start, unit="s")
-        instants = Instants(start, end, as_number("rate", rate, above=0.0, unit="Hz"))
-        best = (float(np.linalg.norm(self.velocity(start))), start)
+        key = (start, end, as_number("rate", rate, above=0.0, unit="Hz"))
+        if key not in self._peaks:
+            self._peaks[key] = self._peak_at(Instants(*key))
+        return self._peaks[key]
+
+    def _peak_at(self, instants: Instants) -> tuple[float, float]:
+        """Return the largest speed at some instants to nine digits, m/s, and when it is reached, s."""
+        best = (float(np.linalg.norm(self.velocity(instants.start))), instants.start)
 
         def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
             """Return no hits, and which spans may hold a speed above the best so far."""

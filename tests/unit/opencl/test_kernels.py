@@ -11,7 +11,7 @@ from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, upload
-from clsim.opencl.pocl import LONG_KERNELS, as_built
+from clsim.opencl.pocl import ALONE, LONG_ALONE, LONG_KERNELS, as_built
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
 from clsim.render.opencl.body_nodes import BODY_VIEW
 from clsim.render.opencl.edge_nodes import EDGE_VIEW
@@ -121,13 +121,15 @@ def test_pocl_reads_the_declarations_that_kernels_need_and_no_others(device: Non
 
 def test_long_kernels_call_a_body_that_pocl_compiles_once() -> None:
     which = re.compile(r"get_\w+\(\d\)")
-    for name in LONG_KERNELS:
+    for name in LONG_KERNELS | LONG_ALONE:
         source = kernel_source(name)
-        body, kernel = as_built(name, source).split("__kernel ")
+        body, kernel = as_built(name, source, [ALONE]).split("__kernel ")
         (called,) = re.findall(rf"{name}_body\((.*)\);", kernel)
         assert called.split(", ") == [*PROGRAMS[name].arguments, *sorted(set(which.findall(source)))]
-        assert f"noinline)) void {name}_body(" in body
+        assert re.search(rf"noinline\)\)\s+void {name}_body\(", body)
         assert not which.findall(body)
+    for name in LONG_ALONE:
+        assert as_built(name, kernel_source(name), ["-DWORKERS=8"]).endswith(kernel_source(name))
 
 
 def test_files_are_small() -> None:

@@ -2,6 +2,7 @@
 
 import pickle
 import random
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,14 @@ def made_plan(engine: str, seconds: float = 1.5) -> Plan:
     )
 
 
+@cache
+def rendered(engine: str) -> tuple[Plan, np.ndarray, Rendering]:
+    """Return the plan, what one process makes of it, (5, n), and the rendering that is done with."""
+    plan = made_plan(engine)
+    rendering = Rendering(plan)
+    return plan, np.concatenate([samples for _, samples in rendering.pieces()], axis=1), rendering
+
+
 def store_in(folder: Path, plan: Plan) -> SoundStore:
     names = plan.tracks.receiver_names
     positions = np.zeros((len(names), 3))
@@ -87,10 +96,8 @@ def done_in_pieces(
 
 @pytest.mark.parametrize("seed", few([0, 1]))
 def test_any_order_gives_the_same_samples(engine: str, seed: int, tmp_path: Path) -> None:
-    plan = made_plan(engine)
+    plan, wanted, rendering = rendered(engine)
     assert -(-plan.samples // plan.chunk) == 4
-    rendering = Rendering(plan)
-    wanted = np.concatenate([samples for _, samples in rendering.pieces()], axis=1)
     assert 0 < rendering.clipped[1] < plan.samples / 2
     whole = done_in_pieces(plan, tmp_path, random.Random(seed))
     np.testing.assert_array_equal(samples_in(tmp_path), wanted)
@@ -101,8 +108,7 @@ def test_any_order_gives_the_same_samples(engine: str, seed: int, tmp_path: Path
 
 
 def test_what_is_whole_is_enough_for_one_process_and_for_others(tmp_path: Path) -> None:
-    plan = made_plan("reference")
-    wanted = np.concatenate([samples for _, samples in Rendering(plan).pieces()], axis=1)
+    plan, wanted, _ = rendered("reference")
     done, state = done_in_pieces(plan, tmp_path, random.Random(5), stop=2 * CHUNK)[-1]
     assert 2 * CHUNK <= done < plan.samples
     np.testing.assert_array_equal(samples_in(tmp_path)[:, :done], wanted[:, :done])
