@@ -26,12 +26,8 @@ _TOKEN = re.compile(
     r"|(?P<word>[A-Za-z_]\w*|\d[\w.]*)|(?P<operator>\+\+|--|&&|\|\||->|<<|>>|[-+*/%&|^<>=!]=|[^\s\\])|(?P<end>(?<!\\)\n)",
     re.MULTILINE,
 )  # fmt: skip
-_LONG = {
-    "tracks",
-    "pair_tracks",
-    "intervals",
-    "edge_intervals",
-}  # of which a test runs so little that optimising takes longer
+# Of these a test runs so little that optimising takes longer.
+_LONG = {"tracks", "pair_tracks", "intervals", "edge_intervals"}
 _CHOICE = """size_t __attribute__((overloadable, const)) get_global_offset(uint);
 #define MUTANT(number) (get_global_offset(2) == number)
 """

@@ -257,11 +257,9 @@ def test_all_that_moves_is_wind() -> None:
             clsim.Scatterer.capsule("leg", 0.1, 0.3, at(0.1, 0.1, -0.7, turn=turned)),
         ]  # fmt: skip
         air = clsim.Air(speed_of_sound=C, absorption=False, wind=None if moves else tuple(-u))
-        ends = (
-            [clsim.Source("s", clsim.Signal.tone(40e3, 0.05, RATE), at(0.3, 0.2, 0.5))],
-            [clsim.Receiver("r", at(-0.4, -0.3, 0.1))],
-        )
-        return clsim.Scene(far, air, *ends, scatterers=scatterers, bodies=bodies)
+        source = clsim.Source("s", clsim.Signal.tone(40e3, 0.05, RATE), at(0.3, 0.2, 0.5))
+        receiver = clsim.Receiver("r", at(-0.4, -0.3, 0.1))
+        return clsim.Scene(far, air, [source], [receiver], scatterers=scatterers, bodies=bodies)
 
     one, other = (clsim.find_paths(scene(moves), 1, scattering_order=1, body_step=0.2) for moves in (True, False))
     times = np.array([0.05])

@@ -114,6 +114,15 @@ def raises(function: Callable[..., Any]) -> bool:
     return any(isinstance(n, ast.Raise) for n in ast.walk(tree)) or bool(called & checks)
 
 
+def fields_of(value: type, summary: str) -> dict[str, tuple[str, str]]:
+    """Return the fields that a class's docstring describes, and those of the public classes that its summary names."""
+    described: dict[str, tuple[str, str]] = {}
+    for base in reversed(value.__mro__):
+        if base is value or (base.__name__ in clsim.__all__ and f"`{base.__name__}`" in summary):
+            described |= parameters(sections(base.__doc__ or "").get("Attributes", ""))
+    return described
+
+
 def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
     """Yield what the docstring of one public thing lacks."""
     told = sections(value.__doc__ or "")
@@ -124,10 +133,7 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         return
     signature = inspect.signature(value)
     arguments = [p for n, p in signature.parameters.items() if n not in ("self", "cls") and not n.startswith("_")]
-    described = parameters(told.get("Parameters", ""))
-    for base in reversed(value.__mro__) if is_class else ():  # a public class tells of its fields where it is named
-        if base is value or (base.__name__ in clsim.__all__ and f"`{base.__name__}`" in told[""]):
-            described |= parameters(sections(base.__doc__ or "").get("Attributes", ""))
+    described = parameters(told.get("Parameters", "")) | (fields_of(value, told[""]) if is_class else {})
     for argument in arguments:
         kind, text = described.get(argument.name, (None, ""))
         if kind is None:
