@@ -2,7 +2,8 @@
 
 A mutant is a fragment of the text and what replaces it. What differs is found by tokens and widened to the expression
 that holds it, and the expression becomes a choice between both, by a number that every launch gives as the global
-offset of its third dimension, which kernels do not use. Mutants of preprocessor lines are texts of their own.
+offset of its third dimension, which kernels do not use; functions are told it by the kernel. Mutants of preprocessor
+lines are texts of their own.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import re
 from bisect import bisect
 from dataclasses import dataclass
 from difflib import SequenceMatcher
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimError
@@ -29,7 +31,7 @@ _TOKEN = re.compile(
 # Of these a test runs so little that optimising takes longer.
 _LONG = {"tracks", "pair_tracks", "intervals", "edge_intervals"}
 _CHOICE = """size_t __attribute__((overloadable, const)) get_global_offset(uint);
-#define MUTANT(number) (get_global_offset(2) == number)
+#define MUTANT(number) (chosen_mutant == number)
 """
 _OPEN, _CLOSE = dict(zip("([{", ")]}", strict=True)), set(")]}")
 _ASSIGN = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^="}
@@ -78,7 +80,7 @@ class Mutants:
                 changes += [(*region, number) for region in regions]
             else:
                 self._alone[name] = mutated
-        self._together = _CHOICE + _joined(self._text, changes)
+        self._together = _CHOICE + _told(_joined(self._text, changes), program)
         self.chosen: str | None = None
 
     def __iter__(self) -> Iterator[str]:
@@ -292,6 +294,35 @@ def _joined(text: str, changes: list[tuple[int, int, str, int]]) -> str:
         return "".join((*out, text[at:end]))
 
     return part(0, len(text), sorted(changes))
+
+
+def _told(text: str, program: str) -> str:
+    """Return the text in which the kernel asks for the number and tells it to all functions.
+
+    A function that asks for anything of its work-item is compiled as often as the kernel is: three times by PoCL.
+    """
+    tokens = _tokens(text)
+    heads = {i for i in _heads(tokens) if tokens[i].text != program}
+    functions, out, at = {tokens[i].text for i in heads}, [], 0
+    for i, (token, bracket) in enumerate(pairwise(tokens)):
+        if token.text in functions and bracket.text == "(":
+            told = "size_t chosen_mutant" if i in heads else "chosen_mutant"
+            out += [text[at : bracket.end], told, "" if tokens[i + 2].text == ")" else ", "]
+            at = bracket.end
+    asked = re.compile(rf"void {program}\([^{{]*{{").search(rest := "".join((*out, text[at:])))
+    assert asked is not None
+    return f"{rest[: asked.end()]} const size_t chosen_mutant = get_global_offset(2);{rest[asked.end() :]}"
+
+
+def _heads(tokens: list[_Token]) -> Iterator[int]:
+    """Return the places of the names of functions where these are defined."""
+    depth, last = 0, -1
+    for i, token in enumerate(tokens):
+        if depth == 0 and token.text == "(":
+            last = i - 1
+        if depth == 0 and token.text == "{" and tokens[i - 1].text == ")":
+            yield last
+        depth += (token.text in _OPEN) - (token.text in _CLOSE)
 
 
 def _grouped(expression: str, void: bool) -> str:
