@@ -118,8 +118,8 @@ def browser() -> Iterator[Any]:
         pytest.skip("no Chromium on this machine")
     flags = [
         "--no-sandbox", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-        "--disable-sync", "--disable-quic", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-        "--ignore-gpu-blocklist",
+        "--disable-sync", "--disable-quic", "--use-gl=angle", "--use-angle=swiftshader-webgl", "--enable-unsafe-swiftshader",
+        "--ignore-gpu-blocklist", "--disable-gpu-compositing",  # only what pages draw themselves is drawn by the GPU's stand-in
     ]  # fmt: skip
     with api.sync_playwright() as playwright:
         started = playwright.chromium.launch(executable_path=chromium, args=flags)
