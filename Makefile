@@ -1,6 +1,8 @@
 # All targets need nothing but Python 3.11 or newer (with venv): they make their own virtual environment in .venv.
 PYTHON ?= python3
 BIN := .venv/bin
+DOCS := docs
+SITE := out/site
 
 # Tests start some hundred processes: with bytecode on disk each of them is there in half the time.
 unexport PYTHONDONTWRITEBYTECODE
@@ -44,7 +46,7 @@ kills: .venv/tested
 
 # The site is in out/site: open out/site/index.html.
 docs: .venv/documented
-	$(BIN)/python -m sphinx --builder html --fail-on-warning --quiet --conf-dir docs/site docs out/site
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --quiet --conf-dir $(DOCS)/site $(DOCS) $(SITE)
 
 .venv/documented: .venv/bin/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'

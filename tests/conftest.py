@@ -1,5 +1,6 @@
 """What all tests share: seeded random numbers, and the engines."""
 
+import gc
 import hashlib
 import json
 import os
@@ -15,6 +16,17 @@ import numpy as np
 import pytest
 
 from clsim.opencl.device import list_devices
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Leave what stays until the end, a million objects of modules and tests, out of each search for garbage."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(wrapper=True)
