@@ -11,6 +11,7 @@ from killing import Killer
 
 import clsim
 from clsim.cli import main
+from clsim.workflow import outputs
 from clsim.workflow.journal import Journal
 
 pytestmark = pytest.mark.usefixtures("device")
@@ -61,12 +62,14 @@ def envelopes(out: Path) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_stores_hold_the_same_envelopes(scene: Path, tmp_path: Path) -> None:
+def test_stores_hold_the_same_envelopes(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("zarr")
     pytest.importorskip("h5netcdf")
     for kind in KINDS:
         assert main(command(scene, tmp_path / kind, kind, "--duration", "0.25")) == 0
+        assert (tmp_path / kind / "right_echogram.png").exists() == (kind == KINDS[0])
+        monkeypatch.setattr(outputs, "PICTURES", ("paths", "spectrogram"))  # echograms know nothing of stores
     wanted = envelopes(tmp_path / "wav")
     assert wanted.shape == (2, 640)
     assert np.abs(wanted.imag).max() > 0.1
