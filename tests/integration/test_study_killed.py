@@ -49,7 +49,7 @@ def members_of_processes(folder: Path) -> dict[int, list[int]]:
     found: dict[int, list[int]] = {}
     for (_, length), processes in runs(folder).items():
         for process in processes:
-            found.setdefault(process, []).append(round((length - 1.5) / 0.001))
+            found.setdefault(process, []).append(round((length - 1.25) / 0.001))
     return found
 
 
