@@ -2,7 +2,9 @@
 
 A mutant is a fragment of the text and what replaces it. What differs is found by tokens and widened to the expression
 that holds it, and the expression becomes a choice between both, by a number that every launch gives as the global
-offset of its third dimension, which kernels do not use. Mutants of preprocessor lines are texts of their own.
+offset of its third dimension, which kernels do not use. The kernel alone asks for it, and hands it to every function:
+runtimes inline what asks where a work-item is into each of their ways of launching. Mutants of preprocessor lines are
+texts of their own.
 """
 
 from __future__ import annotations
@@ -29,8 +31,14 @@ _TOKEN = re.compile(
 # Of these a test runs so little that optimising takes longer.
 _LONG = {"tracks", "pair_tracks", "intervals", "edge_intervals"}
 _CHOICE = """size_t __attribute__((overloadable, const)) get_global_offset(uint);
-#define MUTANT(number) (get_global_offset(2) == number)
+#define MUTANT(number) (mutant == number)
 """
+# Heads of functions; the macro behind one hands the number on at every call, and passes over a name in brackets.
+_FUNCTION = re.compile(
+    r"^(static (?:inline )?(?:__attribute__\(\(\w+\)\) )?[^(;={]*?)\b(\w+)(\([^;{}]*?)\)(\s*)\{", re.MULTILINE
+)
+_HANDED_ON = r"\1(\2)\3, const size_t mutant)\n#define \2(...) \2(__VA_ARGS__, mutant)\n\4{"
+_KERNEL = re.compile(r"^__kernel [^{]*\{", re.MULTILINE)
 _OPEN, _CLOSE = dict(zip("([{", ")]}", strict=True)), set(")]}")
 _ASSIGN = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^="}
 _HEADS = {"if", "for", "while"}
@@ -78,7 +86,8 @@ class Mutants:
                 changes += [(*region, number) for region in regions]
             else:
                 self._alone[name] = mutated
-        self._together = _CHOICE + _joined(self._text, changes)
+        functions = _FUNCTION.sub(_HANDED_ON, _joined(self._text, changes))
+        self._together = _CHOICE + _KERNEL.sub(r"\g<0>\n    const size_t mutant = get_global_offset(2);", functions)
         self.chosen: str | None = None
 
     def __iter__(self) -> Iterator[str]:
