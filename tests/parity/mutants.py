@@ -81,7 +81,7 @@ class Mutants:
             start = self._text.index(old)
             edits = list(_edits(self._text, start, start + len(old), new))
             regions, mutated = _regions(self._text, tokens, edits), self._text.replace(old, new)
-            if regions and _words(_edited(self._text, 0, len(self._text), sorted(regions))) == _words(mutated):
+            if regions and _same_words(_edited(self._text, 0, len(self._text), sorted(regions)), mutated):
                 self._number[name] = number
                 changes += [(*region, number) for region in regions]
             else:
@@ -176,8 +176,20 @@ def _tokens(text: str) -> list[_Token]:
     return found
 
 
-def _words(text: str) -> list[str]:
-    return [token.text for token in _tokens(text)]
+def _same_words(text: str, other: str) -> bool:
+    """Return whether two texts have the same tokens: of all lines between the first and the last that differ."""
+    a, b = text.splitlines(), other.splitlines()
+    first = _common(a, b)
+    while first > 0 and a[first - 1].endswith("\\"):  # all of a macro, in which ends of lines may be tokens
+        first -= 1
+    last = _common(a[first:][::-1], b[first:][::-1])
+    one, two = (_tokens("\n".join([*lines[first : len(lines) - last], ""])) for lines in (a, b))
+    return [t.text for t in one] == [t.text for t in two]
+
+
+def _common(a: list[str], b: list[str]) -> int:
+    """Return how many lines are the same at the beginning."""
+    return next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
 
 
 def _edits(text: str, start: int, end: int, new: str) -> Iterator[tuple[int, int, str]]:
