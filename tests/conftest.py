@@ -1,5 +1,6 @@
 """What all tests share: seeded random numbers, and the engines."""
 
+import gc
 import hashlib
 import json
 import os
@@ -15,6 +16,17 @@ import numpy as np
 import pytest
 
 from clsim.opencl.device import list_devices
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Leave what stays until the end, a million objects of modules and tests, out of each search for garbage."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -118,8 +130,8 @@ def browser() -> Iterator[Any]:
         pytest.skip("no Chromium on this machine")
     flags = [
         "--no-sandbox", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-        "--disable-sync", "--disable-quic", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-        "--ignore-gpu-blocklist",
+        "--disable-sync", "--disable-quic", "--use-gl=angle", "--use-angle=swiftshader-webgl", "--enable-unsafe-swiftshader",
+        "--ignore-gpu-blocklist", "--disable-gpu-compositing",  # only what pages draw themselves is drawn by the GPU's stand-in
     ]  # fmt: skip
     with api.sync_playwright() as playwright:
         started = playwright.chromium.launch(executable_path=chromium, args=flags)

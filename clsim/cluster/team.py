@@ -108,7 +108,8 @@ class DaskTeam:
             future.cancel()
         asked = self._tasks.over()
         if asked is not None:
-            self._ask(asked, sorted(self._known), "ignore")
+            there = self._client.nthreads()  # one that died would be waited for half a minute
+            self._ask(asked, sorted(self._known & there.keys()), "ignore")
 
     def _ask(self, call: Call, workers: list[str], on_error: str) -> dict[str, Any]:
         """Return what workers answer to a call, by their addresses."""

@@ -200,6 +200,7 @@ def new_figure(height: float) -> tuple[Figure, Axes]:
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG, whole or not at all."""
-    FigureCanvasAgg(figure)
+    figure.set_dpi(_DPI)
+    canvas: Any = FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format="png")
+        canvas.print_png(temporary)  # `savefig` would draw all of it twice, first without colours to lay it out

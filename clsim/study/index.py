@@ -191,8 +191,12 @@ def metrics_of(group: Path) -> dict[str, Any] | str:
     import xarray
 
     try:
-        with xarray.open_zarr(group, chunks=None) as content:
-            return {str(name): content[name].load() for name in content.attrs.get("metrics", ())}
+        metadata = json.loads((group / "zarr.json").read_bytes())
+        arrays, names = metadata["consolidated_metadata"]["metadata"], metadata["attributes"].get("metrics", ())
+        wanted = {*names, *(over for name in names for over in arrays[name].get("dimension_names", ()))}
+        others = [name for name in arrays if name not in wanted]  # which are many, and take longer to open than these
+        with xarray.open_zarr(group, chunks=None, drop_variables=others) as content:
+            return {str(name): content[name].load() for name in names}
     except MemoryError:
         raise
     except Exception as error:  # of any kind: the packages below do not say which they raise for files that are broken

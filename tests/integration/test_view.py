@@ -1,15 +1,14 @@
-"""The interactive page: what it holds, and what a browser draws of it."""
+"""The interactive page of a scene: what it holds. What a browser draws of it, `test_view_page.py` tells."""
 
+import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import clsim
-from clsim.paths.view import view_scene
+from clsim.paths.view import view_scene, viewed
 from clsim.pictures.view_page import ViewedEnd, ViewedPaths, ViewedWall, page_text
 
 WALL = clsim.Material.from_reflection(0.9)
@@ -86,68 +85,29 @@ def test_a_scene_at_rest_has_one_frame(tmp_path: Path) -> None:
     assert '"times":[0.0]' in (tmp_path / "x.html").read_text("utf-8")
 
 
-@pytest.fixture(scope="module")
-def opened(browser: Any, page: Path) -> Iterator[Any]:
-    """Open the page."""
-    tab = browser.new_page(viewport={"width": 560, "height": 400})
-    tab.set_default_timeout(120_000)  # of machines that do much else
-    errors: list[str] = []
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    tab.goto(page.as_uri())
-    tab.wait_for_function("window.clsim && window.clsim.ready.then(() => true)")
-    yield tab
-    tab.close()
-    assert errors == []
-
-
-@pytest.fixture
-def browser_page(opened: Any) -> Any:
-    """Give the page at its first frame."""
-    opened.evaluate("clsim.show(0)")
-    return opened
-
-
 def heard(paths: clsim.PathSet, time: float) -> list[int]:
     """Return how many paths of each order are heard."""
     now = (paths.start <= time) & (time < paths.end)
     return np.bincount(paths.order[now], minlength=3).tolist()
 
 
-@pytest.mark.exhaustive
-def test_the_slider_moves_what_is_drawn(browser_page, paths: clsim.PathSet) -> None:
-    before = browser_page.evaluate("clsim.state()")
-    assert before["paths"] == heard(paths, 0.0)
-    picture = browser_page.screenshot()
-    slider = browser_page.locator("#time")
-    slider.focus()
-    for _ in range(15):
-        slider.press("ArrowRight")
-    browser_page.wait_for_function("clsim.state().index === 15")
-    after = browser_page.evaluate("clsim.state()")
-    time = 15 * 0.1
-    assert after["paths"] == heard(paths, time) != before["paths"]
-    assert after["text"] == f"t = 1.500 s: {sum(heard(paths, time))} paths heard"
-    np.testing.assert_allclose(after["places"][0], [2.0 + 1.0 * time / 2, 8.0 - 6.0 * time / 2, 1.4], atol=1e-4)
-    np.testing.assert_allclose(after["places"][1], [7, 1, 2], atol=1e-4)
-    browser_page.wait_for_timeout(500)
-    assert browser_page.screenshot() != picture
+def test_the_page_is_that_of_what_is_viewed(paths: clsim.PathSet, page: Path) -> None:
+    """Whose arrays `test_view_page.py` finds again in a browser."""
+    view = viewed(paths, duration=2.0, frames=21)
+    parts = {"walls": view.walls, "ends": view.ends, "times": view.times, "frames": view.frames, "notes": view.notes}
+    text = page_text(title="a <b>walk</b>", **parts, edges=view.edges, bodies=view.bodies)
+    assert page.read_text("utf-8") == text
 
 
-@pytest.mark.exhaustive
-def test_paths_of_an_order_can_be_hidden(browser_page) -> None:
-    names = browser_page.evaluate("clsim.state().names")
-    assert {"reflection 0.9", "carpet </script>", "direct sound", "order 1", "order 2"} <= set(names)
-    shown = [n for n in names if n not in ("edges", "way of robot")]
-    toggle = browser_page.locator(".legendtoggle").nth(shown.index("order 2"))
-    for visible in ("false", "true"):
-        toggle.click()
-        browser_page.wait_for_function(f"clsim.state().visible[{names.index('order 2')}] === {visible}")
-        browser_page.wait_for_timeout(500)  # two clicks in a row would be a double click
-
-
-@pytest.mark.exhaustive
-def test_play_goes_through_the_frames(browser_page) -> None:
-    browser_page.locator("#play").click()
-    browser_page.wait_for_function("clsim.state().index >= 3")
-    browser_page.locator("#play").click()
-    assert browser_page.locator("#play").inner_text() == "play"
+def test_every_frame_has_what_is_heard_then(paths: clsim.PathSet, page: Path) -> None:
+    text = page.read_text("utf-8")
+    data = json.loads(text.split('<script id="data" type="application/json">')[1].split("</script>")[0])
+    np.testing.assert_allclose(data["times"], 0.1 * np.arange(21), atol=1e-9)
+    assert data["marks"]["text"] == ["robot", "near", "<far>"]
+    for time, frame, places in zip(data["times"], data["frames"], data["places"], strict=True):
+        assert [len(part["labels"]) for part in frame] == heard(paths, time)
+        np.testing.assert_allclose(places[0], [2.0 + 1.0 * time / 2, 8.0 - 6.0 * time / 2, 1.4], atol=0.501e-3)
+        np.testing.assert_allclose(places[1:], [(7, 1, 2), (1, 1, 2)], atol=1e-9)
+    assert heard(paths, 0.0) != heard(paths, 1.5)
+    assert {"reflection 0.9", "carpet &lt;/script&gt;"} <= {trace["name"] for trace in data["fixed"]}
+    assert [trace["name"] for trace in data["orders"]] == ["direct sound", "order 1", "order 2"]

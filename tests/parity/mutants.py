@@ -2,8 +2,9 @@
 
 A mutant is a fragment of the text and what replaces it. What differs is found by tokens and widened to the expression
 that holds it, and the expression becomes a choice between both, by a number that every launch gives as the global
-offset of its third dimension, which kernels do not use; functions are told it by the kernel. Mutants of preprocessor
-lines are texts of their own.
+offset of its third dimension, which kernels do not use. The kernel alone asks for it, and hands it to every function:
+runtimes inline what asks where a work-item is into each of their ways of launching. Mutants of preprocessor lines are
+texts of their own.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import re
 from bisect import bisect
 from dataclasses import dataclass
 from difflib import SequenceMatcher
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimError
@@ -31,8 +31,14 @@ _TOKEN = re.compile(
 # Of these a test runs so little that optimising takes longer.
 _LONG = {"tracks", "pair_tracks", "intervals", "edge_intervals"}
 _CHOICE = """size_t __attribute__((overloadable, const)) get_global_offset(uint);
-#define MUTANT(number) (chosen_mutant == number)
+#define MUTANT(number) (mutant == number)
 """
+# Heads of functions; the macro behind one hands the number on at every call, and passes over a name in brackets.
+_FUNCTION = re.compile(
+    r"^(static (?:inline )?(?:__attribute__\(\(\w+\)\) )?[^(;={]*?)\b(\w+)(\([^;{}]*?)\)(\s*)\{", re.MULTILINE
+)
+_HANDED_ON = r"\1(\2)\3, const size_t mutant)\n#define \2(...) \2(__VA_ARGS__, mutant)\n\4{"
+_KERNEL = re.compile(r"^__kernel [^{]*\{", re.MULTILINE)
 _OPEN, _CLOSE = dict(zip("([{", ")]}", strict=True)), set(")]}")
 _ASSIGN = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^="}
 _HEADS = {"if", "for", "while"}
@@ -80,7 +86,8 @@ class Mutants:
                 changes += [(*region, number) for region in regions]
             else:
                 self._alone[name] = mutated
-        self._together = _CHOICE + _told(_joined(self._text, changes), program)
+        functions = _FUNCTION.sub(_HANDED_ON, _joined(self._text, changes))
+        self._together = _CHOICE + _KERNEL.sub(r"\g<0>\n    const size_t mutant = get_global_offset(2);", functions)
         self.chosen: str | None = None
 
     def __iter__(self) -> Iterator[str]:
@@ -306,35 +313,6 @@ def _joined(text: str, changes: list[tuple[int, int, str, int]]) -> str:
         return "".join((*out, text[at:end]))
 
     return part(0, len(text), sorted(changes))
-
-
-def _told(text: str, program: str) -> str:
-    """Return the text in which the kernel asks for the number and tells it to all functions.
-
-    A function that asks for anything of its work-item is compiled as often as the kernel is: three times by PoCL.
-    """
-    tokens = _tokens(text)
-    heads = {i for i in _heads(tokens) if tokens[i].text != program}
-    functions, out, at = {tokens[i].text for i in heads}, [], 0
-    for i, (token, bracket) in enumerate(pairwise(tokens)):
-        if token.text in functions and bracket.text == "(":
-            told = "size_t chosen_mutant" if i in heads else "chosen_mutant"
-            out += [text[at : bracket.end], told, "" if tokens[i + 2].text == ")" else ", "]
-            at = bracket.end
-    asked = re.compile(rf"void {program}\([^{{]*{{").search(rest := "".join((*out, text[at:])))
-    assert asked is not None
-    return f"{rest[: asked.end()]} const size_t chosen_mutant = get_global_offset(2);{rest[asked.end() :]}"
-
-
-def _heads(tokens: list[_Token]) -> Iterator[int]:
-    """Return the places of the names of functions where these are defined."""
-    depth, last = 0, -1
-    for i, token in enumerate(tokens):
-        if depth == 0 and token.text == "(":
-            last = i - 1
-        if depth == 0 and token.text == "{" and tokens[i - 1].text == ")":
-            yield last
-        depth += (token.text in _OPEN) - (token.text in _CLOSE)
 
 
 def _grouped(expression: str, void: bool) -> str:
