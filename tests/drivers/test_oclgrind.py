@@ -15,6 +15,7 @@ from drivers import (
     EVERYTHING,
     FEW_ON_GPUS,
     OCLGRIND,
+    OPTIONS,
     PARITY_DB,
     POCL,
     apart_db,
@@ -32,14 +33,6 @@ from clsim.opencl.kernels import PROGRAMS
 FEW = [name for name in SCENES if EVERYTHING or name != "plain"]
 BY_CPU = [f"{name}.cpu" for name in FEW]
 BY_GPU = [f"{name}.gpu" for name in (SCENES if EVERYTHING else FEW_ON_GPUS)]
-OPTIONS = {
-    "LANES": {"1", "8"}, "SPARSE": {"0", "1"}, "FINE": {"0", "1"}, "OVERSAMPLING": {"1", "2"}, "PARTS": {"1", "2"},
-    "RETARDED": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}, "MACH_EXPONENT": {"0", "1", "2"}, "DELAY_TERMS": {"4", "8"},
-    "SOURCE_DIRECTIVITY": {"0", "1", "2"}, "RECEIVER_DIRECTIVITY": {"0", "1", "2"}, "NODES_AT_ONCE": {"1", "4"},
-    "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "GROUPED": {"0", "1"}, "ORDER": {"0", "1"},
-    "EDGES": {"0", "1"}, "SCATTERERS": {"0", "1"}, "BODIES": {"0", "2"}, "MORE": {"0", "6", "8"},
-    "FREQUENCIES": {"1", "8"}, "WORKERS": {"1", "32"},
-}  # fmt: skip
 # Those of programs that share files with others, in which the same options have run.
 OPTIONS_OF = {
     "tracks": {
