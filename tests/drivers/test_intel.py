@@ -47,4 +47,6 @@ def test_scenes_run_every_kernel_with_every_option(by_pocl: Callable[..., Path])
 
 def branches(scenes: Iterable[list[tuple[str, dict[str, str]]]]) -> set[tuple[str, str, str]]:
     """Return programs, options by which code is chosen, and their values."""
-    return {(program, o, value) for ran in scenes for program, given in ran for o, value in given.items() if o in OPTIONS}
+    return {
+        (program, o, value) for ran in scenes for program, given in ran for o, value in given.items() if o in OPTIONS
+    }
