@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exhaustive import few
 
 import clsim
 from clsim.paths.response import SceneResponse
@@ -145,7 +146,7 @@ CHIRP = clsim.Signal.chirp(20e3, 80e3, 0.01, RATE, window="hann")
 
 @pytest.mark.parametrize(
     ("engine", "v_s", "v_r"),
-    [("opencl", 0.0, 2.0), ("opencl", -30.0, 1.0), ("reference", -30.0, 2.0)],
+    few([("opencl", -30.0, 1.0), ("reference", -30.0, 2.0), ("opencl", 0.0, 2.0)], kept=(0, 1)),
 )
 def test_a_chirp_is_the_sum_over_its_spectrum(engine, v_s, v_r, measured):
     """-85 dB, the error of all that is rendered at default settings; air of the emitted frequency is 21 dB at 30 m/s."""

@@ -103,7 +103,7 @@ ELECTRONICS = clsim.Electronics(clock_ppm=40.0, clock_offset=1e-3, high_cut=70e3
         pytest.param(scene(TONE, transducer=clsim.Transducer.named("MA40S4R"), electronics=ELECTRONICS), {}, [(0,)],
                      id="transducer, electronics, clock"),
         pytest.param(scene(TONE, clsim.Signal.chirp(20e3, 80e3, 0.04, RATE), TONE), {}, [(0, 2)],
-                     id="two narrow sources and a wide one"),
+                     id="two narrow sources and a wide one", marks=pytest.mark.exhaustive),
         pytest.param(scene(TONE, clsim.Signal.tone(25e3, 0.03, RATE)), {}, [(0,), (1,)], id="two carriers"),
         pytest.param(scene(BEACONS), {}, [(0,), (0,), (0,)], id="three carriers of one source"),
         pytest.param(scene(clsim.Signal.pulses(clsim.Signal.tone(40e3, 0.03, RATE), 0.07, 3)), {}, [(0,)],
@@ -213,10 +213,12 @@ PLATE = clsim.Body(
     [
         pytest.param(OPEN, SPOT, {"scatterers": [POINT]}, {}, {"images", "scatterers"}, id="scatterer"),
         pytest.param(OPEN, SPOT, {"air": STIRRED}, {}, {None}, id="air that fluctuates"),
-        pytest.param(OPEN, SPOT, {"bodies": [PLATE]}, {"max_order": 1}, {"images", "bodies"}, id="body"),
+        pytest.param(OPEN, SPOT, {"bodies": [PLATE]}, {"max_order": 1}, {"images", "bodies"}, id="body",
+                     marks=pytest.mark.exhaustive),
         pytest.param(
             clsim.MeshRoom(PILLAR.vertices + np.array([1.3, 2.0, 2.0]), PILLAR.triangles, PILLAR.faces.materials[0]),
             clsim.Trajectory.fixed((1.7, 2.05, 2.0)), {}, {"diffraction": 2}, {None}, id="two edges",
+            marks=pytest.mark.exhaustive,
         ),
         pytest.param(
             OPEN, clsim.Trajectory.line((1.02, 2.0, 2.0), (1.12, 2.0, 2.0), 0.1), {}, {}, {"images"},

@@ -164,7 +164,9 @@ def test_scene_file_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     made = clsim.render(clsim.find_paths(file.scene, 1), **file.render)
     frames = soundfile.read(tmp_path / "out" / "r.wav", dtype="float32")[0]
     assert np.array_equal(frames[:, 0] + 1j * frames[:, 1], made.samples[0])
-    assert main(["run", str(tmp_path / "out" / "scene.completed.toml"), "-o", str(tmp_path / "again")]) == 0
+    assert (
+        main(["run", str(tmp_path / "out" / "scene.completed.toml"), "-o", str(tmp_path / "again"), "--no-plots"]) == 0
+    )
 
 
 def test_bad_scene_file_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
