@@ -37,10 +37,8 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
         for file in (node for node in reversed(report.result) if isinstance(node, pytest.Module)):
             try:
                 _ = file.obj
-            except (
-                Exception,
-                pytest.skip.Exception,
-            ):  # it is loaded again in its turn, and skipped or told then: not half of it as it is
+            except (Exception, pytest.skip.Exception):
+                # It is loaded again in its turn, and skipped or told then: not half of it as it is.
                 for name in [n for n, m in sys.modules.items() if getattr(m, "__file__", None) == str(file.path)]:
                     del sys.modules[name]
     return report

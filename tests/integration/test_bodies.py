@@ -1,11 +1,11 @@
 """What everything else makes of bodies: files, tables, pages, truth, engines, ends they carry, resumed runs, studies."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from made_pages import data_of
 
 import clsim
 from clsim.cli import main
@@ -108,8 +108,7 @@ def test_tables_truth_vertices_and_pages_know_them(paths: PathSet, tmp_path: Pat
     )
     assert any("door" in label for label in view.frames[0].labels)
     view_scene(paths, tmp_path / "view.html", duration=0.06, frames=3)
-    text = (tmp_path / "view.html").read_text("utf-8")
-    data = json.loads(text.split('<script id="data" type="application/json">')[1].split("</script>")[0])
+    data = data_of(tmp_path / "view.html")
     assert [drawn["trace"]["name"] for drawn in data["bodies"]] == ["door", "robot"]
     for drawn, body in zip(data["bodies"], paths.scene.bodies, strict=True):  # moved as the page's script does
         for time, pose in zip(data["times"], drawn["poses"], strict=True):

@@ -44,12 +44,15 @@ def workers_of(study: subprocess.Popen) -> list[int]:
     return []
 
 
+INTERRUPTED = [1.25 + 0.001 * i for i in range(40)]  # lengths of the members of a study that is interrupted
+
+
 def members_of_processes(folder: Path) -> dict[int, list[int]]:
     """Return the members that each process ran to their metrics."""
     found: dict[int, list[int]] = {}
     for (_, length), processes in runs(folder).items():
         for process in processes:
-            found.setdefault(process, []).append(round((length - 1.25) / 0.001))
+            found.setdefault(process, []).append(round((length - INTERRUPTED[0]) / 0.001))
     return found
 
 
@@ -180,8 +183,7 @@ def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.slow
 def test_an_interrupted_study_is_one_line_and_its_workers_had_devices_of_their_own(folder: Path) -> None:
-    lengths = [1.25 + 0.001 * i for i in range(40)]
-    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], lengths), "--workers", "2"]
+    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], INTERRUPTED), "--workers", "2"]
     two = ENVIRONMENT | {"POCL_DEVICES": "pthread pthread"}
     study = subprocess.Popen(
         arguments,

@@ -1,11 +1,11 @@
 """The interactive page of a scene: what it holds. What a browser draws of it, `test_view_page.py` tells."""
 
-import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from made_pages import data_of
 
 import clsim
 from clsim.paths.view import view_scene, viewed
@@ -100,8 +100,7 @@ def test_the_page_is_that_of_what_is_viewed(paths: clsim.PathSet, page: Path) ->
 
 
 def test_every_frame_has_what_is_heard_then(paths: clsim.PathSet, page: Path) -> None:
-    text = page.read_text("utf-8")
-    data = json.loads(text.split('<script id="data" type="application/json">')[1].split("</script>")[0])
+    data = data_of(page)
     np.testing.assert_allclose(data["times"], 0.1 * np.arange(21), atol=1e-9)
     assert data["marks"]["text"] == ["robot", "near", "<far>"]
     for time, frame, places in zip(data["times"], data["frames"], data["places"], strict=True):

@@ -1,6 +1,5 @@
 """The interactive page from plain arrays: what it refuses, what it holds, and what Chromium draws of it."""
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from exhaustive import few
+from made_pages import data_of
 
 import clsim
 from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedPaths, ViewedWall, page_text
@@ -88,11 +88,6 @@ def write(path: Path, **changed: Any) -> Path:
     }  # fmt: skip
     path.write_text(page_text(**(given | {"notes": ["air of 20 °C", "</script><i>note"]} | changed)), "utf-8")
     return path
-
-
-def data_of(path: Path) -> Any:
-    text = path.read_text("utf-8")
-    return json.loads(text.split('<script id="data" type="application/json">')[1].split("</script>")[0])
 
 
 @pytest.fixture(scope="module")
