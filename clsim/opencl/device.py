@@ -7,6 +7,7 @@ from typing import Any
 
 from clsim.errors import DeviceError
 from clsim.opencl.kernel_cache import prepare
+from clsim.opencl.processor import name_processor
 
 INSTALL = (
     "install a driver: `pip install pocl-binary-distribution` (Linux x86-64), "
@@ -110,13 +111,16 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
         return []
     found = []
     for p, platform in enumerate(platforms):
-        if trouble and platform.name == "Portable Computing Language":
+        pocl = platform.name == "Portable Computing Language"
+        if trouble and pocl:
             continue
         try:
             devices = platform.get_devices()
         except cl.Error:  # a platform without a device
             continue
         for d, device in enumerate(devices):
+            if pocl:
+                name_processor(device)
             kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"))
             kind = next((name for bit, name in kinds if device.type & bit), "other")
             info = DeviceInfo(
