@@ -149,7 +149,11 @@ def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, 
     monkeypatch.setattr(streaming, "render_chunks", interrupted)
     scene.write_text((SCENE % "0.5").replace("[render]\n", "[render]\nchunk = 18432\n"), "utf-8")
     out = tmp_path / "out"
-    assert main(["run", str(scene), "-o", str(out)]) == 130
+    deaf = signal.signal(signal.SIGINT, signal.default_int_handler)  # as tests run in the background are
+    try:
+        assert main(["run", str(scene), "-o", str(out)]) == 130
+    finally:
+        signal.signal(signal.SIGINT, deaf)
     told = f"clsim: interrupted; what was rendered is kept in {out / '.partial'}: --resume goes on with it\n"
     assert capsys.readouterr().err == told
     assert [p.name for p in out.iterdir()] == [".partial"]
