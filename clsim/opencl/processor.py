@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +33,9 @@ _WORD = 8  # bytes of a pointer
 _names: dict[str, Any] = {}  # texts that devices point to, for as long as there are devices
 
 
+@cache
 def name_processor(device: Any) -> None:
-    """Have PoCL compile for what this processor can do, where it does not know which it is.
+    """Have PoCL compile for what this processor can do, where it does not know which it is; once in a process.
 
     Parameters
     ----------

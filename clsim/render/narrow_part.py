@@ -9,8 +9,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from clsim.render.blas_threads import with_blas_threads
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.path_sum import PathSum
@@ -90,8 +90,7 @@ class _Adding(Stateless):
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
-        # Matrices are small: threads of the linear algebra would wait for each other and for the device.
-        with threadpool_limits(1, "blas"):
+        with with_blas_threads(1):
             for part in self._parts:
                 part.add(pressure, start)
 
@@ -102,7 +101,7 @@ class _Adding(Stateless):
     def made(self, name: str) -> NDArray[Any]:
         """Return a chunk of envelopes by its name, (receivers, n) complex."""
         part, chunk = map(int, name.split("."))
-        with threadpool_limits(1, "blas"):
+        with with_blas_threads(1):
             return self._parts[part].rendered(chunk, alone=True)
 
     def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:

@@ -7,11 +7,10 @@ from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
-from threadpoolctl import threadpool_limits
-
 from clsim.errors import InputError
 from clsim.numerics.upsampling import Upsampler
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
+from clsim.render.blas_threads import with_blas_threads
 from clsim.render.diffuse_tail import diffuse_tail
 from clsim.render.envelope import design_envelope
 from clsim.render.narrow_band import NarrowFilters, design_split
@@ -186,8 +185,7 @@ def _source_filters(
     made: list[SourceFilters] = []
     parts: list[tuple[int, NarrowFilters]] = []
     told: list[str] = []
-    # Matrices are small: threads of the linear algebra would wait for each other, the longer the busier the machine.
-    with threadpool_limits(1, "blas"):
+    with with_blas_threads(1):
         for i, (emitted, start) in enumerate(emissions):
             signal = emitted.at_rate(options.sampling_rate)
             sound, spectrum = spectra(signal)

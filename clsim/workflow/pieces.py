@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import atomic_path, safe_path, temporary_path
 from clsim.opencl.device import find_device
+from clsim.render.blas_threads import blas_threads, with_blas_threads
 from clsim.render.memory import within_memory
 from clsim.render.planning import on_device
 from clsim.render.receiver_chain import ReceiverChain, receivers_with_ends
@@ -110,8 +110,7 @@ class Handed:
     def of(cls, plan: Plan, store: SoundStore, blocks: int) -> Handed:
         """Return what workers are to have, with receivers in so many blocks."""
         edges = np.linspace(0, plan.receiver_count, min(blocks, plan.receiver_count) + 1).astype(int).tolist()
-        threads = [int(pool["num_threads"]) for pool in threadpool_info() if pool["user_api"] == "blas"]
-        return cls(plan, store, tuple(map(range, edges[:-1], edges[1:])), max(threads, default=1))
+        return cls(plan, store, tuple(map(range, edges[:-1], edges[1:])), blas_threads())
 
     def later(self) -> list[range]:
         """Return the blocks in which something rings on, whose pieces are a chain."""
@@ -228,7 +227,7 @@ def do_piece(plan: PlanFile, piece: Piece, state: State, device: str | None) -> 
         rendered = site.handed.plan
         with (
             within_memory(rendered.largest_field, "rendering", rendered.memory_bytes),
-            threadpool_limits(site.handed.blas_threads, "blas"),
+            with_blas_threads(site.handed.blas_threads),
         ):
             remembered = site.do(piece, state)
     told = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]

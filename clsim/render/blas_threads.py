@@ -1,0 +1,38 @@
+"""Threads of the linear algebra below NumPy and SciPy, and how many there are."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from threadpoolctl import ThreadpoolController
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def blas_threads() -> int:
+    """Return how many threads multiply matrices: with another number results may round otherwise."""
+    return max((int(pool["num_threads"]) for pool in _libraries().info() if pool["user_api"] == "blas"), default=1)
+
+
+@contextmanager
+def with_blas_threads(count: int) -> Iterator[None]:
+    """Have matrices multiplied by so many threads within a ``with``.
+
+    Where they are small, threads would wait for each other, the longer the busier the machine.
+    """
+    with _libraries().limit(limits=count, user_api="blas"):
+        yield
+
+
+def _libraries() -> ThreadpoolController:
+    """Return the libraries of this process: looked for, which takes milliseconds, when there are other modules."""
+    return _found(len(sys.modules))
+
+
+@lru_cache(maxsize=1)
+def _found(modules: int) -> ThreadpoolController:
+    return ThreadpoolController()
