@@ -1,8 +1,8 @@
 """The processor that PoCL compiles for, told to it where it does not know the one it runs on.
 
 PoCL asks LLVM for the processor's name. The LLVM 14 in PoCL 3.0 knows none of AMD's since Zen 5, and says ``generic``,
-a name that its compiler refuses: nothing could be built. Later releases of PoCL take the processor for which their
-library of functions was compiled, and so does `name_processor` for this one.
+a name that its compiler refuses: nothing could be built. PoCL 3.1 takes the processor for which its library of
+functions was compiled, and so does `name_processor` for 3.0.
 """
 
 from __future__ import annotations
