@@ -125,6 +125,11 @@ def in_one_line(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}{place}"
 
 
+def counted(count: int, noun: str) -> str:
+    """Return how many things there are, in words: ``1 source``, ``2 sources``."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def warn(message: str) -> None:
     """Warn, as of the line outside clsim that called it."""
     level, frame = 2, sys._getframe(1)

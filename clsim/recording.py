@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import as_index, as_number, short_repr, texts
-from clsim.errors import InputError
+from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
 from clsim.pictures.notebook import html_table, inline_sound
 from clsim.version import __version__
@@ -276,7 +276,9 @@ class Recording:
         ]
         about = "" if self.carrier is None else f", envelopes about {self.carrier:g} Hz"
         duration = self.samples.shape[1] / self.sampling_rate
-        title = f"Recording: {len(self.samples)} receivers, {duration:.6g} s at {self.sampling_rate:g} Hz{about}"
+        title = (
+            f"Recording: {counted(len(self.samples), 'receiver')}, {duration:.6g} s at {self.sampling_rate:g} Hz{about}"
+        )
         more = [f"and {len(self.samples) - len(rows)} more"] if len(rows) < len(self.samples) else []
         return html_table(title, ("receiver", "unit", "rms", "peak"), rows, [*more, *self.notes])
 

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
 
+from clsim.errors import counted
 from clsim.pictures.plots import DIRECT, RANGE_DB, new_figure, save_figure
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os
     note = f" ({left_out} more than {RANGE_DB:.0f} dB below the loudest not shown)" if left_out else ""
     axes.set(
         xlabel="delay (ms)", ylabel="gain (dB re 1 m from the source)",
-        title=f"{table.receiver_names[receiver]}: {len(heard)} paths at {table.times[index]:.4g} s{note}",
+        title=f"{table.receiver_names[receiver]}: {counted(len(heard), 'path')} at {table.times[index]:.4g} s{note}",
     )  # fmt: skip
     save_figure(figure, path)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
-from clsim.errors import InputError
+from clsim.errors import InputError, counted
 from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
 from clsim.paths.channel import (
     ChannelBand,
@@ -418,9 +418,8 @@ class PathSet:
         kinds, scene = np.unique(self.order), self.scene
         rows = [(n, int(np.sum(self.order == n)), self._seconds(self.order == n)) for n in kinds.tolist()]
         pairs = len(np.unique(self.source.astype(np.int64) * len(scene.receivers) + self.receiver))
-        title = (
-            f"PathSet: {len(self)} intervals of paths, {len(scene.sources)} sources, {len(scene.receivers)} receivers"
-        )
+        ends = f"{counted(len(scene.sources), 'source')}, {counted(len(scene.receivers), 'receiver')}"
+        title = f"PathSet: {counted(len(self), 'interval')} of paths, {ends}"
         silent = len(scene.sources) * len(scene.receivers) - pairs
         notes = [f"{silent} pairs of source and receiver have none"] if silent else []
         return html_table(title, ("order", "intervals", "heard"), rows, notes)

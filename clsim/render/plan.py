@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import short_repr
+from clsim.errors import counted
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import SMALL_SUBBLOCK
 
@@ -268,7 +269,8 @@ class Plan:
             As in the notes of the recording.
         """
         lines = [
-            f"{self.path_count} paths from {len(self.source_filters)} sources to {self.receiver_count} receivers",
+            f"{counted(self.path_count, 'path')} from {counted(len(self.source_filters), 'source')} to "
+            f"{counted(self.receiver_count, 'receiver')}",
             f"{self.samples} samples at {self.sampling_rate:g} Hz, {self.duration:g} s, in chunks of {self.chunk}",
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",

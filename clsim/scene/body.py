@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 
 from clsim.arrays import LARGEST_ROOM, as_floats
-from clsim.errors import InputError
+from clsim.errors import InputError, counted
 from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.checks import as_places
@@ -186,7 +186,7 @@ class Body:
         low, high = self.mesh.extent
         size = " x ".join(f"{x:.4g}" for x in high - low)
         moves = "at rest" if self.is_static else f"no point of it faster than {self.peak_speed:.3g} m/s"
-        return [f"body {self.name!r}: {len(self.mesh.walls)} faces, {size} m, {moves}"]
+        return [f"body {self.name!r}: {counted(len(self.mesh.walls), 'face')}, {size} m, {moves}"]
 
     def placed(self, points: Floats, time: Floats) -> Floats:
         """Return where points (..., 3) of its own coordinates are at times (...), m.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_number, read_only, short_repr, texts
-from clsim.errors import InputError
+from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
 from clsim.pictures.notebook import html_table
 from clsim.score.emissions import direct_delays, heard_scene, source_index
@@ -187,8 +187,8 @@ class RangingScore:
             ("75 % within", f"{1e3 * self.percentile(75):.3f} mm"), ("detected", f"{100 * self.detection_rate:.1f} %"),
             (f"outliers, {self.outlier:g} m and more", f"{100 * self.outlier_rate:.1f} %"),
         ]  # fmt: skip
-        receivers, emissions = self.delay.shape
-        return html_table(f"RangingScore: {receivers} receivers, {emissions} emissions", ("", ""), rows)
+        receivers, emissions = map(counted, self.delay.shape, ("receiver", "emission"))
+        return html_table(f"RangingScore: {receivers}, {emissions}", ("", ""), rows)
 
 
 def ranging(

@@ -139,7 +139,7 @@ def test_runs_are_resumed_and_checked(tmp_path: Path, capsys: pytest.CaptureFixt
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE, "utf-8")
     assert main(["check", str(scene)]) == 0
-    assert "body 'door': 1 faces, 0 x 0.9 x 2 m, no point of it faster than 0.95 m/s" in capsys.readouterr().out
+    assert "body 'door': 1 face, 0 x 0.9 x 2 m, no point of it faster than 0.95 m/s" in capsys.readouterr().out
     assert main(["run", str(scene), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
     with np.load(tmp_path / "a" / "ground_truth.npz") as found:
         assert found["body_names"].tolist() == ["door", "robot"]

@@ -80,7 +80,7 @@ def test_run_does_not_write_over_results(scene: Path, tmp_path: Path, capsys, de
 def test_check_and_paths_say_what_there_is(scene: Path, tmp_path: Path, capsys) -> None:
     assert main(["check", str(scene)]) == 0
     out = capsys.readouterr().out
-    assert "50 paths from 1 sources to 2 receivers" in out
+    assert "50 paths from 1 source to 2 receivers" in out
     assert "valid" in out
     assert main(["paths", str(scene), "--limit", "3"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
+from clsim.errors import counted
 
 
 def test_warnings_name_the_line_outside_that_called() -> None:
@@ -48,3 +49,7 @@ def test_warnings_name_the_line_outside_that_called() -> None:
 def test_what_is_of_another_kind_is_told_so(call: Callable[[], object], message: str) -> None:
     with pytest.raises(clsim.InputError, match=f"^{message}$"):
         call()
+
+
+def test_one_thing_is_not_things() -> None:
+    assert [counted(n, "path") for n in (0, 1, 2)] == ["0 paths", "1 path", "2 paths"]
