@@ -11,7 +11,7 @@ import numpy as np
 
 from clsim.arrays import LOUDEST, as_number
 from clsim.errors import InputError
-from clsim.files.atomic import temporary_path
+from clsim.files.atomic import not_written, temporary_path
 from clsim.files.input_files import check_file
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class WavWriter:
                 format="RF64" if self._large else "WAV",
             )  # fmt: skip
         except soundfile.LibsndfileError as error:
-            raise OSError(f"cannot write {self._path}: {error}") from error
+            raise not_written(self._path, error) from error
 
     def write(self, samples: NDArray[Any]) -> None:
         """Append samples (n,) or (n, channels).
@@ -145,7 +145,7 @@ class WavWriter:
         try:
             self._file.write(np.ascontiguousarray(samples, dtype=np.float32))
         except (RuntimeError, AssertionError) as error:  # libsndfile reports a full disk as a short write
-            raise OSError(f"cannot write {self._path}: {error or 'disk full'}") from error
+            raise not_written(self._path, error) from error
         if self._file.frames - before != len(samples):
             raise OSError(f"cannot write {self._path}: disk full")
 
