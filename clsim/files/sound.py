@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import struct
 from os import PathLike
 from pathlib import Path
@@ -123,6 +125,12 @@ class WavWriter:
         self._temporary = temporary_path(self._path)
         self._frame_bytes = 4 * channels
         self._large = samples is not None and self._frame_bytes * samples > _LARGEST_WAV
+        try:
+            if self._path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            self._temporary.touch()  # tells why it cannot be written, which libsndfile does not
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._path)) from error
         try:
             self._file = soundfile.SoundFile(
                 self._temporary, "w", samplerate=rate, channels=channels, subtype="FLOAT",

@@ -59,8 +59,10 @@ def test_interrupted_files_leave_nothing(tmp_path) -> None:
 def test_wav_needs_a_whole_rate_and_a_folder(tmp_path) -> None:
     with pytest.raises(clsim.InputError, match="whole number of Hz"):
         WavWriter(tmp_path / "a.wav", 44_100.5)
-    with pytest.raises(OSError, match="cannot write"):
+    with pytest.raises(FileNotFoundError, match=r"No such file or directory: '.*a\.wav'"):
         WavWriter(tmp_path / "missing" / "a.wav", 44_100)
+    with pytest.raises(IsADirectoryError, match=f"{tmp_path.name}'$"):
+        WavWriter(tmp_path, 44_100)
 
 
 def test_wav_grows_beyond_4_gib_only_when_announced(tmp_path) -> None:
