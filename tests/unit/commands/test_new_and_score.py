@@ -50,6 +50,24 @@ def test_a_new_scene_can_be_rendered_as_it_is(tmp_path: Path, capsys: pytest.Cap
     assert main(["new", str(tmp_path / "scene.toml"), "--force"]) == 0
 
 
+def test_a_gap_in_a_trajectory_is_told_and_bridged_where_it_is_asked_for(tmp_path: Path, capsys) -> None:
+    lines = WALK.splitlines(keepends=True)
+    (tmp_path / "walk.tum").write_text("".join(lines[:4] + lines[-4:]), "utf-8")
+    asked = ["new", str(tmp_path / "walk.toml"), "--trajectory", str(tmp_path / "walk.tum")]
+    assert main(asked) == 2
+    assert capsys.readouterr().err.rstrip().endswith("; bridge it by --max-gap")
+    assert main([*asked, "--max-gap", "100"]) == 0
+    assert "max_gap = 100," in (tmp_path / "walk.toml").read_text("utf-8")
+    capsys.readouterr()
+    assert main(["check", str(tmp_path / "walk.toml")]) == 0
+    told = re.search(
+        r"^sources\[0\].trajectory: \S+ m in (\S+) s, at most \S+ m/s$", capsys.readouterr().out, re.MULTILINE
+    )
+    trajectory = clsim.load_scene(tmp_path / "walk.toml").scene.sources[0].trajectory
+    assert told is not None
+    assert float(told[1]) == pytest.approx(trajectory.end - trajectory.start, rel=1e-3)
+
+
 def test_a_mesh_and_a_trajectory_are_filled_in(tmp_path: Path) -> None:
     inside = tmp_path / "models"
     inside.mkdir()
