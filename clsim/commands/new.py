@@ -97,9 +97,8 @@ def execute(options: argparse.Namespace) -> int:
     trajectory = f'trajectory = {{ kind = "fixed", position = {_text(places[0])} }}'
     if motion is not None:
         named = _relative(options.trajectory, base)
-        file = f'kind = "file", path = {named}, format = "{motion[0]}"' + (
-            "" if options.max_gap is None else f", max_gap = {options.max_gap:g}"
-        )
+        gap = "" if options.max_gap is None else f", max_gap = {options.max_gap:g}"
+        file = f'kind = "file", path = {named}, format = "{motion[0]}"{gap}'
         trajectory = f"trajectory = {{ {file}, translate = {_text(moved)} }}"
     text = _TEMPLATE.format(
         name=options.scene.name, room=room, duration=duration, fade=min(0.005, 0.1 * duration), trajectory=trajectory,

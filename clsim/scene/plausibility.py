@@ -30,10 +30,11 @@ def warn_of_units(room: Room, sources: Sequence[Source]) -> None:
 def warn_of_roles(sources: Sequence[Source], receivers: Sequence[Receiver]) -> None:
     """Warn of the first source that has a receiver's transducer, and of the first receiver that has a transmitter's."""
     sender, ear = TRANSDUCER_NAMES
-    for field, ends, wrong, what in (
+    roles: tuple[tuple[str, Sequence[Source | Receiver], str, str], ...] = (
         ("sources", sources, ear, f"is a receiver, told in V/Pa; the transmitter is {sender}"),
         ("receivers", receivers, sender, f"is a transmitter, told in Pa/V; the receiver is {ear}"),
-    ):
+    )
+    for field, ends, wrong, what in roles:
         known = Transducer.named(wrong)
         for i, end in enumerate(ends):
             given = end.transducer

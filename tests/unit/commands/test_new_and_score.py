@@ -1,6 +1,7 @@
 """Scene files to begin with, scores of a run's folder, completion, and what the command line says of itself."""
 
 import csv
+import re
 import shutil
 import subprocess
 from pathlib import Path
