@@ -55,7 +55,6 @@ def test_every_key_is_told_and_its_example_is_what_the_key_takes() -> None:
         "duration": "s",
         "low_cut": "Hz",
         "self_noise_db": "dB",
-        "positions": "",
         "translate": "m",
     }
     assert {name: rows[name] for name in wanted} == wanted
