@@ -89,7 +89,8 @@ def atomic_path(path: str | os.PathLike[str], within: Path | None = None) -> Ite
             raise OSError(error.errno, error.strerror, str(final)) from error
         raise
     finally:
-        temporary.unlink(missing_ok=True)
+        if os.path.lexists(temporary):  # on a read-only disk not even a name that is not there can be deleted
+            temporary.unlink(missing_ok=True)
 
 
 def not_written(path: str | os.PathLike[str], error: Exception) -> OSError:

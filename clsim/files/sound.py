@@ -137,7 +137,9 @@ class WavWriter:
                 format="RF64" if self._large else "WAV",
             )  # fmt: skip
         except soundfile.LibsndfileError as error:
-            raise not_written(self._path, error) from error
+            failed = not_written(self._path, error)
+            self._temporary.unlink(missing_ok=True)
+            raise failed from error
 
     def write(self, samples: NDArray[Any]) -> None:
         """Append samples (n,) or (n, channels).

@@ -169,6 +169,7 @@ def _responses(path: Path, form: str) -> np.ndarray:
         (["--band", "nan", "20000"], "--band: must be finite, but is nan"),
         (["--format", "npz"], "--output: must end in .npz, but is {out}"),
         (["-o", "responses.wav"], "--output: must be a folder for WAV files, but is responses.wav"),
+        (["-o", "responses.MAT"], "--output: must be a folder for WAV files, but is responses.MAT"),
         (["-o", "responses.npz", "--format", "sofa"], "--output: must end in .sofa, but is responses.npz"),
     ],
 )

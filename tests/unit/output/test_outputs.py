@@ -1,8 +1,11 @@
 """Files are whole or absent, and hold what they should."""
 
+import errno
+import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -54,6 +57,16 @@ def test_interrupted_files_leave_nothing(tmp_path) -> None:
     with pytest.raises(RuntimeError):
         failed()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_read_only_disk_is_told_by_the_name_that_was_asked_for(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    monkeypatch.setattr(Path, "write_text", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)  # of names that are not there, too
+    with pytest.raises(OSError, match=r"/page\.html'$"), atomic_path(tmp_path / "page.html") as temporary:
+        temporary.write_text("x")
 
 
 def test_wav_needs_a_whole_rate_and_a_folder(tmp_path) -> None:
