@@ -122,6 +122,19 @@ def test_a_run_is_scored(run: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert all(abs(float(row["error"])) < 1e-3 and row["line_of_sight"] == "True" for row in rows)
 
 
+def test_of_several_sources_it_is_told_whose_pulses_are_scored(tmp_path: Path, capsys) -> None:
+    first, second = PULSES.index("[[sources]]"), PULSES.index("[[receivers]]")
+    other = PULSES[first:second].replace('"robot"', '"drone"').replace("[1, 1, 1]", "[2, 2, 1]")
+    text = (PULSES[:second] + other + PULSES[second:]).replace("count = 3", "count = 1")
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
+    out = str(tmp_path / "out")
+    assert main(["run", str(tmp_path / "scene.toml"), "-o", out, "--no-plots", "--table", "none"]) == 0
+    capsys.readouterr()
+    for asked, told in (([], "robot"), (["--source", "drone"], "drone")):
+        assert main(["score", out, *asked]) == 0
+        assert capsys.readouterr().out.splitlines()[0] == f"pulses of '{told}', one of 2 sources (--source)"
+
+
 def test_what_cannot_be_scored_is_a_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["score", str(run), "--source", "x"]) == 2
     assert "--source: must be one of \"robot\", but is 'x'" in capsys.readouterr().err
