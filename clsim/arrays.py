@@ -125,6 +125,8 @@ def as_floats(
     InputError
         If the value is not numeric, has another shape, is empty or holds NaN, infinity or more than `within`.
     """
+    if isinstance(value, np.ndarray) and np.iscomplexobj(value):  # whose imaginary parts NumPy would drop
+        raise InputError(field, f"must be real, but is {value.dtype}")
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_index, as_number, short_repr, texts
+from clsim.arrays import as_floats, as_index, as_number, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
 from clsim.pictures.notebook import html_table, inline_sound
@@ -120,13 +120,17 @@ class Recording:
         Parameters
         ----------
         path : path-like
-            Of the file.
+            Of the file; it ends in ``.wav``. Other formats: `write_flac`, `write_mat`.
 
         Raises
         ------
+        InputError
+            If it ends otherwise.
         OSError
             If the file cannot be written.
         """
+        if not str(path).lower().endswith(".wav"):
+            raise InputError("path", f"must end in .wav, but is {str(path)!r:.80}")
         from clsim.files.sound import WavWriter, as_frames
 
         frames = as_frames(self.samples)
@@ -160,12 +164,12 @@ class Recording:
             found.attrs["carrier"] = self.carrier
         return with_times(found, self.sampling_rate)
 
-    def plot(self, receivers: Sequence[int | str] | None = None) -> list[Axes]:
+    def plot(self, receivers: int | str | Sequence[int | str] | None = None) -> list[Axes]:
         """Draw what receivers recorded over time, one below the other; in baseband its magnitude.
 
         Parameters
         ----------
-        receivers : sequence of int or str, optional
+        receivers : int, str or sequence of them, optional
             Indices or names; the first eight when left out.
 
         Returns
@@ -183,7 +187,8 @@ class Recording:
 
         from clsim.pictures.plots import draw_waveform
 
-        rows = [self._row(r) for r in (range(len(self.samples))[:_MOST_DRAWN] if receivers is None else receivers)]
+        wanted = range(len(self.samples))[:_MOST_DRAWN] if receivers is None else receivers
+        rows = [self._row(r) for r in ([wanted] if isinstance(wanted, int | str) else wanted)]
         size = (10.0, 1.2 + 1.6 * len(rows))
         figure, axes = pyplot.subplots(len(rows), sharex=True, squeeze=False, figsize=size, layout="constrained")
         for row, place in zip(rows, axes[:, 0], strict=True):
@@ -211,7 +216,7 @@ class Recording:
         Raises
         ------
         InputError
-            If there is no such receiver.
+            If there is no such receiver, or no such band up to half the sampling rate.
         """
         check_pictures("plot")
         from matplotlib import pyplot
@@ -220,6 +225,10 @@ class Recording:
         from clsim.pictures.plots import draw_spectrogram
 
         row = self._row(receiver)
+        if band is not None:
+            low, high = as_floats("band", band, (2,)).tolist()
+            as_number("band[0]", low, at_least=0.0, unit="Hz")
+            as_number("band[1]", high, above=low, at_most=0.5 * self.sampling_rate, unit="Hz")
         figure, axes = pyplot.subplots(figsize=(10.0, 5.0), layout="constrained")
         samples, rate, name = self.samples[row], self.sampling_rate, self.receiver_names[row]
         if self.carrier is None:

@@ -16,8 +16,11 @@ if TYPE_CHECKING:
     import argparse
 
     from clsim.paths.path_set import PathSet
+    from clsim.scene.motion.trajectory import Trajectory
     from clsim.scene_file.scene import SceneFile
     from clsim.workflow.pipeline import PlannedScene
+
+_INSTANTS = 10_001  # of a motion at which its speed is looked at
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,10 +41,20 @@ def execute(options: argparse.Namespace) -> int:
         print(line)
     scene = file.scene
     for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
-        for note in item.trajectory.notes:
+        for note in [*_motion(item.trajectory), *item.trajectory.notes]:
             print(f"{field}.trajectory: {note}")
     print("the scene file is valid")
     return 0
+
+
+def _motion(trajectory: Trajectory) -> list[str]:
+    """Return how long and how fast a motion from a file is: times and lengths in other units show."""
+    if not trajectory.notes:
+        return []
+    t = np.linspace(trajectory.start, trajectory.end, _INSTANTS)
+    length = np.linalg.norm(np.diff(trajectory.position(t), axis=0), axis=1).sum()
+    speed = np.linalg.norm(trajectory.velocity(t), axis=1).max()
+    return [f"{length:.3g} m in {trajectory.end - trajectory.start:.4g} s, at most {speed:.3g} m/s"]
 
 
 def _left_by_images(planned: PlannedScene) -> list[str]:

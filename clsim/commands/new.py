@@ -73,6 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trajectory", type=Path, metavar="FILE", help="the source's motion: TUM, EuRoC or CSV with a header"
     )
+    parser.add_argument(
+        "--max-gap", type=float, metavar="S", help="step of its time that is no gap yet (default: five median steps)"
+    )
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -81,7 +84,7 @@ def execute(options: argparse.Namespace) -> int:
     target = NewFile(options.scene, inputs, options.force)
     base = options.scene.parent
     as_number("--scale", options.scale, at_least=1e-9, at_most=1e9)
-    motion = None if options.trajectory is None else _motion(options.trajectory)
+    motion = None if options.trajectory is None else _motion(options.trajectory, options.max_gap)
     if options.mesh is None:
         low, high, room = _box(motion)
         inside = None
@@ -94,7 +97,8 @@ def execute(options: argparse.Namespace) -> int:
     trajectory = f'trajectory = {{ kind = "fixed", position = {_text(places[0])} }}'
     if motion is not None:
         named = _relative(options.trajectory, base)
-        file = f'kind = "file", path = {named}, format = "{motion[0]}"'
+        gap = "" if options.max_gap is None else f", max_gap = {options.max_gap:g}"
+        file = f'kind = "file", path = {named}, format = "{motion[0]}"{gap}'
         trajectory = f"trajectory = {{ {file}, translate = {_text(moved)} }}"
     text = _TEMPLATE.format(
         name=options.scene.name, room=room, duration=duration, fade=min(0.005, 0.1 * duration), trajectory=trajectory,
@@ -107,13 +111,14 @@ def execute(options: argparse.Namespace) -> int:
     return 0
 
 
-def _motion(path: Path) -> tuple[str, Floats, float]:
+def _motion(path: Path, max_gap: float | None) -> tuple[str, Floats, float]:
     """Return the format of a trajectory's file, positions in it (n, 3), m, and how long it lasts, s."""
     form = _format(path)
     try:
-        found = Trajectory.from_file(path, form)
+        found = Trajectory.from_file(path, form, max_gap=max_gap)
     except InputError as error:
-        raise InputError("--trajectory", f"{error.field}: {error.problem}") from error
+        problem = error.problem.replace("max_gap=", "--max-gap").replace(" or repair=('gaps',)", "")
+        raise InputError("--trajectory", f"{error.field}: {problem}") from error
     return form, np.atleast_2d(found.position(np.linspace(found.start, found.end, 1000))), found.end - found.start
 
 

@@ -27,6 +27,8 @@ _FIELDS = {
     "path": "--output",
     "tail": "--tail",
 }
+# Of what is meant as a file, where WAV files need a folder.
+_ENDINGS_OF_FILES = ("npz", "sofa", "wav", "mat", "h5", "hdf5", "csv", "txt", "flac", "json", "parquet")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,6 +102,6 @@ def _kind(options: argparse.Namespace) -> str:
     kind: str = options.format or (ending if ending in ("npz", "sofa") else "wav")
     if kind != "wav" and ending != kind:
         raise InputError("--output", f"must end in .{kind}, but is {options.output}")
-    if kind == "wav" and (ending in ("npz", "sofa", "wav") or options.output.is_file()):
+    if kind == "wav" and (ending.lower() in _ENDINGS_OF_FILES or options.output.is_file()):
         raise InputError("--output", f"must be a folder for WAV files, but is {options.output}")
     return kind

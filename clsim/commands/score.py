@@ -48,6 +48,9 @@ def execute(options: argparse.Namespace) -> int:
         )  # fmt: skip
     except InputError as error:
         raise InputError(f"--{error.field.replace('_', '-')}", error.problem) from error
+    sources = recording.paths.scene.sources
+    if len(sources) > 1:
+        print(f"pulses of {sources[source].name!r}, one of {len(sources)} sources (--source)")
     print(f"{'receiver':<16} {'found':>7} {'in sight':>9} {'outliers':>9} {'median (mm)':>12} {'75 % (mm)':>11}")
     for r, name in enumerate(score.receiver_names):
         print(_row(name, score, slice(r, r + 1)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.arrays import LOUDEST, as_number
 from clsim.errors import InputError
-from clsim.files.atomic import atomic_path
+from clsim.files.atomic import atomic_path, not_written
 from clsim.files.names import file_names
 from clsim.files.sound import as_frames
 from clsim.recording import as_recording
@@ -115,16 +115,14 @@ def _power_above(peak: float) -> float:
 def _write(path: Path, frames: NDArray[np.float32], rate: int, scale: float, what: tuple[str, str]) -> None:
     import soundfile
 
-    try:
-        with (
-            atomic_path(path) as temporary,
-            soundfile.SoundFile(
+    with atomic_path(path) as temporary:
+        try:
+            with soundfile.SoundFile(
                 temporary, "w", samplerate=rate, channels=frames.shape[1], subtype="PCM_24", format="FLAC"
-            ) as file,
-        ):
-            file.title, file.comment = what[0], f"full_scale={scale:.17g} {what[1]}"
-            for first in range(0, len(frames), _BLOCK):
-                part = np.rint(frames[first : first + _BLOCK].astype(np.float64) * (_STEPS / scale))
-                file.write(part.astype(np.int32) << 8)  # 24 bits are the upper ones of 32
-    except RuntimeError as error:  # libsndfile
-        raise OSError(f"cannot write {path}: {error}") from error
+            ) as file:
+                file.title, file.comment = what[0], f"full_scale={scale:.17g} {what[1]}"
+                for first in range(0, len(frames), _BLOCK):
+                    part = np.rint(frames[first : first + _BLOCK].astype(np.float64) * (_STEPS / scale))
+                    file.write(part.astype(np.int32) << 8)  # 24 bits are the upper ones of 32
+        except (RuntimeError, AssertionError) as error:  # libsndfile reports a full disk as a short write
+            raise not_written(path, error) from error

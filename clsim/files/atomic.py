@@ -6,6 +6,7 @@ import os
 import platform
 import re
 import secrets
+import shutil
 import zlib
 from contextlib import contextmanager
 from functools import cache
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import IO
 
+_NEXT_TO_NOTHING = 2**16  # bytes; a disk with less is full
 _TEMPORARY = re.compile(r"\.clsim-([0-9a-f]{8})-(\d{1,9})-[0-9a-f]{8}\.partial(\..*)?")
 
 
@@ -87,7 +89,15 @@ def atomic_path(path: str | os.PathLike[str], within: Path | None = None) -> Ite
             raise OSError(error.errno, error.strerror, str(final)) from error
         raise
     finally:
-        temporary.unlink(missing_ok=True)
+        if os.path.lexists(temporary):  # on a read-only disk not even a name that is not there can be deleted
+            temporary.unlink(missing_ok=True)
+
+
+def not_written(path: str | os.PathLike[str], error: Exception) -> OSError:
+    """Return what tells that a file cannot be written; libraries in C tell of a full disk as of any other failure."""
+    folder = Path(path).parent
+    full = folder.is_dir() and shutil.disk_usage(folder).free < _NEXT_TO_NOTHING
+    return OSError(f"cannot write {path}: {'disk full' if full or not str(error) else error}")
 
 
 def to_disk(path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import struct
 from os import PathLike
 from pathlib import Path
@@ -11,7 +13,7 @@ import numpy as np
 
 from clsim.arrays import LOUDEST, as_number
 from clsim.errors import InputError
-from clsim.files.atomic import temporary_path
+from clsim.files.atomic import not_written, temporary_path
 from clsim.files.input_files import check_file
 
 if TYPE_CHECKING:
@@ -124,12 +126,20 @@ class WavWriter:
         self._frame_bytes = 4 * channels
         self._large = samples is not None and self._frame_bytes * samples > _LARGEST_WAV
         try:
+            if self._path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            self._temporary.touch()  # tells why it cannot be written, which libsndfile does not
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._path)) from error
+        try:
             self._file = soundfile.SoundFile(
                 self._temporary, "w", samplerate=rate, channels=channels, subtype="FLOAT",
                 format="RF64" if self._large else "WAV",
             )  # fmt: skip
         except soundfile.LibsndfileError as error:
-            raise OSError(f"cannot write {self._path}: {error}") from error
+            failed = not_written(self._path, error)
+            self._temporary.unlink(missing_ok=True)
+            raise failed from error
 
     def write(self, samples: NDArray[Any]) -> None:
         """Append samples (n,) or (n, channels).
@@ -145,7 +155,7 @@ class WavWriter:
         try:
             self._file.write(np.ascontiguousarray(samples, dtype=np.float32))
         except (RuntimeError, AssertionError) as error:  # libsndfile reports a full disk as a short write
-            raise OSError(f"cannot write {self._path}: {error or 'disk full'}") from error
+            raise not_written(self._path, error) from error
         if self._file.frames - before != len(samples):
             raise OSError(f"cannot write {self._path}: disk full")
 

@@ -75,15 +75,17 @@ def reflection_losses(materials: Sequence[Material], path: str | os.PathLike[str
     degrees = np.linspace(0.0, _STEEPEST, 891)
     cosines = np.cos(np.radians(degrees))
     for i, material in enumerate(materials):
-        colour, label = colours(i % colours.N), material.name or material.describe()
+        again, at = divmod(i, colours.N)
+        colour, label = colours(at), material.name or material.describe()
+        wide = 1.8 if again == 0 else 0.8  # of materials that share a colour, the later ones are thinner
         loss = np.maximum(reflection_loss(material, frequencies, np.ones(1)), _SHOWN[0])
         low, high = material.band
         held = (frequencies < low) | (frequencies > high)
-        left.plot(frequencies / 1e3, np.where(held, np.nan, loss), color=colour, linewidth=1.8, label=label)
-        left.plot(frequencies / 1e3, np.where(held, loss, np.nan), "--", color=colour, linewidth=1.3)
+        left.plot(frequencies / 1e3, np.where(held, np.nan, loss), color=colour, linewidth=wide, label=label)
+        left.plot(frequencies / 1e3, np.where(held, loss, np.nan), "--", color=colour, linewidth=0.7 * wide)
         style = "-" if low <= frequency <= high else "--"
         by_angle = np.maximum(reflection_loss(material, np.array([frequency]), cosines), _SHOWN[0])
-        right.plot(degrees, by_angle, style, color=colour, linewidth=1.8 if style == "-" else 1.3)
+        right.plot(degrees, by_angle, style, color=colour, linewidth=wide if style == "-" else 0.7 * wide)
     left.set(xscale="log", yscale="log")
     left.set(xlim=(_LOW / 1e3, _HIGH / 1e3), xlabel="frequency (kHz)", ylabel="reflection loss (dB)")
     left.set_title("normal incidence; dashed: held beyond a table's end")

@@ -55,7 +55,7 @@ class RawRows:
             except OSError as error:
                 if error.errno not in _UNKNOWN_TO_SYSTEM:
                     raise OSError(
-                        error.errno, f"{os.strerror(error.errno or 0)} ({size / 2**20:.0f} MiB are needed)", str(path)
+                        error.errno, f"{os.strerror(error.errno or 0)} ({size / 2**20:.3g} MiB are needed)", str(path)
                     ) from error
             os.truncate(number, max(size, os.fstat(number).st_size))
 

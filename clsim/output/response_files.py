@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.files.atomic import atomic_path
+from clsim.files.atomic import atomic_path, not_written
 from clsim.files.names import file_names
 from clsim.files.sound import WavWriter
 from clsim.numerics.quaternions import rotate
@@ -153,7 +153,10 @@ def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> No
     sofa.Data_SamplingRate = responses.sampling_rate
     sofa.Data_Delay = np.full((1, 1), 0.0 - responses.lead)
     with atomic_path(path) as temporary:
-        sofar.write_sofa(str(temporary), sofa)
+        try:
+            sofar.write_sofa(str(temporary), sofa)
+        except (OSError, RuntimeError) as error:  # netCDF calls a full disk "Permission denied", or "HDF error"
+            raise not_written(path, error) from error
 
 
 def _tell_room(sofa: Any, scene: Scene) -> None:

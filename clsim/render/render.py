@@ -119,6 +119,8 @@ def render_tracks(
     (1, 2400)
     """
     tracks = as_tracks(tracks)
+    if not isinstance(signals, list | tuple):
+        raise InputError("signals", f"must be a list, but is {signals!r:.80}")
     for i, signal in enumerate(signals):
         if not isinstance(signal, Signal):
             raise InputError(f"signals[{i}]", f"must be a Signal, but is {signal!r:.80}")

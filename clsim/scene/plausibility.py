@@ -1,4 +1,4 @@
-"""What is allowed but hardly meant: rooms and signals in other units than metres and hertz."""
+"""What is allowed but hardly meant: rooms and signals in other units than metres and hertz, transmitters that hear."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from clsim.errors import warn
+from clsim.scene.transducer.transducer import TRANSDUCER_NAMES, Transducer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from clsim.scene.ends import Source
+    from clsim.scene.ends import Receiver, Source
     from clsim.scene.room.protocol import Room
 
 _LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units
@@ -24,6 +25,22 @@ def warn_of_units(room: Room, sources: Sequence[Source]) -> None:
     doubts += [_doubt_in_frequency(i, s.signal.centre_frequency) for i, s in enumerate(sources)]
     for doubt in filter(None, doubts):
         warn(doubt)
+
+
+def warn_of_roles(sources: Sequence[Source], receivers: Sequence[Receiver]) -> None:
+    """Warn of the first source that has a receiver's transducer, and of the first receiver that has a transmitter's."""
+    sender, ear = TRANSDUCER_NAMES
+    roles: tuple[tuple[str, Sequence[Source | Receiver], str, str], ...] = (
+        ("sources", sources, ear, f"is a receiver, told in V/Pa; the transmitter is {sender}"),
+        ("receivers", receivers, sender, f"is a transmitter, told in Pa/V; the receiver is {ear}"),
+    )
+    for field, ends, wrong, what in roles:
+        known = Transducer.named(wrong)
+        for i, end in enumerate(ends):
+            given = end.transducer
+            if given is not None and (given.name, given.sensitivity) == (wrong, known.sensitivity):
+                warn(f"{field}[{i}].transducer: {wrong} {what}")
+                break
 
 
 def _doubt_in_size(room: Room) -> str:

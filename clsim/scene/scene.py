@@ -15,7 +15,7 @@ from clsim.scene.body import Body, with_carriers
 from clsim.scene.body_checks import check_bodies
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.placement import check_distances, check_motions, check_scatterers, check_sides, first_place
-from clsim.scene.plausibility import warn_of_units
+from clsim.scene.plausibility import warn_of_roles, warn_of_units
 from clsim.scene.room.protocol import Room, checked_room
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.view import scene_page
@@ -88,6 +88,7 @@ class Scene:
         check_motions(self.room, [*ends, *self.named_scatterers()], self.air.slowest)
         check_sides(self.room, ends)
         warn_of_units(self.room, self.sources)
+        warn_of_roles(self.sources, self.receivers)
         for i, source in enumerate(self.sources):
             check_distances(f"sources[{i}]", source, self.receivers, distance)
             if source.end > source.trajectory.end * (1 + 1e-12) + 1e-9:

@@ -38,6 +38,7 @@ _MOST_DELAYS = 512  # samples of them
 _LATE_ROWS = 64  # responses that tell it
 _LATE_SHARE = 1e-4  # of their energy may lie earlier than the time of which the middle is taken, and later
 _LEAST_LATE = 32  # samples; less is not worth being taken out
+_SILENT = 1e-150  # gain, whose square is still a number; what air leaves of 40 kHz after some 2 km
 _FAINT = 0.01  # weight of frequencies with next to nothing where a delay is looked for
 
 
@@ -208,6 +209,7 @@ def picked_paths(
         found = paths.arrivals(times, tracks.motion, tracks.amplitude)
         heard = (times >= start[:, None]) & (times < end[:, None])
         level = np.where(heard, np.abs(paths.gain(found, times)), 0.0)
+        level[level < _SILENT] = 0.0
         for t in np.flatnonzero(level.any(axis=0)).tolist():
             rows, standing_for = _picked(level[:, t], -(-count // (len(pairs) * instants)), rng)
             one = slice(t, t + 1)

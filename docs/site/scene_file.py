@@ -69,11 +69,19 @@ TEXTS = {
     "sequence": "Which sequence of chips.",
     "magnitudes": "One per frequency, Pa/V of sources and V/Pa of receivers.",
 }  # fmt: skip
-# Of keys of small tables that no constructor tells of by their names, by the table.
-SMALL = {
+# Of keys that mean something else in one table than in others, or that no constructor tells of by their names.
+IN_TABLE = {
     "_Segment": {"start": "Name of the joint at which it begins.", "end": "Name of the joint at which it ends.", "radius": "Of its cross-section, m."},
     "_Direct": {"source": "Name of the source.", "receiver": "Name of the receiver.", "level_db": "Of the direct sound, dB."},
     "_Scattering": {"frequencies": "Increasing, Hz.", "values": "Scattering coefficients there, 0 to 1."},
+    "_Waypoints": {"positions": "Where it is at these times: three coordinates for each, m."},
+    "_File": {
+        "format": "Of the file: lines of `t x y z qx qy qz qw` (TUM), the CSV of EuRoC, CSV with a header, or a ROS bag.",
+        "rotate": "Unit quaternion x y z w: the file's axes, after `scale`, are turned by it into those of the room.",
+        "scale": "Metres in the file's unit of length: 0.001 for millimetres.",
+        "translate": "Moves what is scaled and turned, m.",
+    },
+    "_Porous": {"outside": "`\"extend\"`: the model also where it was not fitted; an error where left out."},
 }  # fmt: skip
 
 
@@ -139,13 +147,18 @@ def described(function: Any) -> dict[str, str]:
             names = [name.strip().lstrip("*") for name in line.partition(" : ")[0].split(",")]
             found |= dict.fromkeys(names, "")
         elif line.strip():
-            found |= {name: f"{found[name]} {line.strip()}".strip() for name in names}
+            units = line.strip().rstrip(".").split(", ")
+            each = len(units) == len(names) > 1 and all(
+                UNIT.fullmatch(unit) for unit in units
+            )  # "s, Hz.": one for each
+            for i, name in enumerate(names):
+                found[name] = f"{units[i]}." if each else f"{found[name]} {line.strip()}".strip()
     return found
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
     """Return what each key of a table means."""
-    told: dict[str, str] = dict(SMALL.get(model.__name__, {}))
+    told: dict[str, str] = {}
     owners = [*constructors(model), *((RenderOptions,) if model.__name__ == "_Render" else ())]
     if model.__name__ == "_Paths":
         from clsim.paths.find_paths import find_paths
@@ -167,7 +180,7 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
             told[name] = (
                 f"A table: see {' and '.join(dict.fromkeys(title(t) for _, t in tables_of(field.annotation)))}."
             )
-    return told | {name: text for name, text in own.items() if name not in told or name in TEXTS}
+    return told | own | IN_TABLE.get(model.__name__, {})
 
 
 def title(model: type[BaseModel]) -> str:
@@ -192,18 +205,37 @@ def all_tables() -> dict[type[BaseModel], str]:
     return found
 
 
-def example_of(name: str, field: Any) -> str:
+def unit_of(model: type[BaseModel], name: str, text: str) -> str:
+    """Return the unit of a key's value: the one that its text names first, but for some."""
+    if type_of(model.model_fields[name].annotation) in ("text", "table", "true or false", "list of tables"):
+        return ""
+    found = UNIT.search(text)
+    return UNITS.get(f"{model.__name__}.{name}", UNITS.get(name, found[1] if found else ""))
+
+
+def example_of(model: type[BaseModel], name: str, where: str = "") -> str:
     """Return a line of TOML in which the key stands, with its default or a value of its type."""
+    field = model.model_fields[name]
     if tables_of(field.annotation):
+        if type_of(field.annotation) == "list of tables":
+            return f"[[{f'{where}.{name}'.strip('.').replace('[]', '')}]]"
         inner = tables_of(field.annotation)[0][1]
         kind = f'kind = "{kinds(inner)[0]}", ' if kinds(inner) else ""
-        return f"`{name} = {{ {kind}… }}`" if get_origin(field.annotation) is not list else f"`[[{name}]]`"
+        return f"{name} = {{ {kind}… }}"
     value = default_of(field)
     if value.startswith("`") and value not in ("`[]`",):
-        return f"`{name} = {value.strip('`')}`"
-    return f"`{name} = {EXAMPLES.get(name) or _sample(field.annotation)}`"
+        return f"{name} = {value.strip('`')}"
+    example = EXAMPLES.get(f"{model.__name__}.{name}") or EXAMPLES.get(name)
+    return f"{name} = {example or _sample(field.annotation)}"
 
 
+# Of keys whose text names another unit first, or none; in one table, or in all.
+UNITS = {
+    "ambient_noise_db": "dB", "self_noise_db": "dB", "low_cut": "Hz", "high_cut": "Hz",
+    "adc_full_scale": "V", "clock_ppm": "ppm", "clock_offset": "s", "flow_resistivity": "Pa s/m²", "temperature_celsius": "°C",
+    "response_error_db": "dB", "prune_below_db": "dB", "sensitivity": "Pa/V, V/Pa", "rotate": "", "repeats": "", "samples": "",
+    "narrowband": "", "outline": "m", "pillars": "m",
+}  # fmt: skip
 EXAMPLES = {
     "name": '"robot"', "path": '"room.obj"', "size": "[8.0, 6.0, 3.0]", "outline": "[[0, 0], [8, 0], [8, 5], [0, 5]]", "height": "3.0",
     "frequency": "40e3", "duration": "2.0", "sampling_rate": "192e3", "position": "[1.0, 1.0, 2.5]", "center": "[4.0, 3.0, 1.5]",
@@ -212,6 +244,16 @@ EXAMPLES = {
     "frequencies": "[30e3, 50e3]", "coefficients": "[0.1, 0.2]", "factors": "[0.9, [0.8, 0.1]]", "impedances": "[[3.0, -1.0], [2.5, -0.5]]",
     "named": '"plywood"', "target_strength_db": "-20.0", "semi_axes": "[0.02, 0.05, 0.09]", "band": "[30e3, 50e3]", "bits": "8",
     "adc_bits": "12", "adc_full_scale": "1.0", "self_noise_db": "20.0", "ambient_noise_db": "30.0", "count": "10", "seed": "1",
+    "_Line.start": "[1.0, 1.0, 1.5]", "_Line.end": "[3.0, 1.0, 1.5]", "_Segment.start": '"hip"', "_Segment.end": '"knee"',
+    "orientation": "[0.0, 0.0, 0.0, 1.0]", "orientations": "[[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]", "times": "[0.0, 2.0]",
+    "positions": "[[1.0, 1.0, 1.5], [3.0, 1.0, 1.5]]", "axis": "[0.0, 0.0, 1.0]", "axis_point": "[1.0, 0.0, 0.0]", "angles": "[0.0, 1.57]",
+    "origin": "[0.0, 0.0, 0.0]", "pillars": "[[[2.0, 2.0], [2.4, 2.0], [2.4, 2.4]]]", "vertices": "[[0, 0, 0], [1, 0, 0], [0, 0, 1]]",
+    "triangles": "[[0, 1, 2]]", "values": "[0.1, 0.3]", "chip_rate": "8e3", "width": "2.4e3", "low_cut": "20e3", "high_cut": "80e3",
+    "phases": "[0.0, 0.1]", "prune_below_db": "-100.0", "_TruncatedLagrange.order": "13", "_TruncatedLagrange.length": "8", "chunk": "147456",
+    "DirectivityTableModel.angle": '"angle"', "DirectivityTableModel.frequency": '"frequency"', "DirectivityTableModel.values": '"values"',
+    "_NamedTransducer.name": '"MA40S4R"', "_Named.name": '"MA40S4S"', "_Person.height": "1.75", "_File.path": '"walk.txt"', "_Wav.path": '"call.wav"',
+    "_ImpulseResponseFile.path": '"response.wav"', "DirectivityTableModel.path": '"beam.csv"', "SofaModel.path": '"beam.sofa"',
+    "_PositionsFile.path": '"microphones.csv"', "_CapturedPerson.path": '"walk.bvh"',
     "flow_resistivity": "20e3", "thickness": "0.05", "density": "1800.0", "sound_speed": "2500.0", "magnitudes": "[0.5, 1.0]",
 }  # fmt: skip
 
@@ -238,9 +280,8 @@ def page() -> str:
         for name, field in model.model_fields.items():
             text = re.sub(r"\s+", " ", told.get(name, field.description or "")).replace("|", "or").replace("<", "&lt;")
             text = re.sub(r"``([^`]*)``", r"`\1`", text)
-            unit = UNIT.search(text)
-            shown = [f"`{name}`", text, type_of(field.annotation), unit[1] if unit else "", default_of(field)]
-            parts.append("| " + " | ".join([*shown, example_of(name, field)]) + " |\n")
+            shown = [f"`{name}`", text, type_of(field.annotation), unit_of(model, name, text), default_of(field)]
+            parts.append("| " + " | ".join([*shown, f"`{example_of(model, name, where)}`"]) + " |\n")
         parts.append("\n")
     return "".join(parts).rstrip() + "\n"
 

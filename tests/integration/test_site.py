@@ -7,9 +7,10 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
+from pydantic import TypeAdapter
 
 import clsim
 from clsim.scene_file.explain import kinds
@@ -35,15 +36,28 @@ def test_the_page_of_scene_files_is_current() -> None:
     assert made.PAGE.read_text("utf-8") == made.page()
 
 
-def test_every_key_is_told_and_its_example_is_toml() -> None:
+def test_every_key_is_told_and_its_example_is_what_the_key_takes() -> None:
     made = loaded("scene_file")
     for model in made.all_tables():
         told = made.meanings(model)
         for name, field in model.model_fields.items():
             assert told.get(name, "").strip(), f"{model.__name__}.{name} has no text"
-            example = made.example_of(name, field).strip("`")
-            if "…" not in example:
-                assert tomllib.loads(example), example
+            example = made.example_of(model, name)
+            if "…" not in example and not example.startswith("[["):
+                held = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
+                assert TypeAdapter(held).validate_python(tomllib.loads(example)[name]) is not None, example
+            assert example.startswith("[[") == (made.type_of(field.annotation) == "list of tables"), example
+    rows = dict(
+        re.findall(r"^\| `(\w+)` \|.*\| ([^|]*) \| [^|]* \| [^|]* \|$", made.PAGE.read_text("utf-8"), re.MULTILINE)
+    )
+    wanted = {
+        "sampling_rate": "Hz",
+        "duration": "s",
+        "low_cut": "Hz",
+        "self_noise_db": "dB",
+        "translate": "m",
+    }
+    assert {name: rows[name] for name in wanted} == wanted
     assert {"tum", "euroc", "csv"} <= set(re.findall(r'"(\w+)"', made.PAGE.read_text("utf-8")))
     assert len({kind for model in made.all_tables() for kind in kinds(model)}) > 20
 

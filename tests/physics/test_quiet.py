@@ -67,3 +67,15 @@ def test_levels_that_are_none_are_refused(level) -> None:
     world = scene()
     with pytest.raises(clsim.InputError, match="prune_below_db: must be"):
         plan_render(clsim.find_paths(world, 1), RATE, duration=0.2, prune_below_db=level)
+
+
+def test_what_air_has_swallowed_is_silence_and_no_failure() -> None:
+    # 97 m at 500 kHz: some 4000 dB, and the square of such a gain is 0 in float64.
+    way = clsim.Trajectory.line((98.0, 3.0, 1.0), (97.0, 3.0, 1.0), 1.0)
+    source = clsim.Source("s", clsim.Signal.tone(500e3, 3e-4, 1.25e6, fade=1.5e-4), way)
+    receiver = clsim.Receiver("r", clsim.Trajectory.fixed((1.0, 3.0, 1.0)))
+    room = clsim.Shoebox((100.0, 6.0, 3.0), clsim.Material.from_reflection(0.9))
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], [receiver]), 0)
+    plan = plan_render(paths, 1.25e6)
+    assert 0.0 < paths.table([0.3]).gain[0, 0] < 1e-162
+    assert not any("nan" in line for line in plan.describe())

@@ -237,6 +237,11 @@ def test_what_cannot_be_played_or_found_is_refused(recording: clsim.Recording) -
         (lambda: envelope.play(), r"recording: must be sound to be played, but is the envelope about 40000 Hz"),
         (lambda: recording.spectrogram("left"), r'receiver: must be one of "über links", "right", but is .left.'),
         (lambda: recording.plot([2]), r"receiver: must be from 0 to 1, but is 2"),
+        (lambda: recording.plot("left"), r"receiver: must be one of .*, but is 'left'"),
+        (lambda: recording.spectrogram(0, (50e3, 30e3)), r"band\[1\]: must be above 50000 Hz, but is 30000 Hz"),
+        (lambda: recording.spectrogram(0, (0.0, 1e9)), r"band\[1\]: must be at most 96000 Hz, but is 1e\+09 Hz"),
+        (lambda: recording.save("a.mp3"), r"path: must end in \.wav, but is 'a\.mp3'"),
+        (lambda: recording.save(""), r"path: must end in \.wav, but is ''"),
     ):
         with pytest.raises(clsim.InputError, match=message):
             use()

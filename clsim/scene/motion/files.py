@@ -310,7 +310,7 @@ def _refuse_few(poses: Poses) -> None:
 def _check_times(poses: Poses, repair: bool) -> Poses:
     """Find times that are not above all times before."""
     steps = np.diff(poses.times)
-    least = _SHORTEST_STEP * float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 1.0
+    least = _SHORTEST_STEP * float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     last = np.maximum.accumulate(poses.times)[:-1]
     bad = np.append(False, poses.times[1:] - last < max(least, 0.5e-9))
     if not np.any(bad):

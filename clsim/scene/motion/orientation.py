@@ -190,7 +190,7 @@ def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> 
     InputError
         If the value is not numeric, has another shape, or a norm is off 1 by more than 1e-2.
     """
-    quaternions = as_floats(field, value, shape, within=10.0)
+    quaternions = as_floats(field, value, shape, within=1e100)  # whose squares are numbers
     norm = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     bad = np.argwhere(np.abs(norm[..., 0] - 1.0) > _UNIT_TOLERANCE)
     if len(bad):

@@ -345,6 +345,6 @@ def _count(duration: float, sampling_rate: float) -> int:
 def _fits(field: str, frequency: float, sampling_rate: float) -> None:
     if frequency >= 0.5 * sampling_rate:
         raise InputError(
-            f"signal.{field}",
-            f"must be below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is {frequency:g} Hz",
+            "sampling_rate",
+            f"must be above {2.0 * frequency:g} Hz, twice the signal's {field}, but is {sampling_rate:g} Hz",
         )

@@ -1,6 +1,7 @@
 """Scene files to begin with, scores of a run's folder, completion, and what the command line says of itself."""
 
 import csv
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -48,6 +49,24 @@ def test_a_new_scene_can_be_rendered_as_it_is(tmp_path: Path, capsys: pytest.Cap
     assert main(["new", str(tmp_path / "scene.toml")]) == 2
     assert "must not exist yet" in capsys.readouterr().err
     assert main(["new", str(tmp_path / "scene.toml"), "--force"]) == 0
+
+
+def test_a_gap_in_a_trajectory_is_told_and_bridged_where_it_is_asked_for(tmp_path: Path, capsys) -> None:
+    lines = WALK.splitlines(keepends=True)
+    (tmp_path / "walk.tum").write_text("".join(lines[:4] + lines[-4:]), "utf-8")
+    asked = ["new", str(tmp_path / "walk.toml"), "--trajectory", str(tmp_path / "walk.tum")]
+    assert main(asked) == 2
+    assert capsys.readouterr().err.rstrip().endswith("; bridge it by --max-gap")
+    assert main([*asked, "--max-gap", "100"]) == 0
+    assert "max_gap = 100," in (tmp_path / "walk.toml").read_text("utf-8")
+    capsys.readouterr()
+    assert main(["check", str(tmp_path / "walk.toml")]) == 0
+    told = re.search(
+        r"^sources\[0\].trajectory: \S+ m in (\S+) s, at most \S+ m/s$", capsys.readouterr().out, re.MULTILINE
+    )
+    trajectory = clsim.load_scene(tmp_path / "walk.toml").scene.sources[0].trajectory
+    assert told is not None
+    assert float(told[1]) == pytest.approx(trajectory.end - trajectory.start, rel=1e-3)
 
 
 def test_a_mesh_and_a_trajectory_are_filled_in(tmp_path: Path) -> None:
@@ -101,6 +120,19 @@ def test_a_run_is_scored(run: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
         rows = list(csv.DictReader(file))
     assert [float(row["emission_time"]) for row in rows] == [0.0, 0.03, 0.06]
     assert all(abs(float(row["error"])) < 1e-3 and row["line_of_sight"] == "True" for row in rows)
+
+
+def test_of_several_sources_it_is_told_whose_pulses_are_scored(tmp_path: Path, capsys) -> None:
+    first, second = PULSES.index("[[sources]]"), PULSES.index("[[receivers]]")
+    other = PULSES[first:second].replace('"robot"', '"drone"').replace("[1, 1, 1]", "[2, 2, 1]")
+    text = (PULSES[:second] + other + PULSES[second:]).replace("count = 3", "count = 1")
+    (tmp_path / "scene.toml").write_text(text, "utf-8")
+    out = str(tmp_path / "out")
+    assert main(["run", str(tmp_path / "scene.toml"), "-o", out, "--no-plots", "--table", "none"]) == 0
+    capsys.readouterr()
+    for asked, told in (([], "robot"), (["--source", "drone"], "drone")):
+        assert main(["score", out, *asked]) == 0
+        assert capsys.readouterr().out.splitlines()[0] == f"pulses of '{told}', one of 2 sources (--source)"
 
 
 def test_what_cannot_be_scored_is_a_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

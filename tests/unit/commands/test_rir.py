@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -168,6 +169,7 @@ def _responses(path: Path, form: str) -> np.ndarray:
         (["--band", "nan", "20000"], "--band: must be finite, but is nan"),
         (["--format", "npz"], "--output: must end in .npz, but is {out}"),
         (["-o", "responses.wav"], "--output: must be a folder for WAV files, but is responses.wav"),
+        (["-o", "responses.MAT"], "--output: must be a folder for WAV files, but is responses.MAT"),
         (["-o", "responses.npz", "--format", "sofa"], "--output: must end in .sofa, but is responses.npz"),
     ],
 )
@@ -202,3 +204,20 @@ def test_a_tail_is_added_and_told(scene: Path, tmp_path: Path, capsys, wanted) -
     count = wanted.samples.shape[2]
     assert samples.shape[2] > 2 * count
     assert 0.0 < np.sum(samples[:, :, count:] ** 2) < np.sum(wanted.samples**2)
+
+
+@pytest.mark.parametrize(("free", "told"), [(0, "disk full"), (2**30, "HDF error")])
+def test_a_sofa_file_that_a_full_disk_cuts_short_is_told_as_that(
+    free: int, told: str, scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sofar = pytest.importorskip("sofar")
+
+    def short(*_: object) -> None:
+        raise RuntimeError("HDF error")
+
+    monkeypatch.setattr(sofar, "write_sofa", short)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    out = tmp_path / "r.sofa"
+    assert main(["rir", str(scene), "-o", str(out), *ASKED]) == 2
+    assert capsys.readouterr().err == f"clsim: error: cannot write {out}: {told}\n"
+    assert not out.exists()

@@ -1,8 +1,11 @@
 """Files are whole or absent, and hold what they should."""
 
+import errno
+import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,11 +59,23 @@ def test_interrupted_files_leave_nothing(tmp_path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_read_only_disk_is_told_by_the_name_that_was_asked_for(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    monkeypatch.setattr(Path, "write_text", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)  # of names that are not there, too
+    with pytest.raises(OSError, match=r"/page\.html'$"), atomic_path(tmp_path / "page.html") as temporary:
+        temporary.write_text("x")
+
+
 def test_wav_needs_a_whole_rate_and_a_folder(tmp_path) -> None:
     with pytest.raises(clsim.InputError, match="whole number of Hz"):
         WavWriter(tmp_path / "a.wav", 44_100.5)
-    with pytest.raises(OSError, match="cannot write"):
+    with pytest.raises(FileNotFoundError, match=r"No such file or directory: '.*a\.wav'"):
         WavWriter(tmp_path / "missing" / "a.wav", 44_100)
+    with pytest.raises(IsADirectoryError, match=f"{tmp_path.name}'$"):
+        WavWriter(tmp_path, 44_100)
 
 
 def test_wav_grows_beyond_4_gib_only_when_announced(tmp_path) -> None:

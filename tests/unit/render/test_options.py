@@ -98,6 +98,8 @@ def test_tracks_have_some_options_already() -> None:
         clsim.render_tracks(signals, tracks, 16e3, sped=1)
     with pytest.raises(clsim.InputError, match=r"starts: must be one per signal, 1, but are 2"):
         clsim.render_tracks(signals, tracks, 16e3, starts=[0.0, 1.0])
+    with pytest.raises(clsim.InputError, match=r"signals: must be a list, but is Signal\("):
+        clsim.render_tracks(signals[0], tracks, 16e3)
 
 
 def test_a_call_that_is_wrong_is_told_in_its_own_words() -> None:

@@ -171,3 +171,22 @@ def test_studies_tell_it_before_and_of_each_member(tmp_path: Path) -> None:
     for messages in ([str(w.message) for w in caught], row["warnings"]):
         for text in TOLD:
             assert any(message.startswith(text) for message in messages)
+
+
+def test_a_transmitter_that_hears_and_a_receiver_that_sounds_are_told() -> None:
+    tone, place = clsim.Signal.tone(40e3, 0.005, 192e3), clsim.Trajectory.fixed((1, 1, 1))
+    sender, ear = clsim.Transducer.named("MA40S4S"), clsim.Transducer.named("MA40S4R")
+
+    def built(of_source: clsim.Transducer, of_receivers: clsim.Transducer) -> None:
+        ears = clsim.receiver_array("r", np.array([[3.0, 2.0, 1.0], [3.0, 2.0, 2.0]]), transducer=of_receivers)
+        source = clsim.Source("s", tone, place, transducer=of_source)
+        clsim.Scene(clsim.Shoebox((8, 6, 3), WALL), clsim.Air(), [source], ears)
+
+    built(sender, ear)
+    with pytest.warns(clsim.ClsimWarning) as caught:
+        built(ear, sender)
+    assert [str(w.message) for w in caught] == [
+        "sources[0].transducer: MA40S4R is a receiver, told in V/Pa; the transmitter is MA40S4S",
+        "receivers[0].transducer: MA40S4S is a transmitter, told in Pa/V; the receiver is MA40S4R",
+    ]
+    built(clsim.Transducer.resonance(40e3, 2.4e3, 0.01, "MA40S4R"), ear)  # a measured one, by the same name

@@ -28,6 +28,11 @@ def test_time_that_repeats_or_falls_is_refused_or_dropped(tmp_path, rows):
         assert len(trajectory.curve.polynomial.x) == 59 + 2
 
 
+def test_rows_from_last_to_first_are_refused_as_that(tmp_path, rows):
+    told = refused(write(tmp_path / "a.csv", rows[::-1])).problem
+    assert told.startswith("a.csv, line 3: time must increase strictly (by 5e-10 s at least), but ")
+
+
 def test_times_after_a_backward_jump_are_dropped_until_they_increase_again(tmp_path, rows):
     changed = with_cell(with_cell(rows, 11, 0, 1000.5), 12, 0, 1000.6)
     trajectory = Trajectory.from_file(write(tmp_path / "a.csv", changed), "csv", repair=["times"])

@@ -204,7 +204,7 @@ def test_sequence_at_another_rate_is_the_sequence_made_there() -> None:
 
 def test_rates_that_do_not_fit_are_refused() -> None:
     for name in ("tone", "linear", "pulses", "band", "sequence"):
-        with pytest.raises(InputError, match="below half the sampling rate"):
+        with pytest.raises(InputError, match=r"^sampling_rate: must be above \d+ Hz, twice the signal's"):
             SIGNALS[name].at_rate(48e3)
     for rate in (0.0, float("nan"), "fast"):
         with pytest.raises(InputError, match=r"^sampling_rate: must be"):
@@ -318,3 +318,8 @@ def test_wav_with_nan_or_nothing_is_refused(tmp_path) -> None:
 def test_bad_input_names_the_field(make, field: str) -> None:
     with pytest.raises(InputError, match=f"^{field}"):
         make()
+
+
+def test_complex_samples_are_refused_rather_than_halved() -> None:
+    with pytest.raises(InputError, match=r"^samples: must be real, but is complex128$"):
+        Signal.from_array(np.exp(1j * np.arange(9.0)), 48e3)
