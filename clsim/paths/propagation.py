@@ -371,7 +371,9 @@ def arrivals_by(
     if motion == "retarded":
         rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude], 1.0 / (1.0 - mach)
     departure, arrival = sound.normal(direction), -sound.normal(onwards)
-    length = sound.length if sound.carried is None else sound.length * np.sum(departure * direction, axis=-1)
+    length = sound.length
+    if sound.carried is not None:
+        length = np.maximum(length * np.sum(departure * direction, axis=-1), NEAREST)
     return Arrivals(delay, rate, departure, arrival, length, sound.through, means, emission_time, factor, ratio)
 
 
