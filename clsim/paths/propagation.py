@@ -35,6 +35,7 @@ _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s
 _STEP = 1e-3  # m, half of that by which derivatives along the height are taken
 _BEYOND_NODES = 5e-3  # of the speed, by which it and what delays change by are bounded beyond what layers say
+NEAREST = 1e-7  # m, least length of a way, below every `min_distance`
 _CONTRACTIONS = 1000
 _CONTRACTED = 1e-13  # s
 
@@ -268,10 +269,13 @@ def mean_medium_of(air: Air, frequency: float) -> UniformAir:
 
 
 def straight(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
-    """Return lengths (...) and unit vectors (..., 3) of straight ways between places (..., 3), m."""
+    """Return lengths (...) and unit vectors (..., 3) of straight ways between places (..., 3), m.
+
+    Lengths are `NEAREST` at least: a source that is silent may be met, and its gain must be finite there.
+    """
     apart = stop - start
-    length = np.linalg.norm(apart, axis=-1)
-    return length, apart / np.maximum(length, 1e-300)[..., None]
+    length = np.maximum(np.linalg.norm(apart, axis=-1), NEAREST)
+    return length, apart / length[..., None]
 
 
 def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], delay: Floats, times: Floats) -> Floats:
@@ -367,7 +371,9 @@ def arrivals_by(
     if motion == "retarded":
         rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude], 1.0 / (1.0 - mach)
     departure, arrival = sound.normal(direction), -sound.normal(onwards)
-    length = sound.length if sound.carried is None else sound.length * np.sum(departure * direction, axis=-1)
+    length = sound.length
+    if sound.carried is not None:
+        length = np.maximum(length * np.sum(departure * direction, axis=-1), NEAREST)
     return Arrivals(delay, rate, departure, arrival, length, sound.through, means, emission_time, factor, ratio)
 
 

@@ -44,6 +44,7 @@ static void locate(const trajectory* path, reals emitted, arrivals* a)
     a->u = u < 0.0 ? (reals)0.0 : u < 1.0 ? u : (reals)1.0;
 }
 
+#define NEAREST 1e-7  // m: sources that are silent may be met, and what they send is then 0, not nothing at all
 #define CONVERGED 1e-14  // s^2, of a Newton step: the next one, of the order of its square, is of no use
 
 static triples unit(triples v)
@@ -59,7 +60,8 @@ static inline __attribute__((always_inline)) reals newton_step(const trajectory*
     locate(path, RETARDED ? time - a->delay : time, a);
     const triples from = cubics(a->knot, a->u), velocity = cubic_rates(a->knot, a->u);
     const triples apart = {receiver->position.x - from.x, receiver->position.y - from.y, receiver->position.z - from.z};
-    const reals squared = DOT(apart, apart), inverse = inverse_root(squared);
+    const reals exact = DOT(apart, apart), squared = exact > NEAREST * NEAREST ? exact : (reals)(NEAREST * NEAREST);
+    const reals inverse = inverse_root(squared);
     const triples direction = {apart.x * inverse, apart.y * inverse, apart.z * inverse};
 #if WIND
     const reals along = receiver->downwind - DOT(path->wind, from);

@@ -174,3 +174,16 @@ def test_sources_add(engine: str) -> None:
     both, first, second = render(sources), render(sources[:1]), render(sources[1:])
     np.testing.assert_allclose(both, first + second, atol=1e-6 * np.abs(both).max())
     assert not np.allclose(both[0], both[1], atol=1e-3 * np.abs(both).max())
+
+
+@pytest.mark.parametrize("engine", ["opencl", "reference"])
+def test_a_receiver_that_meets_a_silent_source(engine: str) -> None:
+    """It ends where a beacon stands that fell silent 14 ms before, 2 cm away: there is its sound, and then silence."""
+    rate, tone = 16e3, clsim.Signal.tone(3e3, 0.37, 16e3, fade=0.01)
+    beacon = clsim.Source("beacon", tone, clsim.Trajectory.fixed((3.5, 2.5, 1.5)))
+    robot = clsim.Receiver("robot", clsim.Trajectory.line((3.5, 2.5, 0.924), (3.5, 2.5, 1.5), 0.384))
+    room = clsim.Shoebox((7.0, 5.0, 3.0), clsim.Material.from_reflection(0.8))
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [beacon], [robot]), 0)
+    pressure = clsim.render(paths, rate, duration=0.384, engine=engine).pressure[0]
+    assert np.abs(pressure[round(0.34 * rate) : round(0.36 * rate)]).max() > 10.0  # 4 to 7 cm away
+    assert np.abs(pressure[round(0.377 * rate) :]).max() <= 1e-4 * np.abs(pressure).max()
