@@ -80,6 +80,12 @@ class Passage:
         along = direction / np.asarray(self.speed)[..., None]
         return np.asarray(along if self.carried is None else along + self.carried)
 
+    def along(self, normal: Floats, direction: Floats) -> Floats:
+        """Return the lengths (...) along normals (..., 3) of wavefronts, m, of ways that run in directions (..., 3)."""
+        if self.carried is None:
+            return self.length
+        return np.asarray(np.maximum(self.length * np.sum(normal * direction, axis=-1), NEAREST))
+
     def normal(self, direction: Floats) -> Floats:
         """Return the unit normals of the wavefront (..., 3) where ways run in a direction, both in the room."""
         if self.carried is None:
@@ -371,9 +377,7 @@ def arrivals_by(
     if motion == "retarded":
         rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude], 1.0 / (1.0 - mach)
     departure, arrival = sound.normal(direction), -sound.normal(onwards)
-    length = sound.length
-    if sound.carried is not None:
-        length = np.maximum(length * np.sum(departure * direction, axis=-1), NEAREST)
+    length = sound.along(departure, direction)
     return Arrivals(delay, rate, departure, arrival, length, sound.through, means, emission_time, factor, ratio)
 
 

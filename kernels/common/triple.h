@@ -1,5 +1,7 @@
 // Vectors of three numbers.
 
+#define NEAREST 1e-7f  // m, least length of a way, as in paths/propagation.py: sources that are silent may be met
+
 typedef struct {
     real x, y, z;
 } triple;

@@ -96,7 +96,7 @@ static float newton_step(const pair_trajectory* path, const pair_receiver_in_ima
     const pair y = minus(receiver->position.y, cubic_in_pairs(a, rest, 1, u));
     const pair z = minus(receiver->position.z, cubic_in_pairs(a, rest, 2, u));
     const pair distance = root(plus(plus(product(x, x), product(y, y)), product(z, z)));
-    const float inverse = 1.0f / (distance.x > 1e-7f ? distance.x : 1e-7f), slowness = path->slowness.x;
+    const float inverse = 1.0f / (distance.x > NEAREST ? distance.x : NEAREST), slowness = path->slowness.x;
     const triple departure = {x.x * inverse, y.x * inverse, z.x * inverse};
     const triple velocity = {cubic_rate(a->knot, u.x), cubic_rate(a->knot + 1, u.x), cubic_rate(a->knot + 2, u.x)};
     const float mach = path->rate * slowness * inner(departure, velocity);

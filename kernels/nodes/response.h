@@ -57,7 +57,7 @@ static void project(const response* r, __global const gains* projection, gains* 
 static float path_gains(const arrival* a, const surroundings* s, int slots, int slot, const triple* receiver_frame,
                         const response* field, gains* gain, float* unheld)
 {
-    float common = 1.0f / (a->length > 1e-7f ? a->length : 1e-7f);  // silent sources may be met
+    float common = 1.0f / (a->length > NEAREST ? a->length : NEAREST);
 #if MACH_EXPONENT >= 1
     common *= (float)a->mach_factor;
 #endif

@@ -44,7 +44,6 @@ static void locate(const trajectory* path, reals emitted, arrivals* a)
     a->u = u < 0.0 ? (reals)0.0 : u < 1.0 ? u : (reals)1.0;
 }
 
-#define NEAREST 1e-7  // m: sources that are silent may be met, and what they send is then 0, not nothing at all
 #define CONVERGED 1e-14  // s^2, of a Newton step: the next one, of the order of its square, is of no use
 
 static triples unit(triples v)
