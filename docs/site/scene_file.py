@@ -148,9 +148,8 @@ def described(function: Any) -> dict[str, str]:
             found |= dict.fromkeys(names, "")
         elif line.strip():
             units = line.strip().rstrip(".").split(", ")
-            each = len(units) == len(names) > 1 and all(
-                UNIT.fullmatch(unit) for unit in units
-            )  # "s, Hz.": one for each
+            # "s, Hz.": one for each.
+            each = len(units) == len(names) > 1 and all(UNIT.fullmatch(unit) for unit in units)
             for i, name in enumerate(names):
                 found[name] = f"{units[i]}." if each else f"{found[name]} {line.strip()}".strip()
     return found
