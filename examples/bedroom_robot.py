@@ -71,7 +71,7 @@ def draw(paths: clsim.PathSet, pressure: np.ndarray, chirp: np.ndarray, file: Pa
     FigureCanvasAgg(figure)
     count, step = pressure.shape[1] // round(PERIOD * RATE), round(PERIOD * RATE)
     emitted = np.arange(count) * PERIOD
-    table = paths.table(emitted + 0.005)
+    truth = clsim.direct_path(paths, emitted=emitted)
     matched = np.conj(hilbert(chirp))[::-1]  # of its output the magnitude is the envelope
     for r, axes in enumerate(figure.subplots(2, 2, sharex=True, sharey=True).flat):
         found = np.abs(oaconvolve(pressure[r].astype(float), matched)[len(chirp) - 1 :])
@@ -81,10 +81,9 @@ def draw(paths: clsim.PathSet, pressure: np.ndarray, chirp: np.ndarray, file: Pa
             level - level.max(), origin="lower", aspect="auto", cmap="magma", vmin=-50.0, vmax=0.0,
             extent=(0.0, count * PERIOD, 0.0, LONGEST * 1e3),
         )  # fmt: skip
-        mine = np.flatnonzero((table.receiver == r) & table.direct)
-        for p in mine:
-            axes.plot(emitted, table.delay[p] * 1e3, color="#4dd0e1", linewidth=1.2, linestyle="--")
-        axes.set(title=f"{table.receiver_names[r]}; dashed: true delay of the direct sound", ylim=(0.0, LONGEST * 1e3))
+        delay = np.where(truth.line_of_sight[0, r], truth.delay[0, r], np.nan)
+        axes.plot(emitted, delay * 1e3, color="#4dd0e1", linewidth=1.2, linestyle="--")
+        axes.set(title=f"{truth.receiver_names[r]}; dashed: true delay of the direct sound", ylim=(0.0, LONGEST * 1e3))
     figure.colorbar(shown, ax=figure.axes, pad=0.01, aspect=40, label="level (dB of the receiver's highest)")
     figure.supxlabel("time of the chirp (s)")
     figure.supylabel("delay (ms)")

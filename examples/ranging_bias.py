@@ -49,7 +49,7 @@ def bias(air: clsim.Air, believed: clsim.Air) -> np.ndarray:
     ears = [clsim.Receiver(f"r{i}", clsim.Trajectory.fixed(place)) for i, place in enumerate(places)]
     tag = clsim.Source("tag", clsim.Signal.tone(40e3, 0.01, 192e3), clsim.Trajectory.fixed(TAG))
     room = clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.9))
-    truth = clsim.direct_path(clsim.find_paths(clsim.Scene(room, air, [tag], ears), 0), [0.0])
+    truth = clsim.direct_path(clsim.find_paths(clsim.Scene(room, air, [tag], ears), 0), emitted=[0.0])
     distance = np.linalg.norm(np.subtract(places, TAG), axis=1)
     wrong = believed.speed_of_sound * truth.delay[0, :, 0] - distance
     return np.asarray(1e3 * wrong.reshape(len(ALONG), len(ACROSS)))

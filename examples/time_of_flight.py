@@ -29,19 +29,15 @@ def errors(recording: clsim.Recording, paths: clsim.PathSet, parameters: dict[st
     robot, rate, c = paths.scene.sources[0], recording.sampling_rate, paths.scene.air.speed_of_sound
     count, length = round(robot.signal.duration / PERIOD), round(LENGTH * rate)
     emitted = PERIOD * np.arange(count) + 0.5 * LENGTH  # the middles of the chirps
-    times = np.arange(0.0, recording.times[-1], 1e-3)
-    exact = clsim.direct_path(paths, times)
-    found, heard, radial = (np.empty((len(recording.samples), count)) for _ in range(3))
+    exact = clsim.direct_path(paths, emitted=emitted)
+    found = np.empty((len(recording.samples), count))
     matched = np.conj(hilbert(robot.signal.read(0, length)))[::-1]  # of its output the magnitude is the envelope
     for r, samples in enumerate(recording.pressure):
         envelope = np.abs(oaconvolve(samples, matched)[length - 1 :])
         for k in range(count):
             first = round(PERIOD * k * rate)
             found[r, k] = (first + peak(envelope[first : first + round(LATEST * rate)])) / rate + 0.5 * LENGTH
-        # What arrives at t was emitted at t - delay(t), which grows with t.
-        heard[r] = np.interp(emitted, times - exact.delay[0, r], times)
-        radial[r] = np.interp(heard[r], times, exact.radial_speed[0, r])
-    return {"miss": c * (found - heard), "radial": radial}
+    return {"miss": c * (found - exact.reception_time[0]), "radial": exact.radial_speed[0]}
 
 
 def peak(values: np.ndarray) -> float:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
-_ATTRIBUTES: dict[str, dict[str, str]] = {
+ATTRIBUTES: dict[str, dict[str, str]] = {
     "times": _OF_RECEPTION,
     "delay": {"units": "s", "long_name": "delay from emission to reception"},
     "doppler_factor": {"units": "1", "long_name": "received over emitted frequency"},
@@ -24,8 +24,12 @@ _ATTRIBUTES: dict[str, dict[str, str]] = {
     "gain": {"units": "1", "long_name": "received over emitted pressure at 1 m, at the signal's centre frequency"},
     "departure": {"units": "1", "long_name": "unit vector from the source along the path"},
     "arrival": {"units": "1", "long_name": "unit vector from the receiver back along the path"},
+    "local_arrival": {"units": "1", "long_name": "the same in the receiver's axes, +x where it faces"},
+    "reception_time": {"units": "s", "long_name": "time of reception"},
+    "source_position": {"units": "m", "long_name": "position of the source at emission"},
+    "receiver_position": {"units": "m", "long_name": "position of the receiver at reception"},
     "radial_speed": {"units": "m/s", "long_name": "speed at which the direct path grows"},
-    "line_of_sight": {"long_name": "whether the direct sound is heard"},
+    "line_of_sight": {"long_name": "whether the direct sound is received"},
     "order": {"long_name": "number of interactions"},
     "objects": {"long_name": "what the path meets, from the source's side"},
     "interactions": {"long_name": "0 specular reflection, 1 diffraction, 2 scattering"},
@@ -45,7 +49,7 @@ def labelled_frame(columns: dict[str, Any]) -> Any:
     import pandas
 
     frame = pandas.DataFrame(columns)
-    units = {name: _ATTRIBUTES.get(re.sub("_[xyz]$", "", name), {}).get("units", "") for name in columns}
+    units = {name: ATTRIBUTES.get(re.sub("_[xyz]$", "", name), {}).get("units", "") for name in columns}
     frame.attrs["units"] = {name: unit for name, unit in units.items() if unit}
     return frame
 
@@ -57,6 +61,6 @@ def labelled_dataset(variables: dict[str, Any], coordinates: dict[str, Any]) -> 
 
     def told(what: dict[str, Any]) -> dict[str, Any]:
         """Return variables, each with the attributes of its name."""
-        return {name: (*value, _ATTRIBUTES.get(name, {})) for name, value in what.items()}
+        return {name: (*value, ATTRIBUTES.get(name, {})) for name, value in what.items()}
 
     return xarray.Dataset(told(variables), told(coordinates))

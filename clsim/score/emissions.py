@@ -8,6 +8,7 @@ import numpy as np
 
 from clsim.arrays import as_index
 from clsim.errors import InputError
+from clsim.paths.ground_truth import in_sight, reception_times
 from clsim.paths.specular.family import SpecularPaths
 from clsim.recording import as_recording
 
@@ -18,8 +19,7 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.recording import Recording
 
-_STEPS = 12  # of Newton's method
-_EXACT = 1e-13  # s
+_LATE = 1e-10  # s, of rounding, by which a receiver's trajectory may be exceeded
 
 
 def heard_scene(recording: Recording, what: str) -> PathSet:
@@ -50,25 +50,14 @@ def source_index(paths: PathSet, source: int | str) -> int:
 
 
 def direct_delays(paths: PathSet, source: int, emitted: Floats, motion: str) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return delays (receivers, K) of the direct sound emitted at times (K,), s, and whether it is heard.
+    """Return delays (receivers, K) of the direct sound emitted at times (K,), s, and a mask of those in sight.
 
-    Delays are known where a wall is in the way, too. What is received at r was emitted at ``r - delay(r)``, which grows
-    with r: Newton's method.
+    Delays are known where a wall is in the way, too; they are NaN beyond the end of a receiver's trajectory.
     """
-    receivers = len(paths.scene.receivers)
-    delay, seen = np.empty((receivers, len(emitted))), np.zeros((receivers, len(emitted)), dtype=bool)
+    receivers = paths.scene.receivers
+    received = np.empty((len(receivers), len(emitted)))
     for pair in SpecularPaths.direct(paths.scene).pairs():
-        if pair.source != source:
-            continue
-        last = paths.scene.receivers[pair.receiver].trajectory.end
-        received = np.minimum(emitted, last)
-        for _ in range(_STEPS):
-            found = pair.arrivals(received, motion)
-            error = received - found.delay[0] - emitted
-            received = np.minimum(received - error / (1.0 - found.delay_rate[0]), last)
-            if np.abs(error).max(initial=0.0) < _EXACT:
-                break
-        delay[pair.receiver] = np.where(np.abs(error) < 1e3 * _EXACT, received - emitted, np.nan)
-        for row in np.flatnonzero((paths.order == 0) & (paths.source == source) & (paths.receiver == pair.receiver)):
-            seen[pair.receiver] |= (received >= paths.start[row]) & (received < paths.end[row])
-    return delay, seen
+        if pair.source == source:
+            received[pair.receiver] = reception_times(pair, emitted, motion)
+    last = np.array([receiver.trajectory.end for receiver in receivers])[:, None]
+    return np.where(received <= last + _LATE, received - emitted, np.nan), in_sight(paths, source, received)

@@ -17,6 +17,8 @@ from clsim.errors import InputError
 from clsim.opencl.device import find_device
 from clsim.output.raw_rows import SampleFile
 from clsim.output.stores import STORES
+from clsim.paths.ground_truth import SCALARS, VECTORS
+from clsim.paths.labelled import ATTRIBUTES
 from clsim.recording import Recording
 from clsim.render.rendering import Rendering
 from clsim.scene_file.scene import build_scene
@@ -126,10 +128,8 @@ def _add_ground_truth(content: Any, found: DirectPath, scene: Scene) -> None:
     over = ("source", "receiver", "times")
     content.coords["times"] = ("times", found.times, _OF_RECEPTION)
     content.coords["source"] = texts(s.name for s in scene.sources)
-    content["delay"] = (over, found.delay, {"units": "s"})
-    content["doppler_factor"] = (over, found.doppler_factor)
-    content["line_of_sight"] = (over, found.line_of_sight)
-    content["radial_speed"] = (over, found.radial_speed, {"units": "m/s", "long_name": "positive where they part"})
+    for name in SCALARS + VECTORS:
+        content[name] = ((*over, "axis")[: getattr(found, name).ndim], getattr(found, name), ATTRIBUTES[name])
 
 
 def _add_echo_truth(content: Any, found: EchoTruth) -> None:

@@ -142,9 +142,12 @@ def test_paths_and_ground_truth_have_named_dimensions(recording: clsim.Recording
     assert [truth[name].attrs["units"] for name in ("times", "delay", "radial_speed")] == ["s", "s", "m/s"]
     assert truth.line_of_sight.all()
     rows = clsim.direct_path(paths, TIMES).to_dataframe()
-    assert rows.columns.tolist() == ["times", "source", "receiver", *truth.data_vars]
+    scalars = [name for name in truth.data_vars if truth[name].ndim == 3]
+    vectors = [f"{name}_{axis}" for name in truth.data_vars if truth[name].ndim == 4 for axis in "xyz"]
+    assert rows.columns.tolist() == ["times", "source", "receiver", *scalars, *vectors]
+    assert rows.attrs["units"]["source_position_y"] == "m"
     assert rows.attrs["units"]["delay"] == "s"
-    for name in truth.data_vars:
+    for name in scalars:
         np.testing.assert_array_equal(rows[name][rows.receiver == "right"], truth[name].sel(receiver="right")[0])
     np.testing.assert_array_equal(rows.times[rows.receiver == "right"], TIMES)
 

@@ -15,7 +15,10 @@ from clsim.study.content import _add_ground_truth, _add_paths
 TIMES = np.array([0.0, 0.04, 0.1])
 OF_PATHS = ("source", "receiver", "order", "interactions", "objects", "direct")
 OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain", "departure", "arrival")
-OF_DIRECT_PATH = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
+OF_DIRECT_PATH = (
+    "delay", "doppler_factor", "line_of_sight", "radial_speed", "reception_time", "arrival", "local_arrival",
+    "source_position", "receiver_position",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +83,15 @@ def test_parquet_has_the_names_of_the_table(table, tmp_path: Path) -> None:
 
 def test_every_door_has_the_ground_truth_under_its_own_names(paths: clsim.PathSet, table, tmp_path: Path) -> None:
     exact = clsim.direct_path(paths, TIMES)
-    assert {f.name for f in fields(exact)} == {"times", *OF_DIRECT_PATH, "source_names", "receiver_names"}
+    assert {f.name for f in fields(exact)} == {"times", "emitted", *OF_DIRECT_PATH, "source_names", "receiver_names"}
     write_ground_truth(exact, tmp_path / "ground_truth.npz")
     xarray = pytest.importorskip("xarray")
     member = xarray.Dataset()
     _add_ground_truth(member, exact, paths.scene)
     assert set(member.variables) == {"times", "source", *OF_DIRECT_PATH}
     with np.load(tmp_path / "ground_truth.npz") as file:
-        assert set(file) == {"times", *OF_DIRECT_PATH, "source_names", "receiver_names"}
+        assert set(file) == {"times", "emitted", *OF_DIRECT_PATH, "source_names", "receiver_names"}
+        assert not file["emitted"]
         for name in ("times", *OF_DIRECT_PATH):
             np.testing.assert_array_equal(file[name], getattr(exact, name))
             np.testing.assert_array_equal(member[name], getattr(exact, name))
@@ -95,7 +99,7 @@ def test_every_door_has_the_ground_truth_under_its_own_names(paths: clsim.PathSe
     for row in np.flatnonzero(table.direct):
         heard, r = table.heard[row], table.receiver[row]
         assert exact.line_of_sight[0, r][heard].all()
-        for name in ("delay", "doppler_factor"):
+        for name in ("delay", "doppler_factor", "arrival"):
             np.testing.assert_array_equal(getattr(exact, name)[0, r][heard], getattr(table, name)[row][heard])
     np.testing.assert_allclose(
         exact.radial_speed, paths.scene.air.speed_of_sound * (1.0 - exact.doppler_factor), rtol=0, atol=1e-12
