@@ -9,6 +9,8 @@ import difflib
 import hashlib
 import json
 import os
+import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -18,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
+FROZEN = HERE / "frozen_hashes.json"
 
 
 def canonical(array: np.ndarray) -> np.ndarray:
@@ -81,6 +84,52 @@ def verdict(name: str, arrays: dict[str, np.ndarray], hashes: dict[str, str] | N
         return told + [difference(n, content[n], arrays[n]) for n in changed]
 
 
+def group(name: str) -> str:
+    """Return the kind of an array of a scene: samples, paths or files."""
+    if "paths." in name or "table." in name or "truth." in name:
+        return "paths"
+    return "samples" if "samples" in name or name.endswith(".wav") else "files"
+
+
+def grouped(arrays: dict[str, np.ndarray]) -> dict[str, str]:
+    """Return one hash for the samples of a scene, one for its path tables, and one for the rest."""
+    hashes: dict[str, hashlib._Hash] = {}
+    for name in sorted(arrays):
+        hashes.setdefault(group(name), hashlib.sha256()).update(f"{name} {digest(arrays[name])} ".encode())
+    return {kind: h.hexdigest() for kind, h in hashes.items()}
+
+
+def machine() -> dict[str, str]:
+    """Return what decides how results are rounded: the processor and the libraries that compute."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        text = Path("/proc/cpuinfo").read_text("utf-8")
+        family = dict(re.findall(r"^(cpu family|model|vendor_id)\t*: (.*)$", text, re.MULTILINE))
+    except OSError:
+        family = {"model": platform.processor()}
+    known = {"processor": " ".join(family[key] for key in sorted(family))}
+    for package in ("numpy", "scipy", "pocl-binary-distribution"):
+        try:
+            known[package] = version(package)
+        except PackageNotFoundError:
+            known[package] = "none"
+    return known
+
+
+def freeze(checkout: Path, names: list[str]) -> None:
+    """Write `FROZEN`, the hashes that tests compare, of these scenes or all."""
+    frozen = json.loads(FROZEN.read_text("utf-8")) if FROZEN.exists() and names else {}
+    frozen = {"made_with": machine(), "scenes": frozen.get("scenes", {})}
+    with tempfile.TemporaryDirectory() as name:
+        for scene, arrays, seconds in computed(checkout, Path(name), names):
+            if isinstance(arrays, str):
+                raise SystemExit(arrays)
+            frozen["scenes"][scene] = grouped(arrays) | {"seconds": round(float(seconds), 1)}
+            print(f"frozen   {scene}", flush=True)
+    FROZEN.write_text(json.dumps(frozen, indent=1, sort_keys=True) + "\n", "utf-8")
+
+
 def main() -> int:
     """Compute, and write or compare; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -90,8 +139,12 @@ def main() -> int:
     parser.add_argument(
         "--against", type=Path, metavar="FILE", default=default, help="default: frozen.json beside this"
     )
+    parser.add_argument("--freeze", action="store_true", help=f"write the hashes that tests compare: {FROZEN.name}")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="these scenes")
     options = parser.parse_args()
+    if options.freeze:
+        freeze(options.checkout.resolve(), options.only)
+        return 0
     if not options.write and not options.against.exists():
         parser.error(f"{options.against} is missing: write it from the state before, with --write")
     file = (options.write or options.against).resolve()
