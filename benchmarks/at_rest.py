@@ -4,8 +4,8 @@ import time
 from pathlib import Path
 
 import clsim
+from clsim.render.methods import static
 from clsim.render.planning import plan_render
-from clsim.render.static_convolution import static_convolution
 
 RATE = 192e3
 SIZE = (8.0, 6.0, 3.0)
@@ -24,7 +24,7 @@ def response_seconds(scene: clsim.Scene, paths: clsim.PathSet) -> float:
 
     plan = plan_render(paths, RATE)
     begun = time.perf_counter()
-    static_convolution(plan).begin().add(np.zeros((1, 1), dtype=np.float32), 0)
+    static.build(plan).begin().add(np.zeros((1, 1), dtype=np.float32), 0)
     return time.perf_counter() - begun
 
 

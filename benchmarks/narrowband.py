@@ -75,7 +75,7 @@ def timed(paths: clsim.PathSet, duration: float, **options: object) -> tuple[flo
     begun = time.process_time()
     plan = plan_render(paths, RATE, duration=duration, **options)
     samples = record(plan).samples[0]
-    return time.process_time() - begun, samples.astype(float), len(plan.narrow_parts)
+    return time.process_time() - begun, samples.astype(float), len(plan.allocation.narrow)
 
 
 def apart_db(got: np.ndarray, wanted: np.ndarray) -> float:

@@ -67,7 +67,7 @@ def main() -> None:
         print(
             f"{kind:12} images {of_images:6.2f} s, tail {others:6.2f} s: {others / of_images:5.2f} times; "
             f"rays {rays:5.2f} s and responses {first - sum(one for one, _ in images):5.2f} s once "
-            f"(a tail of {plan.tails[0].duration:.2f} s)",
+            f"(a tail of {plan.allocation.tails[0].duration:.2f} s)",
             flush=True,
         )
 

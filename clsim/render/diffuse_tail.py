@@ -30,7 +30,7 @@ _RECEIVERS = 16  # of them at a time
 
 def diffuse_tail(plan: Plan) -> DiffuseTail | None:
     """Return the contribution of a plan's tails; None if there is none."""
-    return DiffuseTail(plan) if any(tail is not None for tail in plan.tails) else None
+    return DiffuseTail(plan) if any(tail is not None for tail in plan.allocation.tails) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,13 +54,13 @@ class DiffuseTail:
         """Return what each source's tail is."""
         return [
             f"source {i}: diffuse tail of {tail.describe()}; without it {tail.left_db:.1f} dB of the energy is missing"
-            for i, tail in enumerate(self.plan.tails)
+            for i, tail in enumerate(self.plan.allocation.tails)
             if tail is not None
         ]
 
     def digest(self) -> str:
         """Return a text that changes with energies and seeds."""
-        parts = ["" if tail is None else tail.digest() for tail in self.plan.tails]
+        parts = ["" if tail is None else tail.digest() for tail in self.plan.allocation.tails]
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
     def begin(self) -> _Tail:
@@ -80,7 +80,7 @@ class _Tail(Stateless):
         if self._heard is None:
             self._heard = [
                 _ZoneHeard(self._plan, signals, zone)
-                for source, tail in enumerate(self._plan.tails)
+                for source, tail in enumerate(self._plan.allocation.tails)
                 if tail is not None
                 for signals in [SourceSignals(self._plan, source, tail)]
                 for zone in range(len(tail.receiver_zones))

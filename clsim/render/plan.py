@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import InitVar, dataclass, field
+import math
+from dataclasses import InitVar, dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from clsim.render.contributions import Contribution
     from clsim.render.options import RenderOptions
     from clsim.render.source_filters import SourceFilters
-    from clsim.render.static_pairs import StaticPairs
     from clsim.scene.ends import Receiver
     from clsim.tail.design import SourceTail
     from clsim.tracks.tracks import Tracks
@@ -30,6 +30,8 @@ BLOCKS = (768, 384, 192, 96, 48, 24, 8)  # samples in a block, divisors of a seg
 FINE = 96  # samples, shorter blocks than which are rendered in small subblocks by all terms of their cubics
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TRANSFORMED = 80.0  # bytes of a sample while what is emitted is filtered: transforms in float64, measured
+_PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
+_LONG_CHUNK = 48  # segments, beyond which a chunk gains nothing
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 
 
@@ -43,8 +45,8 @@ class Plan:
         As they were asked for.
     tracks : Tracks
         Delay and gain of every path over time.
-    static_pairs : StaticPairs
-        Which pairs of the tracks are convolved instead of rendered path by path.
+    allocation : Allocation
+        Which rendering method takes which pairs and bands.
     source_filters : tuple of SourceFilters
         What each source emits, and the filters for it.
     sampling_rate : float
@@ -61,21 +63,13 @@ class Plan:
         Each makes a contribution of the plan, or None.
     left_out : str
         What of the scene is not in the tracks, in words; "" for nothing.
-    narrow_parts : tuple of NarrowPart
-        What of the sources' signals is rendered as complex envelope, and not by their filters.
-    not_narrow : tuple of str
-        Why some have none although it would pay, a sentence each.
-    tails : tuple of SourceTail or None
-        What images leave of each source; empty without tails.
-    no_tail : tuple of str
-        Why some have none, a sentence each.
     contributions : tuple of Contribution
         What adds to the pressure at the receivers, in this order.
     """
 
     options: RenderOptions
     tracks: Tracks
-    static_pairs: StaticPairs
+    allocation: Allocation
     source_filters: tuple[SourceFilters, ...]
     sampling_rate: float
     samples: int
@@ -84,10 +78,6 @@ class Plan:
     blocks: tuple[int, ...]
     builders: InitVar[Sequence[Callable[[Plan], Contribution | None]]]
     left_out: str = ""
-    narrow_parts: tuple[NarrowPart, ...] = ()
-    not_narrow: tuple[str, ...] = ()
-    tails: tuple[SourceTail | None, ...] = ()
-    no_tail: tuple[str, ...] = ()
     contributions: tuple[Contribution, ...] = field(init=False)
 
     __repr__ = short_repr
@@ -179,7 +169,7 @@ class Plan:
     @property
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
-        return int(sum(self._memory().values())) + sum(part.plan.memory_bytes for part in self.narrow_parts)
+        return int(sum(self._memory().values())) + sum(part.plan.memory_bytes for part in self.allocation.narrow)
 
     @property
     def largest_field(self) -> str:
@@ -229,7 +219,7 @@ class Plan:
             mine = [
                 pair
                 for i, pair in enumerate(self.tracks.pairs)
-                if pair.source == source and i not in self.static_pairs.indices and len(pair)
+                if pair.source == source and i not in self.allocation.convolved and len(pair)
             ]
             slots = [-(-len(pair) // BATCH) * BATCH for pair in mine]
             a_segment = self.bytes_per_node(source) * (self.segment // self.shortest_block)
@@ -275,8 +265,7 @@ class Plan:
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",
             *([self.left_out] if self.left_out else []),
-            *self.not_narrow,
-            *self.no_tail,
+            *self.allocation.notes,
         ]
         if self.baseband is not None:
             lines[1] += f"; complex envelopes of {self.baseband.bandwidth:g} Hz about {self.baseband.carrier:g} Hz"
@@ -292,7 +281,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NarrowPart:
-    """What some sources emit about one carrier, rendered as complex envelope and made sound for each receiver.
+    """What some sources emit about one carrier, rendered as complex envelope and upsampled at each receiver.
 
     Attributes
     ----------
@@ -301,12 +290,43 @@ class NarrowPart:
     sources : tuple of int
         Which sources.
     upsampler : Upsampler
-        Makes sound of what is received.
+        Converts received envelopes to sound.
     """
 
     plan: Plan
     sources: tuple[int, ...]
     upsampler: Upsampler
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Allocation:
+    """The pairs and bands that each rendering method claims; whatever no other method claims is rendered per sample.
+
+    Attributes
+    ----------
+    convolved : frozenset of int
+        Indices of the pairs at rest, which are convolved with their impulse responses.
+    narrow : tuple of NarrowPart
+        Bands that are rendered as complex envelopes, for all other pairs of their sources.
+    tails : tuple of SourceTail or None
+        Diffuse tail by source; empty without tails.
+    notes : tuple of str
+        Why a method is not used although it would be cheaper or was requested, a sentence each.
+    """
+
+    convolved: frozenset[int] = frozenset()
+    narrow: tuple[NarrowPart, ...] = ()
+    tails: tuple[SourceTail | None, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def convolves(self, tracks: Tracks, source: int) -> bool:
+        """Return whether all paths of a source are convolved, and there are some."""
+        mine = {i for i, pair in enumerate(tracks.pairs) if pair.source == source}
+        return bool(mine) and mine <= self.convolved
+
+    def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
+        """Return the same with diffuse tails."""
+        return replace(self, tails=tails, notes=(*self.notes, *notes))
 
 
 def max_rate(tracks: Tracks) -> float:
@@ -317,3 +337,15 @@ def max_rate(tracks: Tracks) -> float:
 def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:
     """Return the times of a run's nodes: starts of its blocks, one before, and two after, s."""
     return (start + block * np.arange(-1, blocks + 2, dtype=np.float64)) / sampling_rate
+
+
+def chunk_of(tracks: Tracks, options: RenderOptions, samples: int, rate: float, segment: int) -> int:
+    """Return the chunk's length in whole segments: as asked, or long against the delays and small in memory."""
+    whole = math.ceil(samples / segment)
+    if options.chunk is not None:
+        return segment * min(whole, math.ceil(options.chunk / segment))
+    span = tracks.longest_delay(0.0, samples / rate) * rate
+    wanted = min(math.ceil(4.0 * span / segment), _LONG_CHUNK)
+    affordable = _PRESSURE_BUDGET // (4 * segment * len(tracks.receiver_names))
+    least = 8 if options.baseband is None else _LONG_CHUNK
+    return segment * max(1, min(whole, max(least, wanted), affordable))

@@ -4,28 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from clsim.errors import InputError
-from clsim.numerics.upsampling import Upsampler
-from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
-from clsim.render.blas_threads import with_blas_threads
+from clsim.render.allocation import allocate, moved_to
+from clsim.render.baseband import check_ends, segmented
 from clsim.render.diffuse_tail import diffuse_tail
-from clsim.render.envelope import design_envelope
-from clsim.render.narrow_band import NarrowFilters, design_split
-from clsim.render.narrow_choice import chosen_split
-from clsim.render.narrow_part import narrow_parts, samples_needed
+from clsim.render.methods import narrow_part, per_sample, static
 from clsim.render.options import RenderOptions, keywords_of
-from clsim.render.path_sum import path_sum
-from clsim.render.plan import BLOCKS, SEGMENT, NarrowPart, Plan, max_rate
-from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
-from clsim.render.static_convolution import static_convolution
-from clsim.render.static_pairs import StaticPairs, find_static_pairs
+from clsim.render.plan import BLOCKS, SEGMENT, Plan, chunk_of, max_rate
 from clsim.render.tails import NO_TAILS, FoundTails, find_tails
-from clsim.scene.signal.occupied_bandwidth import spectra
 from clsim.tracks.pruning import pruned
-from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
 
 if TYPE_CHECKING:
@@ -38,10 +27,12 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import SceneTracks, Tracks
 
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
-BUILDERS: list[Callable[[Plan], Contribution | None]] = [path_sum, narrow_parts, static_convolution, diffuse_tail]
-
-_PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
-_LONG_CHUNK = 48  # segments, beyond which a chunk gains nothing
+BUILDERS: list[Callable[[Plan], Contribution | None]] = [
+    per_sample.build,
+    narrow_part.build,
+    static.build,
+    diffuse_tail,
+]
 
 
 @keywords_of(RenderOptions)
@@ -103,28 +94,21 @@ def plan_tracks(
     rate = options.sampling_rate
     heard_at = rate if options.baseband is None else options.baseband[2] or rate
     samples = _samples(emissions, tracks, heard_at, options.duration, ringing, tails.duration)
-    pairs = find_static_pairs(tracks, options)
-    filters, narrow, not_narrow = _source_filters(emissions, tracks, pairs, options, samples / heard_at)
+    filters, allocation = allocate(emissions, tracks, options, samples)
     segment, blocks = _blocks(tracks, options, heard_at)
-    chunk = _chunk(tracks, options, samples, heard_at, segment)
-    parts = tuple(_narrow_part(carrier, narrow, tracks, pairs, options, samples) for carrier in _carriers(narrow))
+    chunk = chunk_of(tracks, options, samples, heard_at, segment)
+    allocation = allocation.with_tails(tails.of_sources, tails.told)
     return Plan(
-        options, tracks, pairs, filters, heard_at, samples, chunk, segment, blocks, BUILDERS,
-        left_out=left_out, narrow_parts=parts, not_narrow=not_narrow, tails=tails.of_sources, no_tail=tails.told,
-    )  # fmt: skip
+        options, tracks, allocation, filters, heard_at, samples, chunk, segment, blocks, BUILDERS, left_out=left_out
+    )
 
 
 def on_device(plan: Plan, device: str | None) -> Plan:
     """Return a plan for a device of this machine; one that it names stays, and None is any."""
     if device is None or plan.options.device is not None:
         return plan
-    options, parts = replace(plan.options, device=device), tuple(_part_on(device, part) for part in plan.narrow_parts)
-    return replace(plan, options=options, narrow_parts=parts, builders=BUILDERS)
-
-
-def _part_on(device: str, part: NarrowPart) -> NarrowPart:
-    options = replace(part.plan.options, device=device)
-    return replace(part, plan=replace(part.plan, options=options, builders=[path_sum]))
+    allocation = moved_to(plan.allocation, device)
+    return replace(plan, options=replace(plan.options, device=device), allocation=allocation, builders=BUILDERS)
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:
@@ -174,81 +158,8 @@ def _samples(
     return max(1, math.ceil(duration * rate - 1e-6))
 
 
-def _source_filters(
-    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, pairs: StaticPairs, options: RenderOptions, until: float
-) -> tuple[tuple[SourceFilters, ...], list[tuple[int, NarrowFilters]], tuple[str, ...]]:
-    """Return what each source emits, and its filters, for a run that ends at `until`, s.
-
-    Also the filters of narrow parts with their sources, and why there are not more.
-    """
-    design = design_source_filters if options.baseband is None else design_envelope
-    made: list[SourceFilters] = []
-    parts: list[tuple[int, NarrowFilters]] = []
-    told: list[str] = []
-    with with_blas_threads(1):
-        for i, (emitted, start) in enumerate(emissions):
-            signal = emitted.at_rate(options.sampling_rate)
-            sound, spectrum = spectra(signal)
-            emission = Emission(
-                i, signal, start, sound, tracks, options, until, pairs.holds(tracks, i), spectrum,
-                cache(partial(Draw.of, tracks, i, until)),
-            )  # fmt: skip
-            split, why = chosen_split(emission, pairs)
-            told += [why] if why else []
-            if split is None:
-                made.append(design(emission))
-            else:
-                rest, narrow = design_split(emission, split)
-                made.append(rest)
-                parts += [(i, filters) for filters in narrow]
-    return tuple(made), parts, tuple(told)
-
-
-def _carriers(narrow: list[tuple[int, NarrowFilters]]) -> list[tuple[float, float]]:
-    """Return the carriers and sampling rates of envelopes, Hz, each once."""
-    return list(dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow))
-
-
-def _narrow_part(
-    carrier: tuple[float, float],
-    narrow: list[tuple[int, NarrowFilters]],
-    tracks: Tracks,
-    pairs: StaticPairs,
-    options: RenderOptions,
-    samples: int,
-) -> NarrowPart:
-    """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
-    mine = {i: filters for i, filters in narrow if (filters.carrier, filters.rate) == carrier}
-    # Others have no paths in it; what stands for their filters is not looked at.
-    first = next(iter(mine.values()))
-    filters = tuple(mine.get(i, first) for i in range(tracks.source_count))
-    band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
-    upsampler = Upsampler.about(carrier[0], options.sampling_rate, first.mixer.every, 0.5 * band.bandwidth)
-    within = replace(options, baseband=band, narrowband=None, chunk=None)
-    others = pairs.indices | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
-    blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
-    count, segment = samples_needed(samples, upsampler), segment_of(blocks)
-    chunk = _chunk(tracks, within, count, carrier[1], segment)
-    plan = Plan(
-        within, tracks, StaticPairs(others), filters, carrier[1], count, chunk, segment, blocks, [path_sum],
-    )  # fmt: skip
-    return NarrowPart(plan, tuple(mine), upsampler)
-
-
 def _blocks(tracks: Tracks, options: RenderOptions, rate: float) -> tuple[int, tuple[int, ...]]:
     """Return the lengths of segments and blocks, samples."""
     if options.baseband is None:
         return SEGMENT, BLOCKS
     return segmented(tracks, rate, options.baseband[0], max_rate(tracks))
-
-
-def _chunk(tracks: Tracks, options: RenderOptions, samples: int, rate: float, segment: int) -> int:
-    """Return the chunk's length in whole segments: as asked, or long against the delays and small in memory."""
-    whole = math.ceil(samples / segment)
-    if options.chunk is not None:
-        return segment * min(whole, math.ceil(options.chunk / segment))
-    span = tracks.longest_delay(0.0, samples / rate) * rate
-    wanted = min(math.ceil(4.0 * span / segment), _LONG_CHUNK)
-    affordable = _PRESSURE_BUDGET // (4 * segment * len(tracks.receiver_names))
-    least = 8 if options.baseband is None else _LONG_CHUNK
-    return segment * max(1, min(whole, max(least, wanted), affordable))

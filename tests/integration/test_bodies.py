@@ -11,7 +11,7 @@ import clsim
 from clsim.cli import main
 from clsim.paths.path_set import PathSet
 from clsim.paths.view import view_scene, viewed
-from clsim.render.static_pairs import find_static_pairs
+from clsim.render.methods.static import pairs_at_rest
 from clsim.study.content import computed
 from clsim.study.file import load_study
 
@@ -170,7 +170,7 @@ def test_studies_compute_them(tmp_path: Path) -> None:
 def test_engines_agree_and_nothing_that_moves_is_convolved(paths: PathSet, device: None) -> None:
     exact, heard = (clsim.render(paths, RATE, duration=0.05, engine=e).pressure for e in ("reference", "opencl"))
     assert np.linalg.norm(heard - exact) < 10 ** (-85 / 20) * np.linalg.norm(exact)
-    assert not find_static_pairs(clsim.track(paths), clsim.RenderOptions(RATE)).indices
+    assert not pairs_at_rest(clsim.track(paths), clsim.RenderOptions(RATE))
 
 
 def test_without_bodies_nothing_is_looked_for(file: Any) -> None:

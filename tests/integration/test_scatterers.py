@@ -14,7 +14,7 @@ from clsim.output.table import read_table, write_table
 from clsim.paths.path_set import PathSet
 from clsim.paths.view import viewed
 from clsim.render import planning
-from clsim.render.static_pairs import find_static_pairs
+from clsim.render.methods.static import pairs_at_rest
 from clsim.scene_file.scene import SceneFile
 from clsim.study.content import computed
 from clsim.study.file import load_study
@@ -128,7 +128,7 @@ def test_what_rests_is_convolved(direct: PathSet) -> None:
     for things, count in ((scene.scatterers[1:2], 2), (scene.scatterers, 1)):
         some = clsim.Scene(scene.room, scene.air, scene.sources, scene.receivers, scatterers=things)
         options = clsim.RenderOptions(RATE)
-        assert len(find_static_pairs(clsim.track(clsim.find_paths(some, 1)), options).indices) == count
+        assert len(pairs_at_rest(clsim.track(clsim.find_paths(some, 1)), options)) == count
     one = PathSet(scene, direct.families[1:])
     found = clsim.impulse_responses(one, RATE, at=0.1, lead="keep", band=(20e3, 30e3)).samples[0, 0]
     gains = one.table(np.array([0.1]), motion="quasi-static").gain

@@ -94,7 +94,7 @@ def test_some_receivers_move_and_one_has_a_clock() -> None:
     paths = clsim.find_paths(scene, 2)
     options = {"duration": 0.1, "interpolator": clsim.Bandlimited(-110.0), "responses": "centre"}
     plan = plan_render(paths, RATE, **options)
-    resting = {plan.tracks.pairs[i].receiver for i in plan.static_pairs.indices}
+    resting = {plan.tracks.pairs[i].receiver for i in plan.allocation.convolved}
     assert resting == {0, 2}
     made = clsim.render(paths, RATE, **options).pressure
     by_path = clsim.render(paths, RATE, convolve_static=False, **options).pressure
@@ -131,16 +131,16 @@ def test_what_is_at_rest() -> None:
     }
     for name, (scene, resting) in cases.items():
         paths = clsim.find_paths(scene, 1)
-        assert bool(plan_render(paths, RATE).static_pairs.indices) == resting, name
+        assert bool(plan_render(paths, RATE).allocation.convolved) == resting, name
     scene = still()
     paths = clsim.find_paths(scene, 1)
     images = replace(paths.families[0], end=np.where(np.arange(len(paths)) == 3, 0.02, np.inf))  # one path ends
     half = replace(paths, families=(images,))
-    assert not plan_render(half, RATE).static_pairs.indices
+    assert not plan_render(half, RATE).allocation.convolved
     for options in (
         {"convolve_static": False}, {"engine": "reference"}, {"interpolator": clsim.Lagrange(12)},
     ):  # fmt: skip
-        assert not plan_render(paths, RATE, **options).static_pairs.indices
+        assert not plan_render(paths, RATE, **options).allocation.convolved
     with pytest.raises(clsim.InputError, match=r"^convolve_static: must be True or False, but is 'no'"):
         plan_render(paths, RATE, convolve_static="no")
 

@@ -14,7 +14,7 @@ from clsim.paths.moving.scattered_way import find_scattered
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
 from clsim.paths.view import viewed
-from clsim.render.static_pairs import find_static_pairs
+from clsim.render.methods.static import pairs_at_rest
 
 C, RATE = 343.0, 192e3
 AIR = clsim.Air(speed_of_sound=C)
@@ -310,4 +310,4 @@ def test_ways_come_when_sound_meets_the_edge_and_engines_agree(device: None) -> 
     exact, heard = (clsim.render(alone, 96e3, duration=0.2, engine=e).pressure for e in ("reference", "opencl"))
     assert np.linalg.norm(exact) > 0.0
     assert np.linalg.norm(heard - exact) < 10 ** (-85 / 20) * np.linalg.norm(exact)
-    assert not find_static_pairs(clsim.track(alone), clsim.RenderOptions(96e3)).indices
+    assert not pairs_at_rest(clsim.track(alone), clsim.RenderOptions(96e3))

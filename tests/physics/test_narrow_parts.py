@@ -13,7 +13,7 @@ from exhaustive import few
 from test_double_edges import prism
 
 import clsim
-from clsim.render.narrow_band import NarrowFilters, RestFilters
+from clsim.render.methods.narrow_band import NarrowFilters, RestFilters
 from clsim.render.plan import Plan
 from clsim.render.planning import on_device
 from clsim.render.render import record
@@ -44,7 +44,7 @@ CASES = [
 @pytest.mark.parametrize("case", few((pytest.param(case, id=case.name) for case in CASES), kept=(0, 3)))
 def test_the_sum_is_what_the_oracle_hears(case: Case) -> None:
     case = replace(case, options=NARROW | {"duration": min(case.duration, 0.1)}, samples=500)
-    assert case.plan().narrow_parts
+    assert case.plan().allocation.narrow
     assert measured(case).error_db <= PROMISED_DB
 
 
@@ -114,7 +114,7 @@ def test_it_is_what_the_plain_way_gives(
     one: clsim.Scene, options: dict[str, Any], parts: list[tuple[int, ...]]
 ) -> None:
     plan = planned(one, **options)
-    assert [part.sources for part in plan.narrow_parts] == parts
+    assert [part.sources for part in plan.allocation.narrow] == parts
     assert apart_db(sound(plan), sound(planned(one, narrowband=False, **options))) <= PROMISED_DB
 
 
@@ -126,8 +126,8 @@ def test_pairs_at_rest_are_convolved_with_all_of_the_signal() -> None:
     ]
     one = clsim.Scene(clsim.Shoebox((6.0, 5.0, 3.0), walls), clsim.Air(), [clsim.Source("s", TONE, still)], ears)
     plan = planned(one)
-    assert plan.narrow_parts
-    assert len(plan.static_pairs.indices) == 1
+    assert plan.allocation.narrow
+    assert len(plan.allocation.convolved) == 1
     got, whole = sound(plan), sound(planned(one, narrowband=False))
     assert all(apart_db(one, other) <= PROMISED_DB for one, other in zip(got, whole, strict=True))
 
@@ -139,7 +139,7 @@ def test_nothing_is_heard_before_an_arrival_less_the_stated_reach() -> None:
     source = clsim.Source("s", clsim.Signal.tone(40e3, 0.1, RATE), way, start=start)
     plan = planned(clsim.Scene(clsim.Shoebox((13.0, 4.0, 3.0), walls), clsim.Air(), [source], [far]))
     got = sound(plan)[0]
-    (part,), (rest,) = plan.narrow_parts, plan.source_filters
+    (part,), (rest,) = plan.allocation.narrow, plan.source_filters
     filters = part.plan.source_filters[0]
     assert isinstance(rest, RestFilters)
     assert isinstance(filters, NarrowFilters)
@@ -165,10 +165,10 @@ def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
 
 def test_rest_and_narrow_part_add_up_to_the_signal() -> None:
     plan = planned(scene(clsim.Signal.tone(40e3, 1.0, RATE), duration=1.0))
-    (rest,), filters = plan.source_filters, plan.narrow_parts[0].plan.source_filters[0]
+    (rest,), filters = plan.source_filters, plan.allocation.narrow[0].plan.source_filters[0]
     assert isinstance(rest, RestFilters)
     assert isinstance(filters, NarrowFilters)
-    left, upsampler = rest.sounding(-4000, 196_000), plan.narrow_parts[0].upsampler
+    left, upsampler = rest.sounding(-4000, 196_000), plan.allocation.narrow[0].upsampler
     assert np.mean(left != 0.0) < 0.03  # but for onset and end there is silence
     whole = rest.signal.read(-4000, 196_000)
     narrow = np.zeros(200_000)
@@ -238,7 +238,7 @@ def test_the_first_block_of_an_envelope_begins_before_anything_sounds(
     paths = clsim.find_paths(one, **({"max_order": 0} | search))
     assert {family.device for family in paths.families if len(family)} == nodes
     plan = clsim.plan_render(paths, RATE, duration=0.05, **NARROW)
-    assert plan.narrow_parts
+    assert plan.allocation.narrow
     whole = clsim.render(paths, RATE, duration=0.05, engine="reference").pressure.astype(np.float64)
     level = np.sqrt(np.mean(whole[:, : round(0.02 * RATE)] ** 2))
     parts = (sound(plan) - whole).reshape(-1, round(0.0025 * RATE))
@@ -260,7 +260,7 @@ def test_where_envelopes_would_not_do_the_plain_way_is_taken_and_told(way: clsim
     source = clsim.Source("s", clsim.Signal.tone(40e3, 0.2, RATE), way)
     one = clsim.Scene(BOX, clsim.Air(), [source], ears, scatterers=things if "scatterer" in why else [])
     plan = planned(one, order=1)
-    assert not plan.narrow_parts
+    assert not plan.allocation.narrow
     (told,) = [line for line in plan.describe() if "without a narrow part" in line]
     assert why in told
 
@@ -268,7 +268,7 @@ def test_where_envelopes_would_not_do_the_plain_way_is_taken_and_told(way: clsim
 def test_slow_shaking_is_narrow() -> None:
     ears = [clsim.Receiver("r", clsim.Trajectory.fixed((4.0, 2.5, 1.0)))]
     one = clsim.Scene(BOX, clsim.Air(), [clsim.Source("s", TONE, shaken(25.0, 1e-3))], ears)
-    assert planned(one, order=1).narrow_parts
+    assert planned(one, order=1).allocation.narrow
 
 
 def test_paths_that_begin_and_end_at_once_are_rendered_plainly() -> None:
@@ -276,7 +276,7 @@ def test_paths_that_begin_and_end_at_once_are_rendered_plainly() -> None:
     family = paths.families[0]
     heard = replace(family, start=np.where(np.arange(len(family.start)) == 3, 0.1, family.start))
     plan = clsim.plan_render(replace(paths, families=(heard,)), RATE, transition=0.0, **NARROW)
-    assert not plan.narrow_parts
+    assert not plan.allocation.narrow
     assert any(line.endswith("paths begin and end at once") for line in plan.describe())
 
 
@@ -286,8 +286,8 @@ def test_paths_that_begin_and_end_at_once_are_rendered_plainly() -> None:
 )
 def test_other_engines_filters_and_few_paths_take_the_plain_way(options: dict[str, Any]) -> None:
     plan = planned(scene(clsim.Signal.tone(40e3, 0.02, RATE), duration=0.03), order=0, **options)
-    assert not plan.narrow_parts
-    assert not plan.not_narrow
+    assert not plan.allocation.narrow
+    assert not plan.allocation.notes
 
 
 def test_tracks_from_elsewhere_take_the_plain_way() -> None:
@@ -308,5 +308,5 @@ def test_the_oracle_sees_a_wrong_carrier(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_plan_for_another_device_takes_its_narrow_parts_along() -> None:
     plan = planned(scene(TONE))
     there = on_device(plan, "0:0")
-    assert [part.plan.options.device for part in there.narrow_parts] == ["0:0"]
+    assert [part.plan.options.device for part in there.allocation.narrow] == ["0:0"]
     np.testing.assert_array_equal(sound(pickle.loads(pickle.dumps(there))), sound(plan))

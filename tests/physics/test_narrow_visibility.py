@@ -83,7 +83,7 @@ def test_paths_that_begin_and_end_are_heard_as_they_should(case: Any) -> None:
     walk = case()
     paths = walk.paths()
     plan = clsim.plan_render(paths, RATE, duration=walk.way.end, narrowband=True)
-    assert plan.narrow_parts
+    assert plan.allocation.narrow
     got = np.concatenate([piece for _, piece in clsim.render_chunks(plan)], axis=1)[0].astype(np.float64)
     wanted = clsim.render(paths, RATE, duration=walk.way.end, engine="reference").pressure[0]
     error = got - wanted

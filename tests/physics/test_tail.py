@@ -19,10 +19,9 @@ from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.render.contributions import Contribution
 from clsim.render.diffuse_tail import diffuse_tail
-from clsim.render.path_sum import path_sum
+from clsim.render.methods import per_sample, static
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.rendering import Rendering
-from clsim.render.static_convolution import static_convolution
 from clsim.tail.bands import band_centres, band_shares
 from clsim.tail.design import DEPARTURES, SourceTail, TailEnergy, TailOptions, find_tail
 from clsim.tail.noise import combined, plane_waves
@@ -253,7 +252,7 @@ def of_contribution(plan: Plan, first: int = 0) -> np.ndarray:
 def test_chunks_and_resuming_change_nothing_and_zones_little() -> None:
     """Begun anywhere, in pieces of any length, samples are the same to the last bit; from zone to zone nothing jumps."""
     plan = moving_plan()
-    (tail,) = plan.tails
+    (tail,) = plan.allocation.tails
     assert tail is not None
     assert min(len(tail.zones), len(tail.receiver_zones)) > 1
     whole = of_contribution(plan)
@@ -261,7 +260,7 @@ def test_chunks_and_resuming_change_nothing_and_zones_little() -> None:
     np.testing.assert_array_equal(of_contribution(cut), whole)
     np.testing.assert_array_equal(of_contribution(cut, 2 * SEGMENT), whole[:, 2 * SEGMENT :])
     heard = rendered(plan)
-    by_path = rendered(replace(plan, builders=[path_sum, static_convolution]))
+    by_path = rendered(replace(plan, builders=[per_sample.build, static.build]))
     np.testing.assert_allclose(heard - by_path, whole, atol=1e-5 * np.abs(heard).max())
     level = [float(np.mean(part**2)) for part in np.array_split(whole[0][round(0.3 * RATE) : round(1.4 * RATE)], 6)]
     assert 10.0 * math.log10(max(level) / min(level)) < 2.5
@@ -273,7 +272,7 @@ def test_chunks_and_resuming_change_nothing_and_zones_little() -> None:
 
 def test_zones_are_crossed_at_constant_energy() -> None:
     plan = moving_plan()
-    (tail,), of = plan.tails, plan.tracks.of_scene
+    (tail,), of = plan.allocation.tails, plan.tracks.of_scene
     assert tail is not None
     assert of is not None
     for zones, ends in ((tail.zones, of.scene.sources), (tail.receiver_zones, of.scene.receivers)):
@@ -298,10 +297,10 @@ def test_without_being_asked_there_is_none() -> None:
     ultrasound = clsim.Signal.chirp(42e3, 60e3, 0.01, 192e3, window="tukey")
     high = clsim.find_paths(scene(clsim.Material.from_reflection(0.9), signal=ultrasound), 1)
     plan = clsim.plan_render(high, 192e3, tail="auto")
-    assert plan.tails == (None,)
+    assert plan.allocation.tails == (None,)
     assert "source 0: no tail, for its band begins at 4" in "\n".join(plan.describe())
     soft = clsim.find_paths(scene(clsim.Material.from_reflection(0.01)), 2)
-    (note,) = clsim.plan_render(soft, RATE, tail="auto", tail_error_db=3.0).no_tail
+    (note,) = clsim.plan_render(soft, RATE, tail="auto", tail_error_db=3.0).allocation.notes
     assert "no tail, for images leave -" in note
     assert np.all(paths.interactions[paths.order > 0].max(axis=1) == SPECULAR)
 

@@ -90,7 +90,7 @@ class BranchSignals:
     def _active(self, source: int, start: int, length: int) -> list[ActivePaths]:
         """Return the paths of a source that are heard within a chunk."""
         plan, rate, pairs = self._plan, self._plan.sampling_rate, self._plan.tracks.pairs
-        mine = [i for i, pair in enumerate(pairs) if pair.source == source and i not in plan.static_pairs.indices]
+        mine = [i for i, pair in enumerate(pairs) if pair.source == source and i not in plan.allocation.convolved]
         # Nodes lie up to a block before and two after what is rendered.
         begin, end = start - plan.blocks[0], start + length + 2 * plan.blocks[0]
         bounds = plan.tracks.delay_ranges(mine, begin / rate, end / rate)

@@ -1,9 +1,10 @@
-"""Whether what a source emits is split into narrow parts and a rest: where that pays, and where it is right."""
+"""Which narrow bands of a source's signal can be rendered as complex envelopes, and what that costs."""
 
 from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,9 @@ from clsim.errors import DeviceError
 from clsim.opencl.device import find_device
 from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.interpolator import Bandlimited
-from clsim.render.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
+from clsim.render.methods.costs import measured_costs
+from clsim.render.methods.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
+from clsim.render.methods.per_sample import cost_of_rest, cost_of_whole
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.tracks.basis import flat_basis
@@ -23,7 +26,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.render.options import RenderOptions
     from clsim.render.source_filters import Emission
-    from clsim.render.static_pairs import StaticPairs
     from clsim.scene.motion.trajectory import Trajectory
     from clsim.scene.signal.signal import Signal
     from clsim.tracks.tracks import SceneTracks, Tracks
@@ -33,59 +35,72 @@ _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
 _MOST_BANDS = 6
 _BINS = 10.0  # of short-time spectra: what a tone spreads in them
 _LEAST_EVERY = 8  # samples of the sound in one of the envelope
-# Processor time, ns: of a path in a sample of the sound, plainly, and more by functions of frequency where the signal's
-# band is all there is, in a rest that sounds, and in nodes of envelopes; of a path in a sample of the envelope; of
-# upsampling and of splitting a sample; of planning twice.
-_PLAIN, _WIDE, _REST, _NODES, _ENVELOPE = 1.5, 3.0, 4.0, 0.25, 6.0
-_UPSAMPLED, _SPLIT, _PLANNED = 10.0, 60.0, 1.5e8
-_ON_GPU = 50.0  # times as fast is a GPU, for which the host upsamples as fast as for any other
 _WINDOWS, _ENDS = 48, 4  # of short-time spectra that are looked at, and of these at either end
-_SOUNDING = 0.5  # of a window in which the rest is loud
 _COARSE, _FINE = 0.02, 5e-4  # s between places at which ends are looked at
 _LOOKED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
 _STRETCH = 0.02  # s
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
 
-def chosen_split(emission: Emission, pairs: StaticPairs) -> tuple[Split | None, str]:
-    """Return the bands of a source's signal that are rendered as complex envelopes, or None, and why none after all.
+@dataclass(frozen=True, slots=True, eq=False)
+class NarrowOffer:
+    """Bands of one source's signal that can be rendered as complex envelopes, and what that costs.
 
-    Parameters
+    Attributes
     ----------
-    emission : Emission
-        Of all of the signal.
-    pairs : StaticPairs
-        Those that are convolved.
+    split : Split
+        The bands, and the rest of the signal.
+    cost : float
+        Processor time of the envelopes and of the rest of a path in a sample of the sound, ns.
     """
-    index, signal, sound, tracks = emission.source, emission.signal, emission.sound, emission.tracks
-    options, start, until = emission.options, emission.start, emission.until
-    of_scene = tracks.of_scene
-    asked = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
-    mine = [i for i, pair in enumerate(tracks.pairs) if pair.source == index and i not in pairs.indices]
-    usable = asked and isinstance(options.interpolator, Bandlimited) and mine and len(sound.energy)
-    if not usable or of_scene is None:
-        return None, ""
-    rate, error_db = signal.sampling_rate, options.interpolator.error_db
-    samples = min(signal.duration, until) * rate
-    path_samples = _heard(tracks, mine, until) * samples / (_ON_GPU if _on_gpu(options) else 1.0)
-    # By so much a path must be faster in a sample for each band, ns.
-    once = _PLANNED + samples * _UPSAMPLED * len(mine), samples * _SPLIT
-    of_band, of_all = (x / max(path_samples, 1.0) for x in once)
-    low, high = sound.bounds(10 ** ((error_db - 6.0) / 10))
-    most = _PLAIN + _WIDE * (high - low) / (0.5 * rate)
-    if of_band + of_all > most and not options.narrowband:
-        return None, ""
-    some, fades = _some(sound), _width_of_fades(tracks, mine, error_db)
-    ways = dict.fromkeys(_ways(signal, sound, tracks.max_rate(index), fades))
-    designed = [tuple(NarrowBand.designed(*band, rate, error_db) for band in bands) for bands in ways]
-    splits = [Split.into(bands, error_db) for bands in designed]
-    gains = [_gain(split, some, rate, most) - of_band * len(split.bands) - of_all for split in splits]
-    if not gains or (max(gains) < 0.0 and not options.narrowband):
-        return None, ""
-    split, span = splits[int(np.argmax(gains))], (start, start + signal.duration, until)
-    reasons = (_obstacle(index, of_scene, mine, band, split.silence, span) for band in split.bands)
-    why = next(filter(None, reasons), "")
-    return (None, f"source {index}: rendered as a whole, without a narrow part: {why}") if why else (split, "")
+
+    split: Split
+    cost: float
+
+
+def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
+    """Return the splits of a source's signal into narrow bands and a rest, for pairs of this source, by index.
+
+    None where the sum of the costs that every split has exceeds the cost of rendering the whole, unless they are
+    requested.
+    """
+    signal, sound, options, tracks = emission.signal, emission.sound, emission.options, emission.tracks
+    usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
+    if not (usable and isinstance(options.interpolator, Bandlimited) and pairs and len(sound.energy)):
+        return []
+    if tracks.of_scene is None:
+        return []
+    known, rate, error_db = measured_costs(), signal.sampling_rate, options.interpolator.error_db
+    samples = min(signal.duration, emission.until) * rate
+    path_samples = max(_heard(tracks, pairs, emission.until) * samples / (known.gpu if _on_gpu(options) else 1.0), 1.0)
+    of_band = samples * known.upsampled * len(pairs) / path_samples
+    of_all = (known.planned + samples * known.split) / path_samples
+    if of_band + of_all > cost_of_whole(emission) and not options.narrowband:
+        return []
+    some, fades = _some(sound), _width_of_fades(tracks, pairs, error_db)
+    found = []
+    for bands in dict.fromkeys(_band_sets(signal, sound, tracks.max_rate(emission.source), fades)):
+        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db)
+        loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
+        cost = of_all + sum(of_band + _envelope_cost(band, rate) for band in split.bands) + cost_of_rest(emission, loud)
+        found.append(NarrowOffer(split, cost))
+    return found
+
+
+def _envelope_cost(band: NarrowBand, rate: float) -> float:
+    """Return the processor time of a path's envelope in a sample of the sound, ns."""
+    known = measured_costs()
+    return known.nodes + known.envelope * (band.baseband.sampling_rate or rate) / rate
+
+
+def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
+    """Return why envelopes at a low rate would not carry what is received by pairs of a source; None if they would."""
+    assert emission.tracks.of_scene is not None, "offers are made for scenes"
+    span = emission.start, emission.start + emission.signal.duration, emission.until
+    reasons = (
+        _obstacle(emission.source, emission.tracks.of_scene, pairs, band, split.silence, span) for band in split.bands
+    )
+    return next(filter(None, reasons), None)
 
 
 def _heard(tracks: Tracks, mine: list[int], until: float) -> float:
@@ -106,7 +121,7 @@ def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
     return float((320.0 * math.pi**2 * tracks.transition**4 * LEVEL_TIME * 10 ** (error_db / 10)) ** -0.2)
 
 
-def _ways(
+def _band_sets(
     signal: Signal, sound: ShortTimeSpectra, max_rate: float, fades: float
 ) -> Iterator[tuple[tuple[Baseband, float, float], ...]]:
     """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz."""
@@ -158,17 +173,6 @@ def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
     weights = np.full(len(inner), sound.weights[_ENDS : count - _ENDS].sum() / len(inner))
     rows = np.concatenate([ends, inner])
     return ShortTimeSpectra(sound.frequencies, sound.energy[rows], np.concatenate([sound.weights[ends], weights]))
-
-
-def _gain(split: Split, sound: ShortTimeSpectra, rate: float, most: float) -> float:
-    """Return the processor time that a path in a sample of the sound saves as envelopes and rest, ns.
-
-    Plainly it takes `most` where the rest is silent; where that sounds, what is wide may as well be short.
-    """
-    loud = float(split.rest_of(sound).weights.sum() / sound.weights.sum())
-    plain = _PLAIN + (most - _PLAIN) * (1.0 - loud)
-    rates = [band.baseband.sampling_rate or rate for band in split.bands]
-    return plain - sum(_NODES + _ENVELOPE * each / rate for each in rates) - _REST * _SOUNDING * loud
 
 
 def _on_gpu(options: RenderOptions) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -12,8 +11,8 @@ import numpy as np
 
 from clsim.render.blas_threads import with_blas_threads
 from clsim.render.contributions import Stateless
+from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.baseband_engine import BasebandEngine
-from clsim.render.path_sum import PathSum
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,15 +20,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes
-    from clsim.numerics.upsampling import Upsampler
     from clsim.render.plan import NarrowPart, Plan
 
 _AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
 
 
-def narrow_parts(plan: Plan) -> NarrowParts | None:
+def build(plan: Plan) -> NarrowParts | None:
     """Return the contribution of a plan's narrow parts; None if there are none."""
-    return NarrowParts(plan.narrow_parts) if plan.narrow_parts else None
+    return NarrowParts(plan.allocation.narrow) if plan.allocation.narrow else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,8 +178,3 @@ class _Upsampled:
         if alone:
             self._engine.until(stop)
         return self._engine.render(start, stop)
-
-
-def samples_needed(samples: int, upsampler: Upsampler) -> int:
-    """Return how many samples of the envelope so many of the sound are made of."""
-    return math.ceil(samples / upsampler.every) + upsampler.reach

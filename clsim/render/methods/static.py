@@ -1,4 +1,4 @@
-"""The contribution of static pairs: one impulse response each, convolved with the emitted signal."""
+"""Pairs of source and receiver at rest: one impulse response each, convolved with the emitted signal."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ import numpy as np
 from clsim.numerics.convolution import convolved
 from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_response
 from clsim.render.contributions import Stateless
+from clsim.render.interpolator import Bandlimited
+from clsim.scene.directivity.patterns import Omni
 from clsim.scene.signal.occupied_bandwidth import shares
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from clsim.render.options import RenderOptions
     from clsim.render.plan import Plan
     from clsim.render.source_filters import SourceFilters
-    from clsim.tracks.tracks import SceneTracks
+    from clsim.scene.ends import Receiver, Source
+    from clsim.tracks.tracks import SceneTracks, Tracks
 
 _WIDEST = 0.95  # of Nyquist
 _SHARE = 1e-12  # of a signal's energy that may lie beyond the band to either side
@@ -26,14 +30,41 @@ _LOWEST = 0.02  # of the sampling rate, below which a band goes on down to 0 Hz:
 _LOWEST_COMPLEX = 1e-3  # the same for complex responses, which may bend at 0 Hz
 
 
-def static_convolution(plan: Plan) -> StaticConvolution | None:
-    """Return the contribution of a plan's static pairs; None if there are none."""
-    of_scene = plan.tracks.of_scene
-    if of_scene is None or not plan.static_pairs.indices:
+def pairs_at_rest(tracks: Tracks, options: RenderOptions) -> frozenset[int]:
+    """Return the indices of the pairs that this method claims, at next to no cost: those that `can` be convolved."""
+    return frozenset(i for i in range(len(tracks.pairs)) if can(tracks, options, i) is None)
+
+
+def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
+    """Return why a pair, by its index, cannot be convolved; None if it can.
+
+    A delay filter that is requested by name (Lagrange) is used for all paths, and the reference engine renders all of
+    them one by one.
+    """
+    of_scene = tracks.of_scene
+    if of_scene is None:
+        return "tracks without a scene"
+    if not options.convolve_static or options.engine != "opencl" or not isinstance(options.interpolator, Bandlimited):
+        return "every path is rendered by the requested delay filter"
+    scene, member = of_scene.scene, tracks.pairs[pair]
+    source, receiver = scene.sources[member.source], scene.receivers[member.receiver]
+    if not (_is_static(source) and _is_static(receiver)) or of_scene.pair_paths[pair].family.moves:
+        return "it moves or turns"
+    if receiver.clock_rate != 1.0:
+        return "its clock drifts"
+    return None if member.always_heard else "paths begin or end"
+
+
+def _is_static(end: Source | Receiver) -> bool:
+    return end.trajectory.is_static and (isinstance(end.directivity, Omni) or not end.trajectory.turns)
+
+
+def build(plan: Plan) -> StaticConvolution | None:
+    """Return the contribution of a plan's pairs at rest; None if there are none."""
+    of_scene, pairs = plan.tracks.of_scene, plan.allocation.convolved
+    if of_scene is None or not pairs:
         return None
-    return StaticConvolution(
-        of_scene, plan.source_filters, tuple(sorted(plan.static_pairs.indices)), plan.options.responses == "centre"
-    )
+    return StaticConvolution(of_scene, plan.source_filters, tuple(sorted(pairs)), plan.options.responses == "centre")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

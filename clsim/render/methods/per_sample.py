@@ -1,4 +1,4 @@
-"""The contribution of the paths that are rendered one by one: their sum, by either engine."""
+"""The sum over paths, each with its delay and gain at every output sample, by either engine: the method for all."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from clsim.render.contributions import Stateless
+from clsim.render.interpolator import Bandlimited
+from clsim.render.methods.costs import measured_costs
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.reference import ReferenceEngine
@@ -16,11 +18,31 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.render.plan import Plan
+    from clsim.render.source_filters import Emission
+
+_OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
 
 
-def path_sum(plan: Plan) -> PathSum | None:
-    """Return the sum over a plan's paths, but for those that are convolved; None if there are no others."""
-    return None if len(plan.static_pairs.indices) == len(plan.tracks.pairs) else PathSum(plan)
+def cost_of_whole(emission: Emission) -> float:
+    """Return the processor time of a path in a sample of all that is emitted, ns."""
+    assert isinstance(emission.options.interpolator, Bandlimited)
+    low, high = emission.sound.bounds(10 ** ((emission.options.interpolator.error_db - 6.0) / 10))
+    known = measured_costs()
+    return known.plain + known.wide * (high - low) / (0.5 * emission.signal.sampling_rate)
+
+
+def cost_of_rest(emission: Emission, loud: float) -> float:
+    """Return the same of what narrow bands leave, by the share of time in which that is not silent.
+
+    Functions of frequency are then for that time alone, and on average it lasts for half of a window of the spectra.
+    """
+    known = measured_costs()
+    return (cost_of_whole(emission) - known.plain + _OF_A_WINDOW * known.rest) * loud
+
+
+def build(plan: Plan) -> PathSum | None:
+    """Return the sum over a plan's paths except those that are convolved; None if there are no others."""
+    return None if len(plan.allocation.convolved) == len(plan.tracks.pairs) else PathSum(plan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +66,7 @@ class PathSum:
         """Return how each source's delays and responses are carried, and the bound of the error."""
         lines = []
         for i, filters in enumerate(self.plan.source_filters):
-            if not self.plan.static_pairs.holds(self.plan.tracks, i):
+            if not self.plan.allocation.convolves(self.plan.tracks, i):
                 lines += [f"source {i}: {filters.describe_filters()}", f"source {i}: {filters.describe()}"]
                 lines.append(
                     f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"
@@ -63,7 +85,7 @@ class PathSum:
     def digest(self) -> str:
         """Return a text that changes with the filters: linear algebra on other threads may round them otherwise."""
         plan = self.plan
-        found = hashlib.sha256(repr((sorted(plan.static_pairs.indices), plan.segment, plan.blocks)).encode())
+        found = hashlib.sha256(repr((sorted(plan.allocation.convolved), plan.segment, plan.blocks)).encode())
         for filters in plan.source_filters:
             found.update(filters.digest().encode())
         return found.hexdigest()

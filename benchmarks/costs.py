@@ -1,0 +1,121 @@
+"""Measure the processor time of the rendering methods, and write `clsim/render/methods/costs.toml`.
+
+Usage: python costs.py [--write]. Without --write the figures are printed beside those in use. Takes about two minutes.
+"""
+
+import argparse
+import platform
+import re
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+import clsim
+from clsim.render.methods.costs import FILE, measured_costs
+from clsim.render.render import record
+
+RATE, SECONDS = 192e3, 1.0
+LOW, HIGH = 5, 9  # orders between which the cost of a path is taken
+REPEATS = 5
+
+
+def seconds(call: Callable[[], object]) -> float:
+    """Return the median processor time of some calls, the first of which is not counted, s."""
+    taken = []
+    for _ in range(REPEATS + 1):
+        begun = time.process_time()
+        call()
+        taken.append(time.process_time() - begun)
+    return median(taken[1:])
+
+
+def scene(signal: clsim.Signal, wall: clsim.Material) -> clsim.Scene:
+    """Return a source at 6 m/s and a receiver in a room of 8 x 6 x 3 m."""
+    circle = clsim.Trajectory.circle((4.0, 3.0, 1.5), 1.0, 2.0 * np.pi / 6.0, SECONDS)
+    ear = clsim.Receiver("r", clsim.Trajectory.fixed((0.9, 0.7, 2.6)))
+    return clsim.Scene(clsim.Shoebox((8.0, 6.0, 3.0), wall), clsim.Air(), [clsim.Source("s", signal, circle)], [ear])
+
+
+def a_path(signal: clsim.Signal, wall: clsim.Material, *, narrowband: bool) -> tuple[float, clsim.Plan]:
+    """Return the processor time of one more path in a sample, ns, and the plan of many."""
+    times, counts = [], []
+    for order in (LOW, HIGH):
+        paths = clsim.find_paths(scene(signal, wall), order)
+        plan = clsim.plan_render(paths, RATE, narrowband=narrowband)
+        times.append(seconds(lambda plan=plan: record(plan)))
+        counts.append(plan.path_count * plan.samples)
+    return 1e9 * (times[1] - times[0]) / (counts[1] - counts[0]), plan
+
+
+def envelope_rate(plan: clsim.Plan) -> float:
+    """Return samples of the envelope in one of the sound."""
+    return plan.allocation.narrow[0].plan.sampling_rate / RATE
+
+
+def measured() -> dict[str, float]:
+    """Return all figures, ns."""
+    hard, soft = (
+        clsim.Material.from_reflection(0.9),
+        clsim.Material.from_absorption([10e3, 40e3, 80e3], [0.2, 0.5, 0.8]),
+    )
+    tone = clsim.Signal.tone(40e3, SECONDS, RATE)
+    chirp = clsim.Signal.chirp(34e3, 46e3, SECONDS, RATE, window="hann")
+    wide = clsim.Signal.chirp(20e3, 80e3, SECONDS, RATE, window="hann")
+    noise = clsim.Signal.noise(SECONDS, RATE, 1, (39e3, 41e3))
+    plain, _ = a_path(tone, hard, narrowband=False)
+    broad, _ = a_path(wide, soft, narrowband=False)
+    slow, slow_plan = a_path(tone, hard, narrowband=True)
+    quick, quick_plan = a_path(chirp, hard, narrowband=True)
+    loud, loud_plan = a_path(noise, hard, narrowband=True)
+    rates = [envelope_rate(plan) for plan in (slow_plan, quick_plan, loud_plan)]
+    envelope = (quick - slow) / (rates[1] - rates[0])
+    nodes = max(slow - envelope * rates[0], 0.0)
+    part = slow_plan.allocation.narrow[0]
+    received = np.ones(part.plan.samples, dtype=np.complex64)
+    samples = slow_plan.samples
+    split = loud_plan.source_filters[0]
+    paths = clsim.find_paths(scene(chirp, hard), 2)
+    planned = [seconds(lambda n=n: clsim.plan_render(paths, RATE, narrowband=n)) for n in (False, True)]
+    return {
+        "plain": plain,
+        "wide": (broad - plain) / (60e3 / (0.5 * RATE)),
+        "rest": loud - nodes - envelope * rates[2],
+        "nodes": nodes,
+        "envelope": envelope,
+        "upsampled": 1e9 * seconds(lambda: part.upsampler(received, 0)) / samples,
+        "split": 1e9 * seconds(lambda: split.sounding(0, samples)) / samples,
+        "planned": 1e9 * max(planned[1] - planned[0], 0.0),
+    }
+
+
+def processor() -> str:
+    """Return the name of the processor."""
+    try:
+        found = re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text("utf-8"), re.MULTILINE)
+    except OSError:
+        found = None
+    return found[1] if found else platform.processor()
+
+
+def main() -> None:
+    """Measure, print, and write if that is requested."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help=f"write {FILE.name}")
+    options = parser.parse_args()
+    figures, text = measured(), FILE.read_text("utf-8")
+    for name, value in figures.items():
+        print(f"{name:10} {value:12.3g} ns, in use {getattr(measured_costs(), name):.3g}")
+        text = re.sub(rf"(?m)^{name} = \S+", f"{name} = {value:.3g}", text)
+    text = re.sub(r"(?m)^date = .*$", f'date = "{datetime.now(UTC).date()}"', text)
+    device = clsim.list_devices()[0].name
+    text = re.sub(r"(?m)^processor = .*$", f'processor = "{processor()}, {device}"', text)
+    if options.write:
+        FILE.write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Rendering methods: what each can render, at what cost, and the contribution that does it."""

@@ -1,0 +1,32 @@
+"""Measured processor time of the rendering methods, from `costs.toml`."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+FILE = Path(__file__).with_name("costs.toml")
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """Processor time, ns, and the speed of a GPU relative to a CPU; each entry is explained in `costs.toml`."""
+
+    plain: float
+    wide: float
+    rest: float
+    nodes: float
+    envelope: float
+    upsampled: float
+    split: float
+    planned: float
+    gpu: float
+
+
+@cache
+def measured_costs() -> Costs:
+    """Return the costs of this installation."""
+    content = tomllib.loads(FILE.read_text("utf-8"))
+    return Costs(**content["nanoseconds"], **content["times"])
