@@ -173,7 +173,7 @@ def test_microphones_are_as_coherent_as_in_a_diffuse_field() -> None:
 def heard_alone(of: clsim.Scene, tail: SourceTail, duration: float, rate: float = RATE, **options: Any) -> Plan:
     """The plan of hearing nothing but a tail."""
     plan = clsim.plan_render(clsim.find_paths(of, 0), rate, duration=duration, engine="reference", **options)
-    return replace(plan, tails=(tail,), builders=[diffuse_tail])
+    return replace(plan, allocation=replace(plan.allocation, tails=(tail,)), builders=[diffuse_tail])
 
 
 def rendered(plan: Plan) -> np.ndarray:
