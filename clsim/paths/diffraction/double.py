@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from clsim.paths.response import SceneResponse
 
 _LOUDEST = 18.0  # over a path without edges
+_NEAREST = 1e-6  # m, between an edge and what is beyond the other one
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
 
@@ -99,7 +100,7 @@ class DoubleEdgePaths(EdgePaths):
             for n, seen, beside in zip((self.n, self.last_n), (emitted_at, heard_at), self.beside[index].T, strict=True)
         )
         beyond = self._beyond(index)
-        heard, sent = beyond[0](r_r, z_r), beyond[1](r_s, z_s)
+        heard, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
         ways = edge_way(r_s, z_s, *heard), edge_way(r_r, z_r, *sent)
         face = self.shared[index, :, None] * np.pi * np.stack([self.n, self.last_n], axis=1)[index, :, None]
         edges = (
@@ -135,3 +136,12 @@ class DoubleEdgePaths(EdgePaths):
         kept = weight * np.abs(lit)[:, None]
         weights = [kept[..., i, None] + kept[..., j, None] * factors[j - 2] for i, j in enumerate(by_face)]
         return root[..., :2] * np.sqrt(breadth)[..., None], weights, factors
+
+
+def _ahead(r: Floats, z: Floats) -> tuple[Floats, Floats]:
+    """Return r and z (P, T) as an edge sees what is beyond the other one, r at least `_NEAREST`.
+
+    Behind the edge there is no path, but nodes just beyond its interval are evaluated: there the field keeps the
+    value that it has at the edge.
+    """
+    return np.maximum(r, _NEAREST), z
