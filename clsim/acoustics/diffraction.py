@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 TERMS = 4  # past the edge above -π and below π, by the 0-face, by the n-face
+ON_LINE = 1e-6  # m; an end that is nearer to the line of an edge has no angle there, see `off_line`
 ON_BOUNDARY = 1e-9  # radians, below which an angle to a boundary is taken as none
 _FAR = 8.0  # root of a phase from which on the series is taken
 _LEAST_ROOT = -1.0  # of the table of the transition function
@@ -70,6 +71,23 @@ def edge_way(source_r: Floats, source_z: Floats, receiver_r: Floats, receiver_z:
     apex = (source_z * receiver_r + receiver_z * source_r) / across
     # s' = L r_s / (r_s + r_r), s = L r_r / (r_s + r_r), sin β = (r_s + r_r) / L
     return EdgeWay(length, apex, 2.0 * source_r * receiver_r / length)
+
+
+def off_line(n: ArrayLike, x: Floats, y: Floats, low: ArrayLike) -> tuple[Floats, Floats]:
+    """Return distances r and angles θ (...) of places at x along the 0-face and y off it, from angles `low` on.
+
+    Within `ON_LINE` of the line, such as on the straight extension of an edge, the angle is lost in rounding: there
+    r is `ON_LINE` and θ that of the middle of the air. The field has this limit whatever is done to the last digits.
+
+    Examples
+    --------
+    >>> r, angle = off_line(1.5, np.array([0.0, 1.0]), np.array([0.0, -1.0]), 0.0)
+    >>> r.round(3).tolist(), np.degrees(angle).tolist()
+    ([0.0, 1.414], [135.0, 315.0])
+    """
+    r, angle = np.hypot(x, y), np.arctan2(y, x)
+    angle = np.where(angle < low, angle + 2.0 * np.pi, angle)
+    return np.maximum(r, ON_LINE), np.where(r < ON_LINE, 0.5 * np.pi * np.asarray(n), angle)
 
 
 def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:

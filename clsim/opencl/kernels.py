@@ -89,7 +89,7 @@ _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVE
 # What is between the ends, and how it is found where they are scattered.
 _KINDS = {
     "EDGES", "SCATTERERS", "BODIES", "MORE", "POINT", "CAPSULE", "LONGEST_STEP", "GLINT_FAR", "GLINT_FOUND", "SETTLED",
-    "FLATTEST", "NO_WAY", "PATIENCE", "BEYOND_LEG", "POSE_COLUMNS", "FACE_COLUMNS",
+    "FLATTEST", "NO_WAY", "ON_LINE", "PATIENCE", "BEYOND_LEG", "POSE_COLUMNS", "FACE_COLUMNS",
 }  # fmt: skip
 _OF_GAINS = {"SPHERE", "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION"}
 
@@ -215,7 +215,7 @@ PROGRAMS = {
     "edge_intervals": Program(
         (*_INTERVAL_FILES, "paths/edge.h", "paths/edge_evaluate.h", "paths/spans.h", "paths/edge_intervals.cl"),
         EDGE_INTERVALS | INTERVALS,
-        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {"CONTRACTIONS", "CONTRACTED", "HALF_TURN"}),
+        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {"CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE"}),
     ),
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),

@@ -16,10 +16,11 @@ static triple into_room(__global const double* m, triple v)
     return out;
 }
 
-// Distance of an end from the edge, and its angle from the 0-face.
-static double off_edge(triple at) { return sqrt(at.x * at.x + at.y * at.y); }
-static double angle_about(triple at, double low)
+// Distance of an end from the edge, and its angle from the 0-face: see `off_line`.
+static double off_edge(triple at) { return fmax(sqrt(at.x * at.x + at.y * at.y), ON_LINE); }
+static double angle_about(triple at, double low, double n)
 {
+    if (at.x * at.x + at.y * at.y < ON_LINE * ON_LINE) return 0.5 * HALF_TURN * n;
     const double angle = atan2(at.y, at.x);
     return angle < low ? angle + 2.0 * HALF_TURN : angle;
 }
@@ -92,7 +93,7 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
 {
     const double r_s = off_edge(s), r_r = off_edge(r), across = r_s + r_r, along = s.z - r.z, n = edge->n;
     const double length = sqrt(across * across + along * along), breadth = sqrt(2.0 * r_s * r_r / length * raised);
-    const double t_s = angle_about(s, edge->low[0]), t_r = angle_about(r, edge->low[1]), between = t_r - t_s, together = t_r + t_s;
+    const double t_s = angle_about(s, edge->low[0], n), t_r = angle_about(r, edge->low[1], n), between = t_r - t_s, together = t_r + t_s;
     const double angles[4] = {HALF_TURN + between, HALF_TURN - between, HALF_TURN - together,
                               together - (2.0 * n - 1.0) * HALF_TURN};
     // Of a term's angle a: sine and cosine of a / 2, and of a / 2n but for half turns.

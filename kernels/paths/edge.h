@@ -13,8 +13,9 @@ static cylindrical about(__global const edge_of_room* edge, triple place)
 {
     const triple away = difference(place, at_row(edge->start));
     const double x = inner(away, at_row(edge->across)), y = inner(away, at_row(edge->out));
-    const double angle = atan2(y, x), low = HALF_TURN * (0.5 * edge->n - 1.0);  // half of the wedge below its 0-face
-    const cylindrical out = {sqrt(x * x + y * y), angle < low ? angle + 2.0 * HALF_TURN : angle,
+    const double r = sqrt(x * x + y * y), angle = atan2(y, x), low = HALF_TURN * (0.5 * edge->n - 1.0);
+    const double turned = angle < low ? angle + 2.0 * HALF_TURN : angle;  // from half of the wedge below its 0-face on
+    const cylindrical out = {fmax(r, ON_LINE), r < ON_LINE ? 0.5 * HALF_TURN * edge->n : turned,
                              inner(away, at_row(edge->along))};
     return out;
 }

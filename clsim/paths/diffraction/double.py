@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import edge_way, lit_angles, wedge_terms
+from clsim.acoustics.diffraction import ON_LINE, edge_way, lit_angles, wedge_terms
 from clsim.acoustics.double_edge import double_tie, double_transition
 from clsim.paths.diffraction.family import EdgePaths, cylindrical, face_factors
 from clsim.paths.diffraction.ways import EdgeView, RolledOut
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from clsim.paths.response import SceneResponse
 
 _LOUDEST = 18.0  # over a path without edges
-_NEAREST = 1e-6  # m, between an edge and what is beyond the other one
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
 
@@ -77,7 +76,7 @@ class DoubleEdgePaths(EdgePaths):
 
     def _apexes(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
         ends = [self._view(side, index).places(x[:, None]) for side, x in (("before", source), ("after", receiver))]
-        (r_s, z_s), (r_r, z_r) = ((np.hypot(x, y), z) for x, y, z in ends)
+        (r_s, z_s), (r_r, z_r) = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in ends)
         beyond = self._beyond(index)
         first = edge_way(r_s, z_s, *beyond[0](r_r, z_r)).apex
         last = edge_way(r_r, z_r, *beyond[1](r_s, z_s)).apex
@@ -139,9 +138,9 @@ class DoubleEdgePaths(EdgePaths):
 
 
 def _ahead(r: Floats, z: Floats) -> tuple[Floats, Floats]:
-    """Return r and z (P, T) as an edge sees what is beyond the other one, r at least `_NEAREST`.
+    """Return r and z (P, T) as an edge sees what is beyond the other one, r at least `ON_LINE`.
 
     Behind the edge there is no path, but nodes just beyond its interval are evaluated: there the field keeps the
     value that it has at the edge.
     """
-    return np.maximum(r, _NEAREST), z
+    return np.maximum(r, ON_LINE), z

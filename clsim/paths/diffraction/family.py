@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import EdgeWay, edge_way, end_detour, lit_angles, transition, wedge_terms
+from clsim.acoustics.diffraction import (
+    ON_LINE,
+    EdgeWay,
+    edge_way,
+    end_detour,
+    lit_angles,
+    off_line,
+    transition,
+    wedge_terms,
+)
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
 from clsim.paths.diffraction.ways_over import WaysOver
@@ -178,7 +187,7 @@ class EdgePaths(TwoSidedPaths):
         ends = (
             self._view(side, index).places(x[:, None])[..., 0] for side, x in (("before", source), ("after", receiver))
         )
-        (r_s, z_s), (r_r, z_r) = ((np.hypot(x, y), z) for x, y, z in ends)
+        (r_s, z_s), (r_r, z_r) = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in ends)
         end = self.end_place[index]
         place = np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
         apex = np.asarray(self.frame[index, 0] + place[:, None] * self.frame[index, 3])
@@ -255,8 +264,7 @@ def end_factor(
 def cylindrical(n: Floats, seen: Floats, beside: NDArray[np.int8]) -> tuple[Floats, Floats, Floats]:
     """Return r, θ and z of coordinates (3, P, T) about edges (P,), see `least_angle`."""
     x, y, z = seen
-    low, angle = least_angle(n, beside)[:, None], np.arctan2(y, x)
-    return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
+    return *off_line(n[:, None], x, y, least_angle(n, beside)[:, None]), z
 
 
 def least_angle(n: Floats, beside: NDArray[np.int8]) -> Floats:

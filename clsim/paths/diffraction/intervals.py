@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.acoustics.diffraction import ON_LINE
 from clsim.paths.diffraction.between import FaceLegs
 from clsim.paths.diffraction.visibility import CONTRACTED, CONTRACTIONS, FAR, EdgeVisibility
 from clsim.paths.specular.intervals import Intervals, find_intervals, merged
@@ -79,7 +80,8 @@ class EdgeSearch:
             "face_of": candidates.face[row],
             "end_of": candidates.end[row], "receiver_of": candidates.receiver[row],
         }  # fmt: skip
-        constants = {"AT_EDGE": 1, "CONTRACTIONS": CONTRACTIONS, "CONTRACTED": CONTRACTED, "HALF_TURN": np.pi}
+        constants = {"AT_EDGE": 1, "CONTRACTIONS": CONTRACTIONS, "CONTRACTED": CONTRACTED, "HALF_TURN": np.pi,
+            "ON_LINE": ON_LINE}  # fmt: skip
         others = {
             "other_count": other.shape[1], "from_receiver": side, "far": FAR * self.query.walls.size,
             "edges": np.column_stack([edges.frames.reshape(-1, 12), edges.length, edges.n]),

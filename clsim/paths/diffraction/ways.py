@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.diffraction import edge_way
+from clsim.acoustics.diffraction import ON_LINE, edge_way
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
@@ -188,7 +188,7 @@ def _met(
     emitted_at: Floats, heard_at: Floats, beyond: tuple[RolledOut, RolledOut] | None
 ) -> tuple[tuple[Floats, Floats], Floats]:
     """Return where the shortest ways meet the first and the last edge, and their lengths, each (P, T) m."""
-    source, receiver = ((np.hypot(x, y), z) for x, y, z in (emitted_at, heard_at))
+    source, receiver = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in (emitted_at, heard_at))
     if beyond is None:
         way = edge_way(*source, *receiver)
         return (way.apex, way.apex), way.length

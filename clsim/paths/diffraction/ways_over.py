@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import edge_way
+from clsim.acoustics.diffraction import ON_LINE, edge_way
 from clsim.paths.heights import Folds
 from clsim.paths.propagation import straight
 
@@ -64,6 +64,6 @@ class WaysOver:
         for place in (emitted_at, heard_at):
             away = place - frame[..., 0, :]
             x, y, z = (np.sum(away * frame[..., axis, :], axis=-1) for axis in (1, 2, 3))
-            coordinates += [np.hypot(x, y), z]
+            coordinates += [np.maximum(np.hypot(x, y), ON_LINE), z]
         along = np.where(np.isnan(end), edge_way(*coordinates).apex, end)
         return frame[..., 0, :] + along[..., None] * frame[..., 3, :], emitted_at, heard_at

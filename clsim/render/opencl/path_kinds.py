@@ -1,7 +1,7 @@
 """What programs are told of the kinds of paths: constants that say which kind a build is for, and what these need."""
 
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
-from clsim.acoustics.diffraction import ON_BOUNDARY
+from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE
 from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
 from clsim.paths.moving.events import BEYOND_LEG
 from clsim.paths.moving.face_cubics import FACE_COLUMNS
@@ -17,7 +17,7 @@ KINDS = {
     "MORE": 0,  # numbers that are predicted besides the delay and its rate
     "POINT": POINT, "CAPSULE": CAPSULE,
     "LONGEST_STEP": LONGEST_STEP, "GLINT_FAR": FAR, "GLINT_FOUND": FOUND, "SETTLED": _SETTLED, "FLATTEST": FLATTEST,
-    "NO_WAY": NO_WAY, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
+    "NO_WAY": NO_WAY, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
     "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
 }  # fmt: skip
 OF_GAINS = {"SPHERE": SPHERE, "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION}

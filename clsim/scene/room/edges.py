@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.acoustics.diffraction import off_line
 from clsim.arrays import read_only
 
 if TYPE_CHECKING:
@@ -86,9 +87,8 @@ class Edges:
         """
         away = places - self.start[edge]
         x, y, z = (np.einsum("...i,...i->...", away, axis[edge]) for axis in (self.across, self.out, self.along))
-        angle = np.arctan2(y, x)
-        low = 0.5 * np.pi * (self.n[edge] - 2.0)  # half of the wedge below its 0-face
-        return np.hypot(x, y), np.where(angle < low, angle + 2.0 * np.pi, angle), z
+        n = self.n[edge]
+        return *off_line(n, x, y, 0.5 * np.pi * (n - 2.0)), z  # from half of the wedge below its 0-face on
 
     def inward(self, edge: NDArray[np.int64], face: NDArray[np.integer[Any]]) -> Floats:
         """Return unit vectors (..., 3) from edges (...) into their 0-faces, where `face` (...) is 0, or n-faces."""
