@@ -1,15 +1,12 @@
-"""Processes of this machine, or workers of any Dask cluster, as a team that does tasks."""
+"""Workers of a Dask scheduler as a team that does tasks."""
 
 from __future__ import annotations
 
-import os
 import queue
-import sys
 import uuid
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from clsim.cluster.dispatch import WorkersLostError
 from clsim.errors import ClsimError, DeviceError, InputError, in_one_line
 
 if TYPE_CHECKING:
@@ -31,12 +28,10 @@ class DaskTeam:
         Of the scheduler.
     tasks : Tasks
         What is to be done.
-    devices : list of str
-        Over which workers of this machine are spread; empty elsewhere.
     """
 
-    def __init__(self, client: Any, tasks: Tasks, devices: list[str]) -> None:
-        self._client, self._tasks, self._devices = client, tasks, devices
+    def __init__(self, client: Any, tasks: Tasks) -> None:
+        self._client, self._tasks = client, tasks
         self._known: set[str] = set()
         self._futures: dict[int, Any] = {}
         self._done: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
@@ -74,7 +69,7 @@ class DaskTeam:
         """Have a worker do a task."""
         with _scheduler_there():
             future = self._client.submit(
-                _on_worker, *self._tasks.call(number), self._devices,
+                _on_worker, *self._tasks.call(number),
                 key=f"clsim-{self._tasks.kind}-{number}-{uuid.uuid4().hex}", pure=False, workers=[worker],
                 allow_other_workers=False,
             )  # fmt: skip
@@ -128,13 +123,9 @@ def _scheduler_there() -> Iterator[None]:
         raise ClsimError(f"the connection to the scheduler was lost: {in_one_line(error)}") from error
 
 
-def _on_worker(function: Callable[..., Row], arguments: tuple[Any, ...], devices: list[str]) -> Row:
-    """Do a task on the device of this worker: workers of this machine are called 0, 1, 2, ..."""
-    from distributed import get_worker
-
-    name = get_worker().name
-    device = devices[name % len(devices)] if devices and isinstance(name, int) else None
-    return function(*arguments, device)
+def _on_worker(function: Callable[..., Row], arguments: tuple[Any, ...]) -> Row:
+    """Do a task on the worker's own device."""
+    return function(*arguments, None)
 
 
 def row_of(future: Any, number: int, tasks: Tasks) -> Row | None:
@@ -170,7 +161,7 @@ def remote_team(scheduler: str, tasks: Tasks) -> Iterator[DaskTeam]:
         If it cannot be reached.
     """
     with _quiet(), _client(scheduler) as client:
-        team = DaskTeam(client, tasks, [])
+        team = DaskTeam(client, tasks)
         try:
             yield team
         finally:
@@ -203,63 +194,6 @@ def _client(scheduler: str) -> Iterator[Any]:
 
 
 @contextmanager
-def local_team(number: int, tasks: Tasks, devices: list[str]) -> Iterator[DaskTeam]:
-    """Yield processes of this machine that end with the block.
-
-    Parameters
-    ----------
-    number : int
-        How many.
-    tasks : Tasks
-        What they do.
-    devices : list of str
-        Over which they are spread.
-
-    Raises
-    ------
-    WorkersLostError
-        If they do not start.
-    """
-    import logging
-
-    import dask
-    from distributed import Client, LocalCluster
-
-    threads = max(1, (os.cpu_count() or 1) // number)
-    environment = {
-        "POCL_MAX_PTHREAD_COUNT": str(threads), "POCL_CPU_MAX_CU_COUNT": str(threads),
-        "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
-    }  # fmt: skip
-    settings = {
-        "distributed.worker.multiprocessing-method": "forkserver" if sys.platform == "linux" else "spawn",
-        "distributed.nanny.pre-spawn-environ": dask.config.get("distributed.nanny.pre-spawn-environ", {}) | environment,
-        "distributed.deploy.lost-worker-timeout": "1h",  # else one that takes 15 s to start again is given up
-    }
-    with dask.config.set(settings), _quiet():
-        _load_ahead(tasks)
-        try:
-            with _deaf_to_interrupts():
-                cluster = LocalCluster(
-                    n_workers=number, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
-                )  # fmt: skip
-        except (OSError, RuntimeError) as error:
-            raise WorkersLostError(f"no worker could be started: {in_one_line(error)}") from error
-        with cluster, Client(cluster, set_as_default=False) as client:
-            yield DaskTeam(client, tasks, devices)
-
-
-def _load_ahead(tasks: Tasks) -> None:
-    """Where workers are forked, have the process that they are forked from load what tasks need, once for all."""
-    from distributed.utils import get_mp_context
-
-    function, _ = tasks.check()
-    context = get_mp_context()
-    if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload(["distributed", function.__module__, *tasks.loads])
-
-
-@contextmanager
 def _quiet() -> Iterator[None]:
     """Have Dask say nothing of what is said in one line anyway."""
     import logging
@@ -274,44 +208,3 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         loop.setLevel(old)
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Have processes that are started here ignore Ctrl-C, which a terminal sends to all: this process ends them."""
-    import signal
-    import threading
-
-    if threading.current_thread() is not threading.main_thread():  # where Python lets nobody change signals
-        yield
-        return
-    old = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, old)
-
-
-def local_devices() -> list[str]:
-    """Return the devices over which workers of this machine are to be spread: GPUs, else all of the usual platform.
-
-    To be asked for before workers are started, so that they keep kernels where this process does.
-    """
-    from clsim.opencl.device import find_device, list_devices
-
-    found = list_devices()
-    gpus = [info.id for info in found if info.kind == "GPU"]
-    if gpus or not found:
-        return gpus
-    usual, _ = find_device(None)
-    return [info.id for info in found if info.platform == usual.platform and info.kind == usual.kind]
-
-
-def worker_count(workers: int | None) -> int:
-    """Return how many processes are wanted on this machine: as asked, else one per GPU, else one per two cores."""
-    from clsim.opencl.device import list_devices
-
-    if workers is not None:
-        return workers
-    gpus = sum(info.kind == "GPU" for info in list_devices())
-    return gpus or max(1, (os.cpu_count() or 1) // 2)

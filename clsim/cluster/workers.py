@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from clsim.cluster.dispatch import WorkersLostError
-from clsim.errors import InputError
+from clsim.errors import InputError, warn
+from clsim.packages import check_packages
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
 
     from clsim.cluster.dispatch import Dispatch, Row, Tasks
 
-PACKAGES = ("dask", "distributed", "xarray", "zarr")  # that workers need
+_STORES = ("xarray", "zarr")  # packages by which workers write together
+_SCHEDULERS = ("dask", "distributed")  # packages by which a scheduler is reached
 _STARTS = 3  # of the processes of this machine, without any task done with in between
 
 
@@ -50,22 +53,38 @@ class Workers:
         if self.number is not None and self.number < 1:
             raise InputError("--workers", f"must be at least 1, but is {self.number}")
 
-    def check_reach(self) -> None:
-        """See that there is somebody to do the work, before there is any.
+    def check(self, field: str, what: str) -> None:
+        """See that the packages are installed that these workers need, and that a scheduler can be reached.
+
+        A scheduler of another machine that asks for no certificates is warned of: it runs what anybody sends.
+
+        Parameters
+        ----------
+        field : str
+            What asks for workers.
+        what : str
+            What needs them: stands at the beginning of a message.
 
         Raises
         ------
         InputError
-            If a scheduler cannot be reached.
+            If a package is missing, or the scheduler cannot be reached.
         """
+        check_packages(field, what, "study", *_STORES, *(_SCHEDULERS if self.scheduler else ()))
+        if self.scheduler is None:
+            return
         from clsim.cluster.team import check_reach
 
-        if self.scheduler is not None:
-            check_reach(self.scheduler)
+        check_reach(self.scheduler)
+        if is_open(self.scheduler):
+            warn(
+                f"--scheduler: {self.scheduler} is reached without encryption: whoever reaches it, or reads along, can "
+                "run programs on it, its workers and this machine; use tls:// with certificates"
+            )
 
     def count(self) -> int:
         """Return how many processes are wanted on this machine; 0 where others do the work."""
-        from clsim.cluster.team import worker_count
+        from clsim.cluster.processes import worker_count
 
         return 0 if self.scheduler else worker_count(self.number)
 
@@ -94,7 +113,8 @@ class Workers:
         WorkersLostError
             If no worker of this machine starts, or none comes back.
         """
-        from clsim.cluster.team import local_team, remote_team
+        from clsim.cluster.processes import local_team
+        from clsim.cluster.team import remote_team
 
         number, tries = self.count(), 0
         while dispatch.left:
@@ -113,3 +133,17 @@ class Workers:
                     raise
             else:
                 return
+
+
+def is_open(scheduler: str) -> bool:
+    """Return whether a scheduler is on another machine and asks its clients for no certificate.
+
+    Examples
+    --------
+    >>> [is_open(f"{kind}://{host}:8786") for kind in ("tcp", "tls") for host in ("127.0.0.1", "[::1]", "10.0.0.1")]
+    [False, False, True, False, False, False]
+    """
+    parts = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
+    host = (parts.hostname or "").rstrip(".")
+    here = host in ("", "localhost", "::1") or host.startswith("127.")
+    return parts.scheme != "tls" and not here

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from clsim.cluster.workers import PACKAGES, Workers
+from clsim.cluster.workers import Workers
 from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import safe_path
@@ -92,8 +92,7 @@ def _workers(options: argparse.Namespace) -> Workers | None:
         raise InputError(
             "--store", f"must be {' or '.join(by_regions)} for {field}, written by regions, but is {options.store}"
         )
-    check_packages(field, "a run on workers", "study", *PACKAGES)
-    workers.check_reach()
+    workers.check(field, "a run on workers")
     return workers
 
 

@@ -1,4 +1,4 @@
-"""Running a study on processes of this machine or on any Dask cluster."""
+"""Running a study on processes of this machine or on the workers of any Dask scheduler."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clsim.cluster.workers import PACKAGES, Workers
+from clsim.cluster.workers import Workers
 from clsim.errors import InputError
 from clsim.files.atomic import locked, safe_path
-from clsim.packages import check_packages
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
 
@@ -54,7 +53,7 @@ def run_study(
     workers : int, optional
         Processes on this machine: one per GPU, else one per two cores when left out.
     scheduler : str, optional
-        Address of a running Dask scheduler, for example ``"tcp://10.0.0.1:8786"``, instead; its workers must see the
+        Address of a running Dask scheduler, for example ``"tls://10.0.0.1:8786"``, instead; its workers must see the
         output folder under the same path.
     progress : callable, optional
         Called with a text and a total for each stage of the work; returns a context manager that yields a function
@@ -82,15 +81,15 @@ def run_study(
     replaced, and what it was at is done by another; a member whose workers go on dying fails, and no other one with it.
     What the store holds counts: a member counts as finished when its group is there, and groups appear whole.
     """
-    check_packages("study", "a study", "study", *PACKAGES)
+    progress = progress or no_progress
+    doing = Workers(workers, scheduler)
+    doing.check("study", "a study")
     from clsim.cluster.dispatch import Dispatch
     from clsim.study.content import metrics_function
     from clsim.study.file import DEFAULT_LIMIT, checked, load_study
     from clsim.study.index import Index, write_summary
     from clsim.study.member import PARTIAL, STORE, MemberTasks
 
-    progress = progress or no_progress
-    doing = Workers(workers, scheduler)
     study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()
     new = not (resume or retry)
@@ -195,7 +194,7 @@ def _made_by(study: Study, files: set[Path]) -> dict[str, Any]:
 
 def _run(tasks: MemberTasks, dispatch: Dispatch, index: Index, workers: Workers, progress: Progress) -> None:
     """Run members on workers, and note what becomes of each."""
-    from clsim.cluster.team import local_devices
+    from clsim.cluster.processes import local_devices
 
     if not dispatch.left:
         return

@@ -99,7 +99,7 @@ def _tell(warnings: list[str], told: set[str]) -> None:
 
 def _devices(workers: Workers, plan: Plan) -> list[str]:
     """Return devices of this machine over which its workers are spread: those of the kind that the plan is for."""
-    from clsim.cluster.team import local_devices
+    from clsim.cluster.processes import local_devices
     from clsim.render.planning import on_device
 
     if workers.scheduler is not None or plan.options.engine != "opencl" or plan.options.device is not None:

@@ -6,10 +6,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from made_studies import ENVIRONMENT
 
@@ -46,15 +47,17 @@ class Worker:
 
 
 @contextmanager
-def made_cluster(folder: Path, count: int) -> Iterator[tuple[str, list[Worker]]]:
-    """Yield the scheduler's address and the workers, which are not replaced."""
+def made_cluster(
+    folder: Path, count: int, more: Sequence[str] = (), settings: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[tuple[str, list[Worker]]]:
+    """Yield the scheduler's address and the workers, which are not replaced; `settings` are environment variables."""
     note = str(folder / "scheduler.json")
-    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", note]
+    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", note, *more]
     worker = ["worker", "--scheduler-file", note, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
-    worker += ["--host", "127.0.0.1", "--local-directory", str(folder / "space")]
+    worker += ["--host", "127.0.0.1", "--local-directory", str(folder / "space"), *more]
     server = subprocess.Popen(
         [sys.executable, "-c", SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        text=True, env=ENVIRONMENT, start_new_session=True,
+        text=True, env=ENVIRONMENT | settings, start_new_session=True,
     )  # fmt: skip
     try:
         begun = []

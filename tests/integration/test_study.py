@@ -124,7 +124,7 @@ def test_a_worker_without_a_device_is_one_line(folder: Path, capfd, old: str, ne
     (folder / "scene.toml").write_text(SCENE.replace(old, new), "utf-8")
     assert main([*write(folder, [0], [1.0]), "--workers", "1"]) == 2
     err = capfd.readouterr().err
-    assert err.startswith("clsim: error: worker tcp://127.0.0.1:")
+    assert err.startswith("clsim: error: ")
     assert message in err
     assert err.count("\n") == 1
     assert not (folder / "out").exists(), "nothing was begun"

@@ -177,7 +177,7 @@ def run_with(monkeypatch: pytest.MonkeyPatch, teams: Iterator[MadeTeam | None], 
             raise WorkersLostError("no worker could be started")
         yield team
 
-    monkeypatch.setattr("clsim.cluster.team.local_team", made)
+    monkeypatch.setattr("clsim.cluster.processes.local_team", made)
     monkeypatch.setattr("clsim.cluster.team.remote_team", made)
     tasks: Any = SimpleNamespace(found=lambda number: None)
     workers = Workers(None if scheduler else 1, scheduler)

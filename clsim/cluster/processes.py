@@ -1,0 +1,325 @@
+"""Processes of this machine as a team that does tasks; it reaches them by pipes, which no other user can open."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import queue
+import signal
+import sys
+import threading
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import connection as pipes
+from typing import TYPE_CHECKING, Any
+
+from clsim.cluster.dispatch import WorkersLostError
+from clsim.errors import DeviceError, InputError, in_one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from clsim.cluster.dispatch import Row, Tasks
+
+_STARTS = 3  # of a process in a row, none of which lives until it is ready
+_LONGEST = 60.0  # s that a task is waited for which is writing: a chunk takes less
+_GRACE = 5.0  # s in which a process that is ended leaves its task: what it calls in C ends first
+
+
+@dataclass(slots=True, eq=False)
+class _Worker:
+    """A process, the pipe to it, and the task that it does."""
+
+    slot: int
+    process: Any
+    pipe: Any
+    ready: bool = False
+    number: int | None = None
+    closed: bool = False  # the other end of the pipe is
+
+    def is_gone(self) -> bool:
+        """Return whether the process has died, and all that it sent was received."""
+        return self.closed or not (self.process.is_alive() or self.pipe.poll())
+
+    def send(self, *call: Any) -> None:
+        """Have the process call a function; one that has died is found so later."""
+        with suppress(OSError):
+            self.pipe.send_bytes(pickle.dumps(call, pickle.HIGHEST_PROTOCOL))
+
+    def receive(self) -> tuple[bool, Any] | None:
+        """Return an answer that is there: whether it is an error, and the value; None if the process has died."""
+        try:
+            answer: tuple[bool, Any] = self.pipe.recv()
+        except (EOFError, OSError):
+            self.closed, self.number = True, None
+            self.process.kill()  # it has died, or is about to
+            return None
+        return answer
+
+
+class ProcessTeam:
+    """Processes of this machine, each of which does one task at a time. One that dies is replaced.
+
+    Parameters
+    ----------
+    number : int
+        How many.
+    tasks : Tasks
+        What they do.
+    devices : list of str
+        Over which they are spread; empty where a task needs none, or has its own.
+    """
+
+    def __init__(self, number: int, tasks: Tasks, devices: list[str]) -> None:
+        self._tasks, self._devices = tasks, devices
+        self._environment = _environment(number)
+        self._context: Any = multiprocessing.get_context(_start_method())
+        self._unready = [0] * number  # processes in a row that died before they were ready
+        self._count = 0
+        self._workers: dict[str, _Worker] = {}
+        if _start_method() == "forkserver":  # the process that others are forked from loads what all of them need
+            function, _ = tasks.check()
+            self._context.set_forkserver_preload([__name__, function.__module__, *tasks.loads])
+
+    def start(self) -> None:
+        """Start the processes.
+
+        Raises
+        ------
+        WorkersLostError
+            If the system starts none.
+        """
+        for slot in range(len(self._unready)):
+            self._start(slot)
+
+    def _start(self, slot: int) -> None:
+        device = self._devices[slot % len(self._devices)] if self._devices else None
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=_serve, args=(theirs, device, self._environment), daemon=True)
+        try:
+            with _heirs(self._environment):
+                process.start()
+        except (OSError, RuntimeError, EOFError) as error:
+            raise WorkersLostError(f"no worker could be started: {in_one_line(error)}") from error
+        finally:
+            theirs.close()
+        worker = self._workers[f"{slot}.{self._count}"] = _Worker(slot, process, ours)
+        self._count += 1
+        worker.send(*self._tasks.check(), False)
+
+    def workers(self) -> dict[str, int]:
+        """Return the processes that are ready, each of which does one task at a time; replace those that died.
+
+        Raises
+        ------
+        InputError, DeviceError
+            If one cannot work.
+        WorkersLostError
+            If none lives until it is ready.
+        """
+        for name, worker in list(self._workers.items()):
+            if not worker.is_gone():
+                continue
+            del self._workers[name]
+            worker.process.join()
+            worker.pipe.close()
+            self._unready[worker.slot] = 0 if worker.ready else self._unready[worker.slot] + 1
+            if self._unready[worker.slot] < _STARTS:
+                self._start(worker.slot)
+        if not self._workers:
+            raise WorkersLostError(f"no worker could be started: each died before it was ready, {_STARTS} times")
+        return {name: 1 for name, worker in self._workers.items() if worker.ready}
+
+    def begin(self, number: int, worker: str) -> None:
+        """Have a process do a task."""
+        self._workers[worker].number = number
+        self._workers[worker].send(*self._tasks.call(number), True)
+
+    def forget(self, number: int) -> None:
+        """Want nothing more of a task: its process has died, and is not among the workers any more."""
+
+    def done(self, seconds: float) -> tuple[int, Row | None] | None:
+        """Return a task that is done with and its row; None if there is none in time."""
+        by_pipe = {worker.pipe: worker for worker in self._workers.values()}
+        for pipe in pipes.wait(list(by_pipe), seconds):
+            worker = by_pipe[pipe]
+            answer = worker.receive()
+            if answer is None:  # it is replaced when workers are looked at
+                continue
+            if not worker.ready:
+                self._take_as_ready(worker, *answer)
+            else:
+                number, worker.number = worker.number, None
+                assert number is not None
+                failed, value = answer
+                return number, (self._tasks.found(number) or self._tasks.failed(number, value) if failed else value)
+        return None
+
+    def _take_as_ready(self, worker: _Worker, failed: bool, value: Any) -> None:
+        """Take a process among those that are given tasks, unless it says what keeps it from working."""
+        problem, is_device = (in_one_line(value), False) if failed else value
+        if is_device:
+            raise DeviceError(problem)
+        if problem:
+            raise InputError("--workers", problem)
+        worker.ready = True
+
+    def end(self) -> None:
+        """End the processes. Where tasks have to be waited for, they are; others are left, and clean up."""
+        workers = list(self._workers.values())
+        if self._tasks.over() is not None:
+            deadline = time.monotonic() + _LONGEST
+            while (busy := {w.pipe: w for w in workers if w.number is not None}) and time.monotonic() < deadline:
+                for pipe in pipes.wait(list(busy), 1.0):
+                    busy[pipe].receive()
+                    busy[pipe].number = None
+        for worker in workers:
+            worker.process.terminate()
+        for worker in workers:
+            worker.process.join(_GRACE)
+            worker.process.kill()
+            worker.process.join()
+            worker.pipe.close()
+
+
+@contextmanager
+def local_team(number: int, tasks: Tasks, devices: list[str]) -> Iterator[ProcessTeam]:
+    """Yield processes of this machine that end with the block.
+
+    Parameters
+    ----------
+    number : int
+        How many.
+    tasks : Tasks
+        What they do.
+    devices : list of str
+        Over which they are spread.
+
+    Raises
+    ------
+    WorkersLostError
+        If they do not start.
+    """
+    team = ProcessTeam(number, tasks, devices)
+    try:
+        team.start()
+        yield team
+    finally:
+        team.end()
+
+
+def _start_method() -> str:
+    # The fork server of Python 3.11.0 listens on a socket that every user of the machine can open.
+    return "forkserver" if sys.platform == "linux" and sys.version_info >= (3, 11, 1) else "spawn"
+
+
+def _environment(number: int) -> dict[str, str]:
+    """Environment variables of each process: those of this one, with its share of the cores for PoCL."""
+    threads = str(max(1, (os.cpu_count() or 1) // number))
+    return os.environ | {
+        "POCL_MAX_PTHREAD_COUNT": threads, "POCL_CPU_MAX_CU_COUNT": threads,
+        "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
+    }  # fmt: skip
+
+
+@contextmanager
+def _heirs(environment: dict[str, str]) -> Iterator[None]:
+    """Have processes that start here find the packages of this one, and never see Ctrl-C: this process ends them.
+
+    A terminal sends Ctrl-C to all processes. Blocked, it waits for this one until the block ends; ignored, it was lost.
+    """
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("PYTHONPATH", None)
+        else:
+            os.environ["PYTHONPATH"] = before
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _serve(pipe: Any, device: str | None, environment: dict[str, str]) -> None:
+    """Make the calls that come by a pipe, until it is closed or the process is asked to end."""
+    status = 1
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, _leave)
+        os.environ.update(environment)
+        calls: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        threading.Thread(target=_listen, args=(pipe, calls), daemon=True).start()
+        while (call := calls.get()) is not None:
+            _send(pipe, _answer(call, device))
+        status = 0
+    except (KeyboardInterrupt, OSError):  # asked to end, or nobody listens any more
+        status = 0
+    finally:
+        os._exit(status)  # threads of drivers and of the listener would be waited for
+
+
+def _leave(number: int, frame: Any) -> None:
+    """Leave the task, and have all that is open clean up behind itself."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _listen(pipe: Any, calls: queue.SimpleQueue[bytes | None]) -> None:
+    """Take calls as they come; when the team's process is gone, leave the task that is being done."""
+    while True:
+        try:
+            calls.put(pipe.recv_bytes())
+        except (EOFError, OSError):
+            calls.put(None)
+            os.kill(os.getpid(), signal.SIGTERM)
+            return
+
+
+def _answer(call: bytes, device: str | None) -> tuple[bool, Any]:
+    """Make a call; return whether it raised an error, and that or the value."""
+    try:
+        function, arguments, on_device = pickle.loads(call)
+        more = (device,) if on_device else ()
+        return False, function(*arguments, *more)
+    except (Exception, SystemExit) as error:
+        return True, error
+
+
+def _send(pipe: Any, answer: tuple[bool, Any]) -> None:
+    """Send an answer; what cannot be sent, its text."""
+    try:
+        content = pickle.dumps(answer, pickle.HIGHEST_PROTOCOL)
+        if answer[0]:
+            pickle.loads(content)  # some errors can be written and not read
+    except Exception as error:
+        content = pickle.dumps((True, RuntimeError(in_one_line(answer[1] if answer[0] else error))))
+    pipe.send_bytes(content)
+
+
+def local_devices() -> list[str]:
+    """Return the devices over which workers of this machine are to be spread: GPUs, else all of the usual platform.
+
+    To be asked for before workers are started, so that they keep kernels where this process does.
+    """
+    from clsim.opencl.device import find_device, list_devices
+
+    found = list_devices()
+    gpus = [info.id for info in found if info.kind == "GPU"]
+    if gpus or not found:
+        return gpus
+    usual, _ = find_device(None)
+    return [info.id for info in found if info.platform == usual.platform and info.kind == usual.kind]
+
+
+def worker_count(workers: int | None) -> int:
+    """Return how many processes are wanted on this machine: as asked, else one per GPU, else one per two cores."""
+    from clsim.opencl.device import list_devices
+
+    if workers is not None:
+        return workers
+    gpus = sum(info.kind == "GPU" for info in list_devices())
+    return gpus or max(1, (os.cpu_count() or 1) // 2)
