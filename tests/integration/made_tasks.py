@@ -42,20 +42,20 @@ def ready() -> tuple[str, bool]:
 
 
 def do(number: int, note: str, waits: float, kills: bool, device: str | None) -> dict[str, Any]:
-    if kills and not os.path.exists(note):
+    if kills and not Path(note).exists():
         Path(note).touch()
         os.kill(os.getpid(), 9)
     try:
         time.sleep(waits)
         if number < 0:
-            raise Unreadable("a", "b")
+            raise UnreadableError("a", "b")
         return {"status": "finished", "process": os.getpid(), "device": device}
     except KeyboardInterrupt:
         Path(note).touch()  # what cleans up is done
         raise
 
 
-class Unreadable(Exception):
+class UnreadableError(Exception):
     """An error that can be pickled and not be read again, as some of libraries."""
 
     def __init__(self, one: str, other: str) -> None:
@@ -86,7 +86,7 @@ def listening(processes: set[int]) -> tuple[set[int], set[str]]:
             continue
         for link in links:
             try:
-                held.add(os.readlink(link).removeprefix("socket:[").rstrip("]"))
+                held.add(str(link.readlink()).removeprefix("socket:[").rstrip("]"))
             except OSError:
                 continue
     ports, names = set(), set()

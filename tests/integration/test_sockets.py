@@ -6,7 +6,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -141,8 +140,8 @@ def test_nothing_listens_while_commands_work(tmp_path: Path, what: str, device: 
 
 
 @pytest.fixture
-def certificates(tmp_path: Path) -> Iterator[dict[str, str]]:
-    """Make a key and a certificate that signs itself, and yield the environment in which Dask uses both."""
+def certificates(tmp_path: Path) -> dict[str, str]:
+    """Make a key and a certificate that signs itself, and return the environment in which Dask uses both."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl makes the certificates")
     key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
@@ -165,7 +164,7 @@ def certificates(tmp_path: Path) -> Iterator[dict[str, str]]:
         for who in ("SCHEDULER", "WORKER", "CLIENT")
         for what, path in (("KEY", key), ("CERT", certificate))
     }
-    yield files | {f"{place}CA_FILE": str(certificate), "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "True"}
+    return files | {f"{place}CA_FILE": str(certificate), "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "True"}
 
 
 @pytest.mark.exhaustive
