@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 _OUTSIDE_WEIGHT = 1e-4  # of the least squares beyond the band, where the response at its end is wanted
-LONGEST = 2049  # taps
+LONGEST = 4097  # taps
 _SHORTEST = 17
 _NOTHING = 1e-9  # of the largest coefficient
 _FAR = 10.0  # times the allowed error, beyond which lengths are tried in longer steps
+_LONG = 512  # taps on either side, from which on likewise: the design costs more than what they take to apply
 _BETWEEN = 4  # places between neighbouring points at which deviations are evaluated
+_FEW = 64  # multiples of an angle whose cosines are evaluated; those of others follow from the sums of angles
+_TOGETHER = 256  # frequencies whose cosines are held at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +75,7 @@ def band_filters(
     Returns
     -------
     BandFilters
-        Of up to 2049 taps, and as many more as make room for the delay. Symmetric where the response is real and there
+        Of up to 4097 taps, and as many more as make room for the delay. Symmetric where the response is real and there
         is no delay, so that nothing is shifted.
 
     Notes
@@ -88,19 +91,27 @@ def band_filters(
     looked_at = np.cos(math.pi * (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count))
     at, wanted = 0.5 * (edges.sum() + looked_at * (edges[1] - edges[0])), _polynomials(coefficients, looked_at)
     half, best, least = _SHORTEST // 2, BandFilters(np.zeros((len(coefficients), 1)), math.inf, low), math.inf
-    while least > allowed and 2 * half + 1 <= LONGEST:
-        w = np.union1d(np.linspace(0.0, math.pi, 8 * half + 64), np.linspace(edges[0], edges[1], 4 * half + 64))
-        inside = (w >= edges[0]) & (w <= edges[1])
+
+    def wanted_at(w: Floats) -> tuple[Floats, Floats | Complexes]:
+        """Return squared weights (n,) and responses (K, n) at angular frequencies, in the band or continued."""
         x = np.clip((2.0 * w - edges.sum()) / max(edges[1] - edges[0], 1e-12), -1.0, 1.0)
+        inside = (w >= edges[0]) & (w <= edges[1])
         weight = np.where(inside, np.interp(x, points[::-1], importance[::-1]), _OUTSIDE_WEIGHT)
-        even, odd = _fitted(w, weight, _polynomials(coefficients, x), half)
-        made = even @ np.cos(np.outer(at, np.arange(half + 1))).T + 1j * (odd @ _sines(at, half).T)
+        different, which = np.unique(x, return_inverse=True)  # all beyond the band is at an end
+        return weight**2, _polynomials(coefficients, different)[:, which]
+
+    while least > allowed and 2 * half + 1 <= LONGEST:
+        even, odd = _fitted(wanted_at, edges, half)
+        made: Floats | Complexes = even @ _cosines(at, half + 1).T
+        if np.any(odd):
+            made = made + 1j * (odd @ _sines(at, half).T)
         left = np.abs(made - wanted).reshape(len(even), count, _BETWEEN).max(axis=2)
         reached = error(left)
         if reached < least:
             worst = 0.5 * (low + high + points[int(np.argmax((left * importance).max(axis=0)))] * (high - low))
             best, least = BandFilters(_taps(even, odd), 20.0 * math.log10(max(reached, 1e-15)), worst), reached
-        half = min(math.ceil((1.7 if reached > _FAR * allowed else 1.3) * half), max(LONGEST // 2, half + 1))
+        longer = 1.7 if reached > _FAR * allowed or half > _LONG else 1.3
+        half = min(math.ceil(longer * half), max(LONGEST // 2, half + 1))
     size = abs(delay_samples)
     return replace(best, taps=np.pad(best.taps, ((0, 0), (size + delay_samples, size - delay_samples))))
 
@@ -114,20 +125,50 @@ def _polynomials(coefficients: Floats | Complexes, x: Floats) -> Floats | Comple
     return values + 1j * (coefficients[:, :kept].imag @ terms) if np.iscomplexobj(coefficients) else values
 
 
-def _fitted(w: Floats, weight: Floats, target: Floats | Complexes, half: int) -> tuple[Floats, Floats]:
-    """Return coefficients of cosines (K, half + 1) and of sines (K, half) that come nearest to targets (K, w)."""
+def _fitted(
+    wanted_at: Callable[[Floats], tuple[Floats, Floats | Complexes]], edges: Floats, half: int
+) -> tuple[Floats, Floats]:
+    """Return coefficients of cosines (K, half + 1) and of sines (K, half) that come nearest to what is wanted.
+
+    Frequencies lie evenly from 0 to pi, where the sums are a Fourier transform, and closer within the band's edges.
+    """
+    from scipy.fft import next_fast_len, rfft
+
+    intervals = next_fast_len(8 * half + 63, real=True)
+    square, target = wanted_at(np.linspace(0.0, math.pi, intervals + 1))
     # Products of cosines, or of sines, are cosines of differences and sums: one sum for each multiple up to 2 half.
-    cosines = np.cos(np.outer(w, np.arange(2 * half + 1)))
-    sums = weight**2 @ cosines
-    even = _solved(sums, 0, (target.real * weight**2) @ cosines[:, : half + 1])
-    if not np.iscomplexobj(target):
-        return even, np.zeros_like(even[:, 1:])
-    return even, _solved(sums, 1, (target.imag * weight**2) @ _sines(w, half))
+    sums = rfft(square, 2 * intervals)[: 2 * half + 1].real
+    even = rfft(target.real * square, 2 * intervals)[:, : half + 1].real
+    turns = np.iscomplexobj(target)
+    odd = -rfft(target.imag * square, 2 * intervals)[:, 1 : half + 1].imag if turns else np.zeros((len(even), half))
+    w = np.linspace(edges[0], edges[1], 4 * half + 64)
+    for part in (w[i : i + _TOGETHER] for i in range(0, len(w), _TOGETHER)):
+        cosines, (square, target) = _cosines(part, 2 * half + 1), wanted_at(part)
+        sums += square @ cosines
+        even += (target.real * square) @ cosines[:, : half + 1]
+        if turns:
+            odd += (target.imag * square) @ _sines(part, half)
+    return _solved(sums, 0, even), _solved(sums, 1, odd) if turns else odd
+
+
+def _cosines(w: Floats, count: int) -> Floats:
+    """Return cosines of 0 to `count - 1` times w, (w, count)."""
+    coarse, fine = _angles(w, count)
+    made = np.cos(coarse) * np.cos(fine) - np.sin(coarse) * np.sin(fine)
+    return np.asarray(made.reshape(len(w), -1)[:, :count])
 
 
 def _sines(w: Floats, half: int) -> Floats:
     """Return sines of 1 to `half` times w, (w, half)."""
-    return np.asarray(np.sin(np.outer(w, np.arange(1, half + 1))))
+    coarse, fine = _angles(w, half + 1)
+    made = np.sin(coarse) * np.cos(fine) + np.cos(coarse) * np.sin(fine)
+    return np.asarray(made.reshape(len(w), -1)[:, 1 : half + 1])
+
+
+def _angles(w: Floats, count: int) -> tuple[Floats, Floats]:
+    """Return angles (w, n, 1) and (w, 1, 64) whose sums are 0 to `count - 1` times w."""
+    coarse = np.multiply.outer(w, _FEW * np.arange(-(-count // _FEW)))
+    return coarse[:, :, None], np.multiply.outer(w, np.arange(_FEW))[:, None, :]
 
 
 def _taps(even: Floats, odd: Floats) -> Floats:

@@ -42,6 +42,7 @@ _LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on
 _WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
 _LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
 _LIMIT_WIDTH, _LEAST_LIMIT_WIDTH = 0.08, 0.02  # of half the sampling rate, over which it falls to that
+_LEAST_BIN = 1e-3  # of the spacing of a spectrum's frequencies: where bands begin that go down to 0 Hz
 _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may weaken
 
 
@@ -113,7 +114,7 @@ class Emission:
         at_centre, exact = options.responses == "centre", options.engine == "reference"
         floor_db = EXACT_DB if at_centre or exact else options.response_error_db
         low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
-        low = min(max(low, least, float(sound.frequencies[1])), 0.999 * high)
+        low = min(max(low, least, _LEAST_BIN * float(sound.frequencies[1])), 0.999 * high)
         band_at = partial(band_of, low, high, sound)
         if not at_centre:
             asked_db = min(floor_db, options.response_error_db)

@@ -76,7 +76,7 @@ def scene_basis(
     Raises
     ------
     InputError
-        If responses change too fast over frequency for 1161 points, 40 functions, or filters of 2049 taps, and are not
+        If responses change too fast over frequency for 1161 points, 40 functions, or filters of 4097 taps, and are not
         even held within -40 dB.
 
     Warns
@@ -244,8 +244,14 @@ class _Functions:
         return np.asarray(in_parts(rows[:, self.nodes], self.parts) @ self.projection.T)
 
     def wrong(self, sample: Sample) -> Floats:
-        """Return the largest error over all windows of each frame of a sample, (frames,)."""
-        return sample.relative(self.gains(sample.responses) @ self.shapes - sample.responses)
+        """Return the largest error over all windows of each frame of a sample, (frames,).
+
+        The error over the nodes counts as well, for that is what the OpenCL engine looks at as it renders.
+        """
+        gains, weight = self.gains(sample.responses), sample.importance[self.nodes]
+        left = gains @ self.shapes - sample.responses
+        at_nodes, heard = (sample.by_frame(r[:, self.nodes] * weight).sum(axis=1) for r in (left, sample.responses))
+        return np.asarray(np.maximum(sample.relative(left), np.sqrt(at_nodes / np.maximum(heard, 1e-300))))
 
 
 def _spread(count: int, among: int) -> NDArray[np.int64]:

@@ -46,8 +46,7 @@ def heard(signal: np.ndarray, rate: float, start: float, count: int, spectrum: C
     size = 2 ** int(np.ceil(np.log2(len(signal) + count)))
     f = np.fft.rfftfreq(size, 1.0 / rate)
     late = np.exp(-2j * np.pi * f * start)
-    answer = np.zeros(len(f), dtype=complex)
-    answer[1:] = spectrum(f[1:])
+    answer = spectrum(np.maximum(f, 1e-3))  # formulae of the air divide by the frequency
     return np.fft.irfft(np.fft.rfft(signal, size) * late * answer, size)[:count]
 
 

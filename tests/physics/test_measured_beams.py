@@ -152,7 +152,7 @@ FILTERS = BandFilters(np.zeros((1, 3)), -60.0, 5e3)
     [
         (Held(1, 100.0, 6e3, 16e3, 129, -55.0, 3, -90.0), FILTERS, r"129 frequencies do not resolve .* than 13.9 ms"),
         (Held(1, 100.0, 6e3, 16e3, 129, -90.0, 40, -55.0), FILTERS, "more than 40 functions of frequency"),
-        (Held(1, 100.0, 6e3, 16e3), BandFilters(FILTERS.taps, -55.0, 5e3), r"2049 taps \(128 ms\) does .* 5000 Hz"),
+        (Held(1, 100.0, 6e3, 16e3), BandFilters(FILTERS.taps, -55.0, 5e3), r"4097 taps \(256 ms\) does .* 5000 Hz"),
         (Held(1, 2.0, 6e3, 16e3), BandFilters(FILTERS.taps, -55.0, 3.0), "a phase at 3 Hz, .*; fade the signal"),
     ],
 )

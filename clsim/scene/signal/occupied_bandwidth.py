@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,14 +41,23 @@ class ShortTimeSpectra:
     weights: Floats
 
     def near(self, points: Floats, low: float, high: float) -> Floats:
-        """Return the energy (W, n) near rising frequencies (n,), Hz, those of bins within `low` and `high`."""
+        """Return the energy (W, n) near rising frequencies (n,), Hz, those of bins within `low` and `high`.
+
+        A bin stands for all frequencies that are nearest to it: it is spread evenly over the points among these, lest
+        errors at points between bins count for nothing.
+        """
         bins = np.flatnonzero((self.frequencies >= low) & (self.frequencies <= high))
-        last = len(points) - 1
-        at = np.interp(self.frequencies[bins], points, np.arange(last + 1, dtype=np.float64))
+        last, half = len(points) - 1, 0.5 * float(self.frequencies[1])
+        place = partial(np.interp, xp=points, fp=np.arange(last + 1, dtype=np.float64))
+        begin, end = (np.clip(self.frequencies[bins] + side, low, high) for side in (-half, half))
+        parts = np.ceil(place(end) - place(begin)).astype(np.int64) + 1
+        which = np.repeat(np.arange(len(bins)), parts)
+        step = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
+        at = place(begin[which] + (end - begin)[which] * (step + 0.5) / parts[which])
         before = np.minimum(at.astype(np.int64), max(last - 1, 0))
-        shares = np.concatenate([1.0 - (at - before), at - before])
+        shares = np.concatenate([1.0 - (at - before), at - before]) / np.tile(parts[which], 2)
         return self._gathered(
-            np.tile(bins, 2), np.concatenate([before, np.minimum(before + 1, last)]), shares, last + 1
+            np.tile(bins[which], 2), np.concatenate([before, np.minimum(before + 1, last)]), shares, last + 1
         )
 
     def _gathered(self, bins: NDArray[np.int64], places: NDArray[np.int64], shares: Floats, count: int) -> Floats:
