@@ -1,13 +1,14 @@
 """Sound at edges: the uniform theory of diffraction, with the time convention ``exp(+jωt)``.
 
 An edge runs along z; r, θ, z are cylindrical coordinates about it, θ counted from its 0-face through the air to its
-n-face at nπ, 1 ≤ n ≤ 2. A way over an edge is straight once the faces are rolled out.
+n-face at nπ, 0 < n ≤ 2. A way over an edge is straight once the faces are rolled out.
 
 Notes
 -----
 The four terms of the field at an edge belong to four ways beside it, their partners, each of which is seen on one side
 of a boundary: the way past the edge for ``θ_r - θ_s`` above -π, and below π, the reflection by the 0-face for
-``θ_r + θ_s`` below π, and that by the n-face for ``θ_r + θ_s`` above (2n - 1)π. On its boundary a term is minus a half
+``θ_r + θ_s`` below π, and that by the n-face for ``θ_r + θ_s`` above (2n - 1)π. In an inner corner, n < 1, the way past
+the edge is always seen; the partners are ways by both faces in turn, see `partner_reflections`. On its boundary a term is minus a half
 of its partner where this is seen, and a half where it is not, so that the sum is smooth.
 """
 
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from clsim.arrays import Complexes, Floats
 
@@ -90,6 +91,36 @@ def off_line(n: ArrayLike, x: Floats, y: Floats, low: ArrayLike) -> tuple[Floats
     return np.maximum(r, ON_LINE), np.where(r < ON_LINE, 0.5 * np.pi * np.asarray(n), angle)
 
 
+def partner_reflections(n: ArrayLike) -> NDArray[np.int64]:
+    """Count the reflections by the two faces of each term's partner.
+
+    Parameters
+    ----------
+    n : array_like (...)
+        Exterior angle over π.
+
+    Returns
+    -------
+    ndarray (..., 4)
+        An even number for the first two terms, which begin at the 0-face and at the n-face, and an odd one for the last
+        two, which do so as well; they are the two neighbours of 1/n.
+
+    Notes
+    -----
+    Our own derivation: by so many faces in turn the source at θ_s has its images at ``θ_s ± 2nπN``, and at
+    ``-θ_s - 2nπN`` and ``2nπ - θ_s + 2nπN``. Of the boundaries of these, half a turn from an image, each kind has one
+    between the faces. Where n = 1/m two terms each have the same boundary, and cancel each other.
+
+    Examples
+    --------
+    >>> partner_reflections([2.0, 1.5, 2.0 / 3.0, 0.4]).tolist()
+    [[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 1, 1], [2, 2, 3, 3]]
+    """
+    half = 0.5 / np.asarray(n, dtype=np.float64)
+    even, odd = 2.0 * np.round(half), 2.0 * np.floor(half) + 1.0
+    return np.stack([even, even, odd, odd], axis=-1).astype(np.int64)
+
+
 def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:
     """Return how far inside the region in which it is seen each partner is.
 
@@ -107,7 +138,8 @@ def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:
 
     Notes
     -----
-    The boundaries are the zeros of ``a±`` of Kouyoumjian and Pathak (1974), eq. 27, that lie between the faces.
+    The boundaries are the zeros of ``a±`` of Kouyoumjian and Pathak (1974), eq. 27, that lie between the faces, with
+    ``N±`` not 0 alone but as of `partner_reflections`.
 
     Examples
     --------
@@ -117,7 +149,8 @@ def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:
     n, source, receiver = (np.asarray(x, dtype=np.float64) for x in (n, source, receiver))
     between, together = receiver - source, receiver + source
     past = np.pi + between, np.pi - between
-    return np.stack(np.broadcast_arrays(*past, np.pi - together, together - (2.0 * n - 1.0) * np.pi), axis=-1)
+    angles = np.stack(np.broadcast_arrays(*past, np.pi - together, together - (2.0 * n - 1.0) * np.pi), axis=-1)
+    return np.asarray(angles - n[..., None] * np.pi * (partner_reflections(n) // 2 * 2))
 
 
 def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> tuple[Floats, Floats]:
@@ -143,7 +176,7 @@ def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> t
     Notes
     -----
     The field over ``exp(-jkL) / L`` is the sum of ``ρ κ E(√(k breadth) root) / 2`` over the terms, with the reflection
-    factors ρ of the partners (1 for the first two). This is the coefficient of R. G. Kouyoumjian and P. H. Pathak, "A
+    factors ρ of the partners (1 for the first two where n ≥ 1). This is the coefficient of R. G. Kouyoumjian and P. H. Pathak, "A
     uniform geometrical theory of diffraction for an edge in a perfectly conducting surface", Proc. IEEE 62(11), 1974,
     eq. 25, for hard faces; factors as of R. J. Luebbers, IEEE Trans. Antennas Propag. 32(1), 1984. With a fixed `lit`
     weights and roots are smooth functions of the ends' places across the boundary.

@@ -51,6 +51,16 @@ static void by_face(const surroundings* around, const edge_tables* t, __global c
     multiply(r, &factor);
 }
 
+// The same for all reflections of a term's partner in turn, as `partner_factors`: by half the sum or the difference of angles.
+static void by_faces(const surroundings* around, const edge_tables* t, __global const edge_view* edge, int slot, int first,
+                     int count, double angle, double slope, response* r)
+{
+    for (int bounce = 0; bounce < count; bounce++) {
+        const double cosine = cos(angle + (bounce - count / 2) * HALF_TURN * edge->n) * slope;
+        by_face(around, t, edge, slot, (first + bounce) & 1, cosine, r);
+    }
+}
+
 // By how much a leg to a place `off` from the apex is longer than to it, less what cancels over both: see `end_detour`.
 static double longer_leg(double r, double along, double off)
 {
@@ -94,8 +104,9 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
     const double r_s = off_edge(s), r_r = off_edge(r), across = r_s + r_r, along = s.z - r.z, n = edge->n;
     const double length = sqrt(across * across + along * along), breadth = sqrt(2.0 * r_s * r_r / length * raised);
     const double t_s = angle_about(s, edge->low[0], n), t_r = angle_about(r, edge->low[1], n), between = t_r - t_s, together = t_r + t_s;
-    const double angles[4] = {HALF_TURN + between, HALF_TURN - between, HALF_TURN - together,
-                              together - (2.0 * n - 1.0) * HALF_TURN};
+    const double even = n * HALF_TURN * edge->bounces[0], odd = n * HALF_TURN * (edge->bounces[1] - 1);
+    const double angles[4] = {HALF_TURN + between - even, HALF_TURN - between - even, HALF_TURN - together - odd,
+                              together - (2.0 * n - 1.0) * HALF_TURN - odd};
     // Of a term's angle a: sine and cosine of a / 2, and of a / 2n but for half turns.
     double4 c;
     const double4 shares = {0.5, 0.5 / n, 0.5, 0.5 / n}, sums = {between, between, together, together};
@@ -115,11 +126,14 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
         const double turns = (angles[term] * per_turn + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
         const double angle = angles[term] - turn * turns, near = angle < 0.0 ? -angle : angle;
         const double side = turns == 0.0 ? edge->lit[term] : angle < 0.0 ? -1.0 : 1.0;
-        const double rise = turns == 0.0 ? sine[term] : sine[term] * wide_c - cosine[term] * turns * wide_s;
+        __global const double* off = term < 2 ? edge->even : edge->odd;
+        const double here_s = sine[term] * off[1] - cosine[term] * off[0], here_c = cosine[term] * off[1] + sine[term] * off[0];
+        const double rise = turns == 0.0 ? here_s : here_s * wide_c - here_c * turns * wide_s;
         const double steep = near < ON_BOUNDARY ? 1.0 : rise * high[term] / low[term] * inverse;
         response one;
         transition_of(t, side * rise * breadth, (float)(-0.5 * side * steep), &one);
-        if (term >= 2) by_face(around, t, edge, slot, term - 2, c.x * across / length, &one);
+        by_faces(around, t, edge, slot, term < 2 ? 0 : term, edge->bounces[term / 2], 0.5 * (term < 2 ? together : -between),
+                 across / length, &one);
         for (int part = 0; part < PARTS; part++) {
             for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] += one.part[part][b];
         }

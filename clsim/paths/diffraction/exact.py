@@ -42,5 +42,5 @@ def exact_field(
     terms = exact_wedge_terms(n[:, None], angles, np.where(lit, lit, 1)[:, None], *distances, way, wave)
     for term, each in enumerate(terms):
         kept = np.flatnonzero(lit[:, term])
-        field[kept] += (each * factors[term - 2])[kept] if term >= 2 else each[kept]
+        field[kept] += each[kept] if factors[term] is None else (each * factors[term])[kept]
     return field

@@ -15,6 +15,7 @@ from clsim.acoustics.diffraction import (
     end_detour,
     lit_angles,
     off_line,
+    partner_reflections,
     transition,
     wedge_terms,
 )
@@ -203,7 +204,7 @@ class EdgePaths(TwoSidedPaths):
         )
         way = edge_way(r_s, z_s, r_r, z_r)
         angles = lit_angles(self.n[index][:, None], t_s, t_r)
-        factors = face_factors(self.faces[index], np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
+        factors = partner_factors(self.n[index], self.faces[index], (t_s, t_r), (r_s + r_r) / way.length, at)
         field = self._at_wedge(index, angles, (r_s, r_r), way, wave, factors)
         field /= way.length[..., None]
         over_end = np.flatnonzero(self.end_side[index])
@@ -282,8 +283,45 @@ def sum_of_terms(lit: NDArray[np.int8], weight: Floats, root: Floats, phase: Flo
     for term in range(lit.shape[1]):
         kept = np.flatnonzero(lit[:, term])
         each = 0.5 * weight[kept, :, term, None] * transition(root[kept, :, term, None] * scale[kept])
-        field[kept] += each * factors[term - 2][kept] if term >= 2 else each
+        field[kept] += each if factors[term] is None else each * factors[term][kept]
     return field
+
+
+def partner_factors(
+    n: Floats, faces: NDArray[np.int64], angles: tuple[Floats, Floats], slope: Floats, at: SceneResponse
+) -> list[Any]:
+    """Multiply the reflection factors (P, T, F) of each term's partner; None for terms whose partners have none.
+
+    Parameters
+    ----------
+    n : ndarray (P,)
+        Exterior angles over π.
+    faces : ndarray (P, 2) int
+        Walls of the 0-face and the n-face.
+    angles : tuple of ndarray (P, T)
+        θ of source and receiver.
+    slope : ndarray (P, T)
+        Sine of the angle between way and edge.
+    at : SceneResponse
+        Of which source, and at which frequencies.
+
+    Notes
+    -----
+    Our own derivation: on the boundary of a partner the angle from a face of one leg to the edge gives all angles of
+    incidence, in steps of nπ; elsewhere both ends share what is left to the boundary.
+    """
+    (came, went), counts = angles, partner_reflections(n)
+    found: list[Any] = []
+    for term, half in enumerate((0.5 * (went + came),) * 2 + (0.5 * (came - went),) * 2):
+        product, count = None, counts[:, term]
+        for bounce in range(count.max(initial=0)):
+            turned = (bounce - count // 2) * np.pi * n
+            wall = faces[:, ((term >= 2) * term + bounce) % 2]
+            factor = face_factor(wall, np.cos(half + turned[:, None]) * slope, at)
+            factor[bounce >= count] = 1.0
+            product = factor if product is None else product * factor
+        found.append(product)
+    return found
 
 
 def face_factors(faces: NDArray[np.int64], cosine: Floats, at: SceneResponse) -> list[Any]:
@@ -292,13 +330,15 @@ def face_factors(faces: NDArray[np.int64], cosine: Floats, at: SceneResponse) ->
     The cosine (P, T) is that of the angle of incidence of a reflection where it comes or goes, the same for both ends
     elsewhere.
     """
-    found = []
-    for walls in faces.T:
-        factor: Any = np.broadcast_to(
-            at.reflection(walls[:, None])[:, None], (*cosine.shape, len(at.frequencies))
-        ).astype(np.complex128)
-        for wall in np.unique(walls[at.angular[walls]]):
-            here = np.flatnonzero(walls == wall)
-            factor[here] = at.reflection_at(wall, np.abs(cosine[here]))
-        found.append(factor)
-    return found
+    return [face_factor(walls, cosine, at) for walls in faces.T]
+
+
+def face_factor(walls: NDArray[np.int64], cosine: Floats, at: SceneResponse) -> Any:
+    """Return the reflection factors (P, T, F) of walls (P,) at cosines (P, T) of the angle of incidence, of any sign."""
+    factor: Any = np.broadcast_to(
+        at.reflection(walls[:, None])[:, None], (*cosine.shape, len(at.frequencies))
+    ).astype(np.complex128)
+    for wall in np.unique(walls[at.angular[walls]]):
+        here = np.flatnonzero(walls == wall)
+        factor[here] = at.reflection_at(wall, np.abs(cosine[here]))
+    return factor

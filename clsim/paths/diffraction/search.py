@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import TERMS
+from clsim.acoustics.diffraction import TERMS, partner_reflections
 from clsim.arrays import as_count, read_only
 from clsim.errors import InputError
 from clsim.paths.diffraction.columns import path_columns
@@ -82,8 +82,7 @@ def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...])
 
     Notes
     -----
-    A path with as many reflections as are asked for keeps only the terms of the two boundaries past its edge: the
-    partners of the two others have one reflection more, and are not there.
+    A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
     """
     rows, order, within = _rows_of(scene, search, others, _candidates)
     edges = scene.room.edges()
@@ -228,11 +227,12 @@ def _candidates(
     """Yield all pairs of sequences to an edge, and to its free ends, by numbers of walls, and the share so far."""
     numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
     free = [(-1, *np.flatnonzero(ends).tolist()) for ends in edges.free]
+    fewest = partner_reflections(edges.n).min(axis=1)
     for done, (n, m) in enumerate(numbers):
         parts: list[tuple[Any, ...]] = []
         waiting = 0
         for receiver, to_receiver in enumerate(to_receivers):
-            for edge in range(len(edges)):
+            for edge in np.flatnonzero(n + m + fewest <= order).tolist():
                 for end in free[edge]:
                     before, after = from_source[edge][n], to_receiver[edge][m]
                     if end >= 0:  # nothing comes to an end by a wall that it lies in
@@ -280,8 +280,9 @@ def _pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> _Piec
     """Return the intervals in which candidates are there, cut at the boundaries of their terms."""
     there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
     ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)
-    if candidates.before.shape[1] + candidates.after.shape[1] == order:
-        ignored[:, 2:TERMS] = ignored[:, TERMS + 3 : 2 * TERMS + 1] = True
+    met = candidates.before.shape[1] + candidates.after.shape[1]
+    for edge, first in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
+        ignored[:, first : first + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
     no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8)
     stack, found = [(there.path, there.begin, there.end)], [no]
     while stack:
@@ -356,8 +357,9 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Part
 
 
 def _instead(edges: Edges, asked: EdgeCandidates, row: int, term: int) -> list[int]:
-    """Return what the partner of a term has in place of the edges: nothing, a face, or the other one of two edges."""
+    """Return what the partner of a term has in place of the edges: faces in turn, or the other one of two edges."""
     one, other = asked.edge[row].tolist()
     if asked.face[row, 0] >= 0:
         return [-1 - (other if term < TERMS else one)]
-    return [] if term < 2 else [int(edges.faces[one, term - 2])]
+    faces, count = edges.faces[one].tolist(), int(partner_reflections(edges.n[one])[term])
+    return [int(faces[(term + bounce) % 2]) for bounce in range(count)]

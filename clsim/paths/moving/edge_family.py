@@ -12,7 +12,7 @@ from clsim.acoustics.diffraction import EdgeWay, edge_way, lit_angles
 from clsim.arrays import read_only
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.exact import exact_field
-from clsim.paths.diffraction.family import end_factor, face_factors, least_angle, utd_field
+from clsim.paths.diffraction.family import end_factor, least_angle, partner_factors, utd_field
 from clsim.paths.family import BODY, DIFFRACTION, NONE, SPECULAR
 from clsim.paths.moving.edge_events import Chains, EdgeSolver
 from clsim.paths.moving.edge_lines import EdgeLines
@@ -205,7 +205,7 @@ class MovingEdgePaths(MovingPaths):
         (r_s, t_s, z_s), (r_r, t_r, z_r) = (np.moveaxis(x, 2, 0) for x in (found.emitted_at, found.heard_at))
         way, n = edge_way(r_s, z_s, r_r, z_r), self.lines.n[edge]
         t_s, t_r = (_beside(n, side, t) for side, t in zip(self.beside[index].T, (t_s, t_r), strict=True))
-        factors = face_factors(self.lines.faces[edge], np.cos(0.5 * (t_r - t_s)) * (r_s + r_r) / way.length, at)
+        factors = partner_factors(n, self.lines.faces[edge], (t_s, t_r), (r_s + r_r) / way.length, at)
         law = exact_field if self.model == "btm" else utd_field
         field = law(n, lit, lit_angles(n[:, None], t_s, t_r), (r_s, r_r), way, wave, factors)
         field /= way.length[..., None]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import TERMS, edge_way, lit_angles
+from clsim.acoustics.diffraction import TERMS, edge_way, lit_angles, partner_reflections
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.moving.edge_events import Chains, EdgeSolver
@@ -97,7 +97,7 @@ class _EdgeFinder:
     ) -> dict[str, Any]:
         count, met = len(code), np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
         lit = np.where(code[:, None] & (1 << np.arange(TERMS)), 1, -1)
-        lit[met >= self._order, 2:] = 0
+        lit[met[:, None] + partner_reflections(self._lines.n[chains.edge]) > self._order] = 0
         side = np.where(chains.end < 0, 0, np.where(code & _END, 1, -1))
         return {
             "source": np.full(count, ends[0], dtype=np.int32), "receiver": np.full(count, ends[1], dtype=np.int32),
@@ -113,11 +113,12 @@ class _EdgeFinder:
         from_source = self._reached(source, None, span)
         to_receiver = self._reached(source, receiver, span)
         parts = [(np.empty((0, width), np.int32),) * 2 + (np.empty(0, np.int64),) * 2]
+        fewest = partner_reflections(self._lines.n).min(axis=1)
         for edge in range(len(self._lines)):
             before, after = from_source[edge], to_receiver[edge]
             i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
             before, after = before[i], after[j]
-            kept = np.sum(before >= 0, axis=1) + np.sum(after >= 0, axis=1) <= self._order
+            kept = np.sum(before >= 0, axis=1) + np.sum(after >= 0, axis=1) <= self._order - fewest[edge]
             if self._lines.owner[edge] == ROOM:
                 kept &= np.any(np.append(owner, ROOM)[np.concatenate([before, after], axis=1)] >= 0, axis=1)
             before, after = before[kept], after[kept]
@@ -196,7 +197,7 @@ class _Look:
         seen = lit_angles(n[p], t_s[p, t], t_r[p, t]) >= 0.0
         apex = edge_way(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
         met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
-        seen[met[p] >= self.search.order, 2:] = False
+        seen &= met[p, None] + partner_reflections(n[p]) <= self.search.order
         inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
         code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside
         for bit, angle in zip(_HALVES, (t_s, t_r), strict=True):

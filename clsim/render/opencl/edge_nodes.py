@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.acoustics.diffraction import partner_reflections
 from clsim.paths.diffraction.family import least_angle
 from clsim.paths.diffraction.ways import EdgeView
 from clsim.render.opencl.device_nodes import DeviceTracks
@@ -20,8 +21,9 @@ if TYPE_CHECKING:
 # An edge as both ends are seen by it, as in nodes/edge_view.h.
 EDGE_VIEW = np.dtype(
     [("source_turn", "f8", 9), ("source_shift", "f8", 3), ("receiver_turn", "f8", 9), ("receiver_shift", "f8", 3),
-     ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("end", "f8"), ("lit", "i4", 4),
-     ("end_side", "i4"), ("face", "i4", 2), ("unused", "i4")]
+     ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("even", "f8", 2),
+     ("odd", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("bounces", "i4", 2),
+     ("unused", "i4")]
 )  # fmt: skip
 
 
@@ -46,7 +48,10 @@ class EdgeTracks(DeviceTracks):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
         for name in ("n", "lit", "end_side"):
             edges[name] = getattr(family, name)[rows]
-        for name, angle in (("wide", np.pi * edges["n"]), ("narrow", 0.5 * np.pi / edges["n"])):
+        half_turns, edges["bounces"] = np.pi * edges["n"], partner_reflections(edges["n"])[:, 1:3]
+        even, odd = (half_turns * (count // 2) for count in edges["bounces"].T)
+        angles = {"wide": half_turns, "narrow": 0.5 * np.pi / edges["n"], "even": even, "odd": odd}
+        for name, angle in angles.items():
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         edges["low"] = np.stack([least_angle(family.n[rows], beside) for beside in family.beside[rows].T], axis=1)
         edges["end"] = np.nan_to_num(family.end_place[rows])

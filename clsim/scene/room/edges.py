@@ -1,4 +1,4 @@
-"""Edges at which sound turns round corners: where walls end, and where they meet at more than 180 degrees of air."""
+"""Edges that diffract: where walls end, and where they meet at any angle of air but 180/m degrees."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _NEAR = 1e-7  # of the room's size; what is nearer to a line is on it
 _BESIDE = 1e-6  # of the room's size; how far from an edge it is looked for faces
 _FLAT = 1e-6  # by which the exterior angle over π may differ from 1
+_WHOLE = 1e-5  # by which a half turn over the angle of air of an inner corner may differ from an integer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,9 +187,8 @@ def find_edges(walls: Walls, faces: Faces, inside: Inside | None) -> Edges:
     Returns
     -------
     Edges
-        Those with more than 180 degrees of air between two neighbouring faces, with 360 degrees about a single one, and
-        with 180 degrees between faces of different materials. Others (inner corners) are left out: with π/m of air
-        they send nothing, and reflections are all there is.
+        Those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between faces of
+        different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
     """
     found: list[_Piece] = []
     for line in _lines(walls):
@@ -278,10 +278,10 @@ def _faces_around(walls: Walls, line: _Line, place: Floats) -> list[tuple[float,
 
 
 def _diffracts(piece: _Piece, faces: Faces) -> bool:
-    """Return whether a wedge sends anything."""
+    """Tell whether a wedge diffracts."""
     if piece.n == 1.0:
         return faces.materials[piece.faces[0]] is not faces.materials[piece.faces[1]]
-    return piece.n > 1.0
+    return abs(1.0 / piece.n - round(1.0 / piece.n)) > _WHOLE
 
 
 def _joined(pieces: list[_Piece]) -> list[_Piece]:
