@@ -8,8 +8,8 @@ Notes
 The four terms of the field at an edge belong to four ways beside it, their partners, each of which is seen on one side
 of a boundary: the way past the edge for ``θ_r - θ_s`` above -π, and below π, the reflection by the 0-face for
 ``θ_r + θ_s`` below π, and that by the n-face for ``θ_r + θ_s`` above (2n - 1)π. In an inner corner, n < 1, the way past
-the edge is always seen; the partners are ways by both faces in turn, see `partner_reflections`. On its boundary a term is minus a half
-of its partner where this is seen, and a half where it is not, so that the sum is smooth.
+the edge is always seen; the partners are ways by both faces in turn, see `partner_reflections`. On its boundary a term
+is minus a half of its partner where this is seen, and a half where it is not, so that the sum is smooth.
 """
 
 from __future__ import annotations
@@ -176,10 +176,10 @@ def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> t
     Notes
     -----
     The field over ``exp(-jkL) / L`` is the sum of ``ρ κ E(√(k breadth) root) / 2`` over the terms, with the reflection
-    factors ρ of the partners (1 for the first two where n ≥ 1). This is the coefficient of R. G. Kouyoumjian and P. H. Pathak, "A
-    uniform geometrical theory of diffraction for an edge in a perfectly conducting surface", Proc. IEEE 62(11), 1974,
-    eq. 25, for hard faces; factors as of R. J. Luebbers, IEEE Trans. Antennas Propag. 32(1), 1984. With a fixed `lit`
-    weights and roots are smooth functions of the ends' places across the boundary.
+    factors ρ of the partners (1 for the first two where n ≥ 1). This is the coefficient of R. G. Kouyoumjian and P. H.
+    Pathak, "A uniform geometrical theory of diffraction for an edge in a perfectly conducting surface", Proc. IEEE
+    62(11), 1974, eq. 25, for hard faces; factors as of R. J. Luebbers, IEEE Trans. Antennas Propag. 32(1), 1984. With a
+    fixed `lit` weights and roots are smooth functions of the ends' places across the boundary.
 
     Examples
     --------

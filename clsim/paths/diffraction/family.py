@@ -334,10 +334,10 @@ def face_factors(faces: NDArray[np.int64], cosine: Floats, at: SceneResponse) ->
 
 
 def face_factor(walls: NDArray[np.int64], cosine: Floats, at: SceneResponse) -> Any:
-    """Return the reflection factors (P, T, F) of walls (P,) at cosines (P, T) of the angle of incidence, of any sign."""
-    factor: Any = np.broadcast_to(
-        at.reflection(walls[:, None])[:, None], (*cosine.shape, len(at.frequencies))
-    ).astype(np.complex128)
+    """Compute the reflection factors (P, T, F) of walls (P,) at cosines (P, T) of incidence, of any sign."""
+    factor: Any = np.broadcast_to(at.reflection(walls[:, None])[:, None], (*cosine.shape, len(at.frequencies))).astype(
+        np.complex128
+    )
     for wall in np.unique(walls[at.angular[walls]]):
         here = np.flatnonzero(walls == wall)
         factor[here] = at.reflection_at(wall, np.abs(cosine[here]))

@@ -281,8 +281,8 @@ def _pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> _Piec
     there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
     ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)
     met = candidates.before.shape[1] + candidates.after.shape[1]
-    for edge, first in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
-        ignored[:, first : first + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
+    for edge, term in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
+        ignored[:, term : term + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
     no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8)
     stack, found = [(there.path, there.begin, there.end)], [no]
     while stack:

@@ -34,9 +34,21 @@ def segments(room: clsim.MeshRoom) -> list[tuple]:
 
 
 def test_rooms_without_edges() -> None:
-    for room in (ROOM, ROOM.as_mesh(), clsim.MeshRoom.from_plan([(0, 0), (5, 0), (7, 3), (2, 6)], 3.0, WALL)):
+    corner_of_60 = clsim.MeshRoom.from_plan([(0, 0), (4, 0), (2, 2 * np.sqrt(3.0))], 3.0, WALL)
+    for room in (ROOM, ROOM.as_mesh(), corner_of_60):
         assert len(room.edges()) == 0
         assert room.edges().describe() == ["edges: none that diffract"]
+
+
+def test_inner_corners_but_those_of_an_integer_part_of_a_half_turn() -> None:
+    corners = np.array([(0.0, 0.0), (5.0, 0.0), (7.0, 3.0), (2.0, 6.0)])
+    before, after = np.roll(corners, 1, axis=0) - corners, np.roll(corners, -1, axis=0) - corners
+    cosine = np.sum(before * after, axis=1) / np.linalg.norm(before, axis=1) / np.linalg.norm(after, axis=1)
+    edges = clsim.MeshRoom.from_plan(corners, 3.0, WALL).edges()
+    np.testing.assert_allclose(np.sort(edges.n), np.sort(np.arccos(cosine)) / np.pi, rtol=1e-9)
+    assert "degrees of air" in edges.describe()[1]
+    bay = clsim.MeshRoom.from_plan([(0, 0), (5, 0), (5, 3), (3, 3)], 3.0, WALL).edges()
+    np.testing.assert_allclose(bay.n, [0.75])  # of 45, 90, 90 and 135 degrees
 
 
 def test_the_corner_of_an_l() -> None:
