@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 _STEPS = 40  # of Newton's, at most, where ends are far from where they were
 _LONGEST_STEP = 0.5  # rad
 _FAR, _FOUND = 0.1, 1e-3  # rad, as for ellipsoids
-_SMALL = 1e-300
+_SMALL = 1e-100  # in divisors: what is divided by it is squared, too
+_PARALLEL = 1e-20  # squared sine of the angle to the axis below which the middle between both ends is the nearest point
 FLATTEST = 1e-9  # 1/m
 NEAR_JUNCTION = 1e-4  # slope of the way where the side ends below which the bend there is that of the place itself
 ASPECTS = 11  # numbers that a field takes
@@ -173,8 +174,11 @@ def _between(radius: float, half: float, source: Floats, receiver: Floats) -> tu
     """Return points (3, n) between two that are nearest to the axis, where on it (n,), and whether they are inside."""
     away = receiver - source
     size = np.maximum(_dot(away, away), _SMALL)
-    straight, across = _dot(source, away), np.maximum(size - away[2] ** 2, _SMALL)
-    share = np.clip((source[2] * away[2] - straight) / across, 0.0, 1.0)
+    straight, level = _dot(source, away), _PARALLEL * size
+    aside, inwards = level, 0.5 * level
+    for i in (0, 1):
+        aside, inwards = aside + away[i] * away[i], inwards - source[i] * away[i]
+    share = np.clip(inwards / aside, 0.0, 1.0)
     at = np.clip(source[2] + share * away[2], -half, half)
     share = np.clip((at * away[2] - straight) / size, 0.0, 1.0)
     nearest = source + share * away

@@ -24,7 +24,7 @@ _STEPS = 40  # of these, at most
 FOUND = 1e-3  # rad; the next step is about its square
 LONGEST_STEP = 0.5  # rad
 PENUMBRA = 0.25  # cosine of the angle of incidence about which bodies stop to be mirrors
-_SMALL = 1e-300
+_SMALL = 1e-100  # in divisors: what is divided by it is squared, too
 _FINENESS = 16  # angles of the table of a sphere in one radian of its fastest turn
 
 
@@ -134,7 +134,7 @@ def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glin
     """
     scale, u = semi_axes[:, None], glint.normal
     normal, away = u / scale, scale * u - source
-    steep = np.sqrt(_dot(normal, normal))
+    steep = np.sqrt(np.maximum(_dot(normal, normal), _SMALL))
     cosine = np.maximum(-_dot(normal, away) / (steep * np.sqrt(_dot(away, away))), 0.0)
     bend = np.maximum(_bend(scale, source, receiver, u, 1.0)[0], _SMALL)
     strength = lit_share(cosine) * cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend)

@@ -105,7 +105,7 @@ def _check_finite(start: int, samples: NDArray[Any], first: int) -> None:
         raise InputError(
             f"receivers[{first + i}]",
             f"must hear what float32 holds, but sample {start + k} is {samples[i, k]}: lower amplitudes, sensitivities "
-            "or gain_db",
+            "or gain_db; if all are moderate, please report this scene as a defect",
         )
 
 

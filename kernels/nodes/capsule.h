@@ -1,6 +1,8 @@
 // Where capsules reflect, at nodes side by side: twin of acoustics/capsule.py. What is known of it is the place, m.
 
 #if SCATTERERS
+#define PARALLEL 1e-20  // squared sine of the angle to the axis below which the middle between both ends is the nearest point
+
 // A place on the axis of a capsule.
 static triples on_axis(reals at)
 {
@@ -25,9 +27,9 @@ static triples joined(const glint_of* g, reals at, triples normal) { return plus
 static triples between_capsule_ends(const glint_of* g, reals* at, choices* hidden)
 {
     const triples s = g->source, away = apart(g->receiver, s);
-    const reals size = larger(DOT(away, away), (reals)LEAST), straight = DOT(s, away);
-    const reals aside = larger(size - away.z * away.z, (reals)LEAST);
-    const reals share = smaller(larger((s.z * away.z - straight) / aside, (reals)0.0), (reals)1.0);
+    const reals size = larger(DOT(away, away), (reals)LEAST), straight = DOT(s, away), level = PARALLEL * size;
+    const reals aside = level + away.x * away.x + away.y * away.y, inwards = 0.5 * level - s.x * away.x - s.y * away.y;
+    const reals share = smaller(larger(inwards / aside, (reals)0.0), (reals)1.0);
     *at = held_to(s.z + share * away.z, reach(g));
     const reals nearer = smaller(larger((*at * away.z - straight) / size, (reals)0.0), (reals)1.0);
     const triples nearest = plus(s, scaled(nearer, away)), off = apart(nearest, on_axis(*at));

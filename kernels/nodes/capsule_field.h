@@ -46,9 +46,13 @@ static void add_part(const edge_tables* t, double weight, double root_of_way, do
     }
 }
 
-// The field over the strength, which is returned, m.
-static double capsule_field(const edge_tables* t, const glint_of* g, triples place, int beside, response* field)
+// The field over the strength, which is returned, m; no field where it stands between the ends.
+static double capsule_field(const edge_tables* t, const glint_of* g, triples place, int hidden, int beside, response* field)
 {
+    for (int part = 0; part < PARTS; part++) {
+        for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
+    }
+    if (hidden) return 0.0;
     triples normal;
     const reals at = split(g, place, &normal), radius = g->scale.x;
     const reals level = normal.x * normal.x + normal.y * normal.y;
@@ -56,9 +60,6 @@ static double capsule_field(const edge_tables* t, const glint_of* g, triples pla
     const triples aside = of_length_one(flat), around = {-aside.y, aside.x, (reals)0.0};
     const capsule_ways here = ways_by(g, place, normal, around, across(normal, around));
     double on_end = 0.0;
-    for (int part = 0; part < PARTS; part++) {
-        for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
-    }
     for (int i = 0; i < 2; i++) {
         const reals sign = i ? (reals)1.0 : (reals)-1.0;
         const triples junction = plus(scaled(radius, aside), on_axis(sign * reach(g)));

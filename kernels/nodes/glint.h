@@ -1,7 +1,7 @@
 // Where ellipsoids reflect, at nodes side by side, and how strongly: twin of acoustics/scattering.py.
 
 #if SCATTERERS
-#define LEAST 1e-300
+#define LEAST 1e-100  // in divisors: what is divided by it is squared, too
 
 static reals larger(reals a, reals b) { return a > b ? a : b; }
 static reals smaller(reals a, reals b) { return a < b ? a : b; }

@@ -37,7 +37,7 @@ static double scattered_length(const edge_tables* tables, __global const view* s
     const glint_of g = {scale, b->source, b->receiver, b->weight, seen->shape};
     if (seen->shape == CAPSULE) {
 #if PARTS == 2
-        strength = OF_NODE_LONG(b->hidden, beside) ? 0.0 : capsule_field(tables, &g, b->glint, beside, field);
+        strength = capsule_field(tables, &g, b->glint, OF_NODE_LONG(b->hidden, beside) != 0, beside, field);
 #endif
     } else if (seen->shape == SPHERE) {
 #if PARTS == 2
