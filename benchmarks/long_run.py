@@ -52,7 +52,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(dir=options.folder) as name:
         folder = Path(name)
         (folder / "long.toml").write_text(SCENE.format(options.seconds))
-        command = [sys.executable, "-m", "clsim.cli", "run", folder / "long.toml", "-o", folder / "out"]
+        command = [sys.executable, "-m", "clsim", "run", folder / "long.toml", "-o", folder / "out"]
         begun = time.perf_counter()
         subprocess.run([*command, "--no-plots", "--table", "none"], check=True, stdout=subprocess.DEVNULL)
         spent = time.perf_counter() - begun

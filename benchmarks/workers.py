@@ -66,7 +66,7 @@ def used(process: psutil.Process) -> float:
 
 def run(scene: Path, out: Path, address: str) -> None:
     """Run a scene on workers."""
-    line = [sys.executable, "-m", "clsim.cli", "run", str(scene), "-o", str(out), "--store", "zarr"]
+    line = [sys.executable, "-m", "clsim", "run", str(scene), "-o", str(out), "--store", "zarr"]
     line += ["--no-plots", "--table", "none", "--scheduler", address]
     subprocess.run(line, check=True, stdout=subprocess.DEVNULL, env=os.environ | ONE_THREAD)
 

@@ -10,8 +10,14 @@ The names are those of ``__init__.pyi``, and where they come from stands there a
 asked for, so that a process which needs few of them starts at once.
 """
 
-import ast
 import sys
+
+from clsim import process
+
+if process.is_command():  # here, because what follows takes long enough for somebody to press Ctrl-C
+    process.end_on_interrupt()
+
+import ast
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType

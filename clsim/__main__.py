@@ -1,8 +1,32 @@
-"""`python -m clsim` is the command line."""
+"""`clsim` and `python -m clsim`: the command line as a process of its own."""
 
 import sys
+from typing import NoReturn
 
-from clsim.cli import main
+from clsim.process import INTERRUPTED, end_on_interrupt, flushed, ignore_interrupts, open_streams, raise_on_interrupt
+
+
+def run() -> NoReturn:
+    """Run the command line, and end the process with its status."""
+    end_on_interrupt()
+    open_streams()
+    from clsim.cli import main
+
+    status = None
+    raise_on_interrupt()
+    try:
+        status = main()
+        ignore_interrupts()
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        if status is None:
+            print("clsim: interrupted; nothing half-written was left", file=sys.stderr)
+            status = INTERRUPTED
+    if not flushed() and not status:
+        print("clsim: error: standard output cannot be written", file=sys.stderr)
+        status = 2
+    sys.exit(status)
+
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -30,7 +30,8 @@ def main(arguments: list[str] | None = None) -> int:
         options = _options(given)
         with one_line_warnings(), built_programs():
             status: int = options.execute(options)
-            sys.stdout.flush()
+            if sys.stdout is not None:
+                sys.stdout.flush()
             return status
     except BrokenPipeError:  # who reads has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -96,7 +97,3 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     if called is None:
         raise InputError("COMMAND", "must be given; `clsim --help` lists them")
     return options
-
-
-if __name__ == "__main__":
-    sys.exit(main())

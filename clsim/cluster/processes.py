@@ -232,7 +232,12 @@ def _heirs(environment: dict[str, str]) -> Iterator[None]:
     """
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
+    mask = None
+    if hasattr(signal, "pthread_sigmask"):
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()  # unblocks the signal when it starts
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:

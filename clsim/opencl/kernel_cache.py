@@ -6,12 +6,14 @@ import atexit
 import hashlib
 import os
 import shutil
+import stat
 import struct
 import sys
 import tempfile
 import uuid
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +30,8 @@ def prepare() -> str:
     """See that PoCL and PyOpenCL can keep what they build, once per process and before either of them looks.
 
     PoCL has no device where it cannot make its cache, and ends the process where it cannot write into it: then it is
-    given a folder of this process, which is deleted at its end. PyOpenCL can do without.
+    given a folder of this process, which is deleted at its end. PyOpenCL can do without. Both run what they find in
+    their caches, so a cache that other users could have written is not used either.
 
     Returns
     -------
@@ -82,9 +85,14 @@ def _pyopencl_cache_opens() -> bool:
 
 def _trouble(folder: Path) -> str:
     """Return why nothing can be kept in a folder, or an empty text."""
+    if not folder.is_absolute():
+        return "it is relative to the working folder"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        others = _open_to_others(folder)
+        if others:
+            return others
+        if hasattr(os, "statvfs") and os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0):
             return "it is mounted noexec"
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(bytes(_ROOM))
@@ -92,6 +100,37 @@ def _trouble(folder: Path) -> str:
     except OSError as error:
         return error.strerror or str(error)
     return ""
+
+
+def _open_to_others(folder: Path) -> str:
+    """Return why other users could put kernels into a folder, or an empty text."""
+    if not hasattr(os, "geteuid"):
+        return ""
+    mine = (0, os.geteuid())
+    resolved = folder.resolve()
+    for path in dict.fromkeys((resolved, *resolved.parents, folder, *folder.parents)):
+        status = path.lstat()
+        if status.st_uid not in mine or (path == resolved and status.st_uid != mine[1]):
+            return f"{path} belongs to user {status.st_uid}, not to user {mine[1]}"
+        sticky = status.st_mode & stat.S_ISVTX and path != resolved  # others delete and rename nothing there
+        if stat.S_ISLNK(status.st_mode) or sticky:
+            continue
+        if status.st_mode & stat.S_IWOTH:
+            return f"all users can write to {path}"
+        if status.st_mode & stat.S_IWGRP and not _is_own_group(status.st_gid):
+            return f"group {status.st_gid} can write to {path}"
+    return ""
+
+
+def _is_own_group(group: int) -> bool:
+    """Return whether a group is the superuser's, or the one that is made for each user and called like them."""
+    import grp
+    import pwd
+
+    try:
+        return group == 0 or grp.getgrgid(group).gr_name == pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return False
 
 
 def _private_folder() -> Path | None:
@@ -151,7 +190,7 @@ class Trial:
     def _died(self) -> str:
         """Return "now" if a process is found to have died, "before" if that is known, or an empty text."""
         known = self._folder / f"{self._name}.died"
-        with suppress(OSError):
+        with suppress(OSError, ImportError):  # no locks, and then no marks either
             for mark in self._folder.glob(f"{self._name}-*"):
                 with mark.open() as file:
                     if _locked(file):  # and by no living process
@@ -161,7 +200,10 @@ class Trial:
 
     @contextmanager
     def marked(self) -> Iterator[None]:
-        """Leave a mark if the process dies in this block; where none can be made, do without."""
+        """Leave a mark if the process dies in this block; where none can be made or locked, do without."""
+        if find_spec("fcntl") is None:  # as on Windows
+            yield
+            return
         mark = self._folder / f"{self._name}-{uuid.uuid4().hex}"
         hidden = mark.with_name(f".{mark.name}")
         file = None

@@ -79,7 +79,7 @@ def test_a_full_folder_is_trouble(tmp_path: Path) -> None:
 def test_a_read_only_home_has_its_device(device: None) -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
     environment |= {"HOME": "/proc", "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-m", "clsim.cli", "devices"]
+    command = [sys.executable, "-m", "clsim", "devices"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("\n") == 1
@@ -155,3 +155,47 @@ def test_the_first_run_of_each_kind_is_waited_for(fresh: pytest.MonkeyPatch, tmp
     assert [tried("queue", *launch, 7).waited for launch in launches] == [True, False, True, True, False]
     assert [arguments for arguments, _ in seen] == [("queue", *launch, 7) for launch in launches]
     assert [marks for _, marks in seen] == [1, 0, 1, 1, 0]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no numbers of users")
+@pytest.mark.parametrize(
+    "how", ["written by all", "by all above", "by a group", "of somebody else", "of somebody else above", "by a link"]
+)
+def test_a_cache_of_others_is_not_used(fresh: pytest.MonkeyPatch, tmp_path: Path, how: str) -> None:
+    folder = tmp_path / "above" / "kcache"
+    folder.mkdir(parents=True)
+    folder.chmod(0o700)
+    above = folder.parent if "above" in how else folder
+    if "somebody else" in how:
+        if os.geteuid() != 0:
+            pytest.skip("only root may give files away")
+        os.chown(above, 65534, -1)
+    elif how == "by a link":
+        folder.chmod(0o777)
+        folder = tmp_path / "link"
+        folder.symlink_to(above)
+    elif how == "by a group":
+        if os.geteuid() != 0:
+            pytest.skip("only root may give files away")
+        os.chown(folder, -1, 65534)
+        folder.chmod(0o770)
+    else:
+        above.chmod(0o777)
+    fresh.setenv("POCL_CACHE_DIR", str(folder))
+    with pytest.warns(
+        clsim.ClsimWarning, match=r"cannot be used: .* (belongs to user|can write to) .*kernels are built anew"
+    ):
+        assert cache.prepare() == ""
+    private = cache.pocl_folder()
+    assert private != folder
+    assert private.stat().st_mode & 0o77 == 0
+    assert list(folder.iterdir()) == []
+    cache._remove(private, os.getpid())
+
+
+def test_a_cache_of_ones_own_is_used(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "sticky").mkdir()
+    (tmp_path / "sticky").chmod(0o1777)  # as /tmp is
+    fresh.setenv("POCL_CACHE_DIR", str(tmp_path / "sticky" / "mine"))
+    assert cache.prepare() == ""
+    assert cache.pocl_folder() == tmp_path / "sticky" / "mine"

@@ -81,7 +81,7 @@ def test_workers_killed_at_random_lose_nothing(folder: Path) -> None:
         shutil.rmtree(folder / "out", ignore_errors=True)
         shutil.rmtree(folder / "ran", ignore_errors=True)
         seconds = [1.125 + 0.0005 * (i + 1) for i in range(min(60, 5 * left))]
-        arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], seconds), "--workers", "2"]
+        arguments = [sys.executable, "-m", "clsim", *write(folder, [0], seconds), "--workers", "2"]
         study = subprocess.Popen(arguments, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         left -= kill_at_random(study, folder / "out" / "study.zarr", left, chance)
         out, err = study.communicate(timeout=10)
@@ -113,7 +113,7 @@ def test_a_member_that_kills_its_worker_fails_alone(folder: Path, monkeypatch: p
 def test_a_killed_worker_loses_nothing(folder: Path, cluster) -> None:
     address, workers = cluster
     seconds = [1.25 + 0.001 * i for i in range(8)]
-    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], seconds), "--scheduler", address]
+    arguments = [sys.executable, "-m", "clsim", *write(folder, [0], seconds), "--scheduler", address]
     study = subprocess.Popen(arguments, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while study.poll() is None and len(runs(folder)) < 4:
         time.sleep(0.02)
@@ -135,7 +135,7 @@ def test_a_killed_worker_loses_nothing(folder: Path, cluster) -> None:
 def test_a_killed_study_goes_on(folder: Path) -> None:
     arguments = [*write(folder, [0], [1.25 + 0.001 * i for i in range(7)]), "--workers", "2"]
     study = subprocess.Popen(
-        [sys.executable, "-m", "clsim.cli", *arguments], env=ENVIRONMENT, start_new_session=True,
+        [sys.executable, "-m", "clsim", *arguments], env=ENVIRONMENT, start_new_session=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     store = folder / "out" / "study.zarr"
@@ -183,7 +183,7 @@ def test_a_full_disk_stops_a_study(folder: Path, capsys) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.slow
 def test_an_interrupted_study_is_one_line_and_its_workers_had_devices_of_their_own(folder: Path) -> None:
-    arguments = [sys.executable, "-m", "clsim.cli", *write(folder, [0], INTERRUPTED), "--workers", "2"]
+    arguments = [sys.executable, "-m", "clsim", *write(folder, [0], INTERRUPTED), "--workers", "2"]
     two = ENVIRONMENT | {"POCL_DEVICES": "pthread pthread"}
     study = subprocess.Popen(
         arguments,
@@ -205,7 +205,7 @@ def test_an_interrupted_study_is_one_line_and_its_workers_had_devices_of_their_o
     for process, members in members_of_processes(folder).items():
         devices[process] = {index(folder)[n]["device"].split()[0] for n in members if n in index(folder)}
     listed = subprocess.run(
-        [sys.executable, "-m", "clsim.cli", "devices"], env=two, capture_output=True, text=True, check=True
+        [sys.executable, "-m", "clsim", "devices"], env=two, capture_output=True, text=True, check=True
     )
     there = [line.split()[0] for line in listed.stdout.splitlines() if "Portable" in line]
     assert sorted(d for found in devices.values() for d in found) == there

@@ -19,7 +19,7 @@ import clsim
 PACKAGE = Path(clsim.__file__).parent
 ROOT = PACKAGE.parent
 LAYERS = [
-    ("errors", "arrays", "packages", "version"),
+    ("errors", "arrays", "packages", "process", "version"),
     ("files", "numerics"),
     ("pictures",),
     ("acoustics",),
@@ -178,13 +178,14 @@ def loaded_by(code: str) -> set[str]:
 
 def test_import_loads_nothing_but_itself() -> None:
     before = loaded_by("")  # what the environment imports into every process
-    assert loaded_by("import clsim") - before == {"clsim", "clsim.version"}
+    assert loaded_by("import clsim") - before == {"clsim", "clsim.process", "clsim.version"}
 
 
 def test_help_loads_no_command() -> None:
     loaded = loaded_by("from clsim.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass") - loaded_by("")
     assert loaded == {
         "clsim",
+        "clsim.process",
         "clsim.version",
         "clsim.errors",
         "clsim.cli",

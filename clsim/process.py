@@ -1,0 +1,137 @@
+"""The command line as a process of its own: its streams, and Ctrl-C from the first import on."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import os
+import signal
+import sys
+
+TYPE_CHECKING = False  # of typing, which takes a while to import
+if TYPE_CHECKING:
+    from types import FrameType
+    from typing import Any
+
+INTERRUPTED = 130  # exit status
+_MESSAGE = b"clsim: interrupted; nothing half-written was left\n"
+_AGAIN = 0.02  # s after which an interrupt is tried again that came during an import or in a callback
+_IMPORTS = "<frozen importlib._bootstrap>"  # file of the frames that import
+
+
+def is_command() -> bool:
+    """Return whether this process is the command line: `clsim`, or `python -m clsim`, whose package is imported now."""
+    name = os.path.basename((getattr(sys, "argv", None) or [""])[0])  # noqa: PTH119  (pathlib takes a while to import)
+    as_module = name == "-m" and "clsim" in getattr(sys, "orig_argv", ())
+    return as_module or name in ("clsim", "clsim.exe")
+
+
+def end_on_interrupt() -> None:
+    """Have Ctrl-C end this process at once, in one line: as long as it only imports, it leaves nothing behind."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else who started it wants it ignored
+        signal.signal(signal.SIGINT, _end)
+
+
+def raise_on_interrupt() -> None:
+    """Have Ctrl-C raise `KeyboardInterrupt` from now on, so that what is open cleans up."""
+    if signal.getsignal(signal.SIGINT) is _end:
+        signal.signal(signal.SIGINT, _raise)
+        sys.unraisablehook = _raise_again
+
+
+def ignore_interrupts() -> None:
+    """Have Ctrl-C do nothing more: the exit status is known, and the process ends."""
+    if signal.getsignal(signal.SIGINT) is _raise:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    try:
+        os.write(2, _MESSAGE)
+    finally:
+        os._exit(INTERRUPTED)
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    """Raise `KeyboardInterrupt`, unless an earlier one is being handled: what cleans up is not interrupted.
+
+    Until an import has ended it waits: some packages turn what is raised meanwhile into errors of their own.
+    """
+    error = sys.exc_info()[1]
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return
+        error = error.__context__
+    while frame is not None:
+        if frame.f_code.co_filename == _IMPORTS:
+            _raise_later()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _raise_later() -> None:
+    import threading
+
+    timer = threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT))
+    timer.daemon = True
+    timer.start()
+
+
+def _raise_again(found: sys.UnraisableHookArgs) -> None:
+    """Raise an interrupt again that came where nothing can be raised, in a callback for example."""
+    if isinstance(found.exc_value, KeyboardInterrupt):
+        _raise_later()
+    else:
+        sys.__unraisablehook__(found)
+
+
+class _UnfailingFile(io.FileIO):
+    """A file into which messages go, or nowhere where it takes none: no command fails of that."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return len(memoryview(data))
+
+
+def open_streams() -> None:
+    """See that all three standard streams are there, take every text, and that messages never fail a command.
+
+    A closed stream is replaced by one of the null device: else the next file that is opened takes its number, and gets
+    what drivers print. Names that are not UTF-8 are written as the bytes that they are; what else the encoding of the
+    stream does not know, as an escape.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+    codecs.register_error("clsim-escape", _escaped)
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="clsim-escape")
+    encoding = getattr(sys.stderr, "encoding", None) or "utf-8"
+    file = io.BufferedWriter(_UnfailingFile(2, "w", closefd=False))
+    sys.stderr = io.TextIOWrapper(file, encoding, "clsim-escape", line_buffering=True)
+
+
+def _escaped(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Return the bytes of a name that is not UTF-8, or an escape."""
+    if isinstance(error, UnicodeEncodeError):
+        code = ord(error.object[error.start])
+        if 0xDC80 <= code <= 0xDCFF:
+            return bytes([code - 0xDC00]), error.start + 1
+    return codecs.backslashreplace_errors(error)
+
+
+def flushed() -> bool:
+    """Write what standard output still holds; return whether it took that. What it did not is dropped."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return False
+    return True

@@ -1,0 +1,70 @@
+"""Standard streams that are closed, full or know few letters: every command works, and ends with its status."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from exhaustive import exhaustive
+from made_studies import ENVIRONMENT, SCENE
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("streams")
+    (folder / "scene.toml").write_text(SCENE.replace("[render]", '[render]\nengine = "reference"'), "utf-8")
+    return folder
+
+
+def ran(folder: Path, redirected: str, *arguments: str, **more: str) -> subprocess.CompletedProcess[bytes]:
+    """Run a command of clsim in a shell that redirects its streams."""
+    line = ["/bin/sh", "-c", f'exec "$@" {redirected}', "sh", sys.executable, "-m", "clsim", *arguments]
+    return subprocess.run(line, cwd=folder, env=ENVIRONMENT | {"MPLBACKEND": "agg"} | more, capture_output=True)
+
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="a shell of POSIX redirects the streams")
+COMMANDS = [
+    ["materials"],
+    exhaustive(["run", "scene.toml", "-o", "out", "--no-plots", "--force"]),
+    exhaustive(["check", "scene.toml"]),
+    exhaustive(["paths", "scene.toml"]),
+    exhaustive(["devices"]),
+    exhaustive(["schema"]),
+    exhaustive(["rir", "scene.toml", "-o", "out.npz", "--force"]),
+    exhaustive(["view", "scene.toml", "-o", "out.html", "--force"]),
+]
+
+
+@pytest.mark.parametrize("arguments", COMMANDS)
+def test_a_closed_stream_changes_no_status(folder: Path, arguments: list[str]) -> None:
+    whole = ran(folder, "", *arguments)
+    assert whole.returncode == 0
+    for redirected in ("2>&-", ">&-", "<&-", "<&- >&- 2>&-", "2>/dev/full"):
+        done = ran(folder, redirected, *arguments)
+        assert done.returncode == 0, redirected
+        assert done.stdout == (b"" if ">&- " in f"{redirected} ".replace("2>&-", "") else whole.stdout)
+        assert b"Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("redirected", ["2>&-", ">&-", exhaustive("<&- >&- 2>&-"), exhaustive("2>/dev/full")])
+def test_an_error_keeps_its_status(folder: Path, redirected: str) -> None:
+    done = ran(folder, redirected, "check", "none.toml")
+    assert done.returncode == 2
+    assert done.stdout == b""
+    assert done.stderr == (b"" if "2" in redirected else ran(folder, "", "check", "none.toml").stderr)
+
+
+def test_what_cannot_be_printed_is_an_error(folder: Path) -> None:
+    done = ran(folder, ">/dev/full", "materials")
+    assert done.returncode == 2
+    assert done.stderr.decode() == "clsim: error: [Errno 28] No space left on device\n"
+
+
+def test_a_stream_of_few_letters_gets_escapes(folder: Path) -> None:
+    done = ran(folder, "", "materials", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
+    assert done.returncode == 0
+    assert done.stderr == b""
+    whole = ran(folder, "", "materials", PYTHONIOENCODING="utf-8").stdout.decode()
+    assert done.stdout.decode("ascii") == whole.encode("ascii", "backslashreplace").decode()
+    assert not whole.isascii()
