@@ -40,19 +40,24 @@ COMMANDS = [
 def test_a_closed_stream_changes_no_status(folder: Path, arguments: list[str]) -> None:
     whole = ran(folder, "", *arguments)
     assert whole.returncode == 0
-    for redirected in ("2>&-", ">&-", "<&-", "<&- >&- 2>&-", "2>/dev/full"):
+    more = ("<&-", "<&- >&- 2>&-", "2>/dev/full") if len(arguments) > 1 else ()
+    for redirected in ("2>&-", ">&-", *more):
         done = ran(folder, redirected, *arguments)
         assert done.returncode == 0, redirected
         assert done.stdout == (b"" if ">&- " in f"{redirected} ".replace("2>&-", "") else whole.stdout)
         assert b"Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("redirected", ["2>&-", ">&-", exhaustive("<&- >&- 2>&-"), exhaustive("2>/dev/full")])
+@pytest.mark.parametrize(
+    "redirected", [exhaustive("2>&-"), exhaustive(">&-"), "<&- >&- 2>&-", exhaustive("2>/dev/full")]
+)
 def test_an_error_keeps_its_status(folder: Path, redirected: str) -> None:
     done = ran(folder, redirected, "check", "none.toml")
     assert done.returncode == 2
     assert done.stdout == b""
-    assert done.stderr == (b"" if "2" in redirected else ran(folder, "", "check", "none.toml").stderr)
+    assert done.stderr == (
+        b"" if "2" in redirected else b"clsim: error: [Errno 2] No such file or directory: 'none.toml'\n"
+    )
 
 
 def test_what_cannot_be_printed_is_an_error(folder: Path) -> None:
