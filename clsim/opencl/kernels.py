@@ -91,7 +91,9 @@ _KINDS = {
     "EDGES", "SCATTERERS", "BODIES", "MORE", "POINT", "CAPSULE", "LONGEST_STEP", "GLINT_FAR", "GLINT_FOUND", "SETTLED",
     "FLATTEST", "NO_WAY", "ON_LINE", "PATIENCE", "BEYOND_LEG", "POSE_COLUMNS", "FACE_COLUMNS",
 }  # fmt: skip
-_OF_GAINS = {"SPHERE", "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION"}
+_OF_GAINS = {
+    "SPHERE", "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION", "END_CELLS", "END_TERMS",
+}  # fmt: skip
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
 
@@ -141,10 +143,10 @@ PROGRAMS = {
     "tracks": Program(
         (
             *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h", *_WAYS,
-            "nodes/transition_table.h", "nodes/edge_field.h", "nodes/capsule_field.h", "nodes/sphere_field.h",
-            "nodes/septic.h", "nodes/scattered_gains.h", "nodes/body_gains.h", "nodes/solve_nodes.h", *_POLYNOMIALS,
-            "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h", "nodes/cell.h", *_MASK,
-            "nodes/activity.h", "nodes/tracks.cl",
+            "nodes/transition_table.h", "nodes/edge_end.h", "nodes/edge_field.h", "nodes/capsule_field.h",
+            "nodes/sphere_field.h", "nodes/septic.h", "nodes/scattered_gains.h", "nodes/body_gains.h",
+            "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h",
+            "nodes/cell.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **IMAGES,

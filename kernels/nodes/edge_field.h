@@ -61,25 +61,6 @@ static void by_faces(const surroundings* around, const edge_tables* t, __global 
     }
 }
 
-// By how much a leg to a place `off` from the apex is longer than to it, less what cancels over both: see `end_detour`.
-static double longer_leg(double r, double along, double off)
-{
-    const double near = sqrt(r * r + along * along), far = sqrt(r * r + (along + off) * (along + off));
-    return off * (off - along * (off * (off + 2.0 * along) / (near + far)) / near) / (near + far);
-}
-
-// What an end of the edge sends over what the edge would send without one.
-static void by_end(const edge_tables* t, __global const edge_view* edge, triple s, triple r, double apex, double raised,
-                   response* field)
-{
-    const double off = edge->end - apex;
-    const double longer = longer_leg(off_edge(s), apex - s.z, off) + longer_leg(off_edge(r), apex - r.z, off);
-    const double inside = edge->end > 0.0 ? off : apex, root = sqrt(longer > 0.0 ? longer * raised : 0.0);
-    response at_end;
-    transition_of(t, edge->end_side * (inside < 0.0 ? -root : root), -0.5f * (float)edge->end_side, &at_end);
-    multiply(field, &at_end);
-}
-
 // Sines and cosines of four angles side by side, Taylor's of degree 13 and 14 about quarter turns, within 2e-14.
 static double4 sines(double4 angle, double4* cosines)
 {
@@ -120,6 +101,10 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
     for (int part = 0; part < PARTS; part++) {
         for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
     }
+    const double apex = (s.z * r_r + r.z * r_s) / across;
+    const double end = edge->end_side ? root_at_end(edge, r_s, s.z, r_r, r.z, apex, raised) : 0.0;
+    response of_end;
+    if (edge->end_side) transition_of(t, end < 0.0 ? -end : end, 1.0f, &of_end);
     const double turn = 2.0 * n * HALF_TURN, per_turn = 1.0 / turn, inverse = 1.0 / n;
     for (int term = 0; term < 4; term++) {
         if (!edge->lit[term]) continue;
@@ -131,15 +116,15 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
         const double rise = turns == 0.0 ? here_s : here_s * wide_c - here_c * turns * wide_s;
         const double steep = near < ON_BOUNDARY ? 1.0 : rise * high[term] / low[term] * inverse;
         response one;
-        transition_of(t, side * rise * breadth, (float)(-0.5 * side * steep), &one);
+        const double root = side * rise * breadth, weight = -0.5 * side * steep;
+        if (edge->end_side) transition_at_end(t, end, &of_end, root, (float)(-edge->end_side * weight), &one);
+        else transition_of(t, root, (float)weight, &one);
         by_faces(around, t, edge, slot, term < 2 ? 0 : term, edge->bounces[term / 2], 0.5 * (term < 2 ? together : -between),
                  across / length, &one);
         for (int part = 0; part < PARTS; part++) {
             for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] += one.part[part][b];
         }
     }
-    const double apex = (s.z * r_r + r.z * r_s) / across;
-    if (edge->end_side) by_end(t, edge, s, r, apex, raised, field);
     *place = edge->end_side ? edge->end : apex;
     return length;
 }

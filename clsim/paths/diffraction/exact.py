@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.acoustics.diffraction import transition, wedge_terms
 from clsim.acoustics.exact_wedge import exact_wedge_terms
 from clsim.paths.diffraction.family import EdgePaths
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
     from clsim.acoustics.diffraction import EdgeWay
     from clsim.arrays import Floats
+    from clsim.paths.diffraction.family import EndsOfEdges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,19 +30,27 @@ class ExactEdgePaths(EdgePaths):
 
     def _at_wedge(
         self, index: NDArray[np.int64], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
-        factors: list[Any],
+        factors: list[Any], ends: EndsOfEdges,
     ) -> Any:  # fmt: skip
-        return exact_field(self.n[index], self.lit[index], angles, distances, way, wave, factors)
+        return exact_field(self.n[index], self.lit[index], angles, distances, way, wave, factors, ends)
 
 
 def exact_field(
     n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
-    factors: list[Any],
+    factors: list[Any], ends: EndsOfEdges,
 ) -> Any:  # fmt: skip
-    """Return the exact field (P, T, F) of edges over that of the shortest ways, from what `utd_field` takes."""
+    """Compute the exact field (P, T, F) of edges over that of the shortest ways, from what `utd_field` takes.
+
+    Over an end each term is less by as much as it is in the uniform theory.
+    """
     field = np.zeros(wave.shape, dtype=np.complex128)
+    _, root = wedge_terms(n[:, None], angles, lit[:, None])
     terms = exact_wedge_terms(n[:, None], angles, np.where(lit, lit, 1)[:, None], *distances, way, wave)
     for term, each in enumerate(terms):
         kept = np.flatnonzero(lit[:, term])
+        over = np.flatnonzero(lit[:, term] * ends.side)
+        if len(over):
+            phase = root[over, :, term, None] * np.sqrt(wave[over] * way.breadth[over, :, None])
+            each[over] *= ends.transition(over, wave[over], phase) / transition(phase)
         field[kept] += each[kept] if factors[term] is None else (each * factors[term])[kept]
     return field

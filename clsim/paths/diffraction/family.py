@@ -19,6 +19,7 @@ from clsim.acoustics.diffraction import (
     transition,
     wedge_terms,
 )
+from clsim.acoustics.edge_end import end_transition
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
 from clsim.paths.diffraction.ways_over import WaysOver
@@ -205,61 +206,95 @@ class EdgePaths(TwoSidedPaths):
         way = edge_way(r_s, z_s, r_r, z_r)
         angles = lit_angles(self.n[index][:, None], t_s, t_r)
         factors = partner_factors(self.n[index], self.faces[index], (t_s, t_r), (r_s + r_r) / way.length, at)
-        field = self._at_wedge(index, angles, (r_s, r_r), way, wave, factors)
-        field /= way.length[..., None]
-        over_end = np.flatnonzero(self.end_side[index])
-        if len(over_end):
-            field[over_end] *= self._end_factor(index, over_end, way, (r_s, z_s), (r_r, z_r), wave)
-        return field
+        field = self._at_wedge(
+            index, angles, (r_s, r_r), way, wave, factors, self._ends_of(index, way, (r_s, z_s), (r_r, z_r))
+        )
+        return field / way.length[..., None]
 
     def _at_wedge(
         self, index: NDArray[np.int64], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
-        factors: list[Any],
+        factors: list[Any], ends: EndsOfEdges,
     ) -> Any:  # fmt: skip
-        """Return the field (P, T, F) of edges without ends over that of the shortest ways.
+        """Compute the field (P, T, F) of edges and of their ends over that of the shortest ways.
 
-        By the angles (P, T, 4) of the partners, the ends' distances from the edges (P, T), and the faces' factors.
+        By the angles (P, T, 4) of the partners, the distances from the edges (P, T), and the faces' factors.
         """
-        return utd_field(self.n[index], self.lit[index], angles, distances, way, wave, factors)
+        return utd_field(self.n[index], self.lit[index], angles, distances, way, wave, factors, ends)
 
-    def _end_factor(
-        self, index: NDArray[np.int64], rows: NDArray[np.int64], way: EdgeWay,
-        source: tuple[Floats, Floats], receiver: tuple[Floats, Floats], wave: Floats,
-    ) -> Any:  # fmt: skip
-        """Return what an end sends (n, T, F) over the field of the edge without one, without its detour's phase."""
-        some = EdgeWay(way.length[rows], way.apex[rows], way.breadth[rows])
-        ends = (source[0][rows], source[1][rows]), (receiver[0][rows], receiver[1][rows])
-        end = self.end_place[index[rows]][:, None]
+    def _ends_of(
+        self, index: NDArray[np.int64], way: EdgeWay, source: tuple[Floats, Floats], receiver: tuple[Floats, Floats]
+    ) -> EndsOfEdges:
+        end = self.end_place[index][:, None]
         # Towards the start or the stop of the edge its inside is on another side of the end.
-        inside = np.where(end > 0.0, end - some.apex, some.apex)
-        return end_factor(some, ends, end, inside, self.end_side[index[rows]], wave[rows])
+        inside = np.where(end > 0.0, end - way.apex, way.apex)
+        return EndsOfEdges.of(self.end_side[index], way, (source, receiver), end, inside)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EndsOfEdges:
+    """Ends of edges that P paths run over, at T times.
+
+    Attributes
+    ----------
+    side : ndarray (P,) int8
+        1 where the shortest way is taken to meet the edge, -1 where it passes the end; 0 of paths over the edge itself.
+    root : ndarray (P, T)
+        Root of the detour by the end, √m; negative where the shortest way is on the other side.
+    """
+
+    side: NDArray[np.int8]
+    root: Floats
+
+    @staticmethod
+    def of(
+        side: NDArray[np.int8], way: EdgeWay, ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]], end: Floats,
+        inside: Floats,
+    ) -> EndsOfEdges:  # fmt: skip
+        """Make it from r and z of source and receiver (P, T), m.
+
+        `end` (P, 1) are the places of the ends, `inside` (P, T) how far inside the edges the shortest ways meet them.
+        """
+        signed, root = np.where(inside < 0.0, -1.0, 1.0) * side[:, None], np.zeros(way.length.shape)
+        over = np.flatnonzero(side)
+        if len(over):
+            some = EdgeWay(way.length[over], way.apex[over], way.breadth[over])
+            (r_s, z_s), (r_r, z_r) = ((r[over], z[over]) for r, z in ends)
+            detour = end_detour(some, (r_s, z_s), (r_r, z_r), np.broadcast_to(end, (len(side), 1))[over])
+            root[over] = signed[over] * np.sqrt(detour)
+        return EndsOfEdges(side, root)
+
+    def transition(self, rows: NDArray[np.int64], wave: Floats, root: Floats) -> Complexes:
+        """Compute the transition function of some rows' edges or ends (n, T, F), without the phase of the detour.
+
+        By wave numbers (n, T, F), and by the roots of the phases of one term of the edge (n, T, F).
+        """
+        over = self.side[rows] != 0
+        if not over.any():
+            return transition(root)
+        found, ends = np.empty(root.shape, dtype=np.complex128), rows[over]
+        found[~over] = transition(root[~over])
+        at_end = end_transition(self.root[ends, :, None] * np.sqrt(wave[over]), root[over])
+        found[over] = -1.0 * self.side[ends, None, None] * at_end
+        return found
 
 
 def utd_field(
     n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
-    factors: list[Any],
+    factors: list[Any], ends: EndsOfEdges,
 ) -> Any:  # fmt: skip
-    """Return the field (P, T, F) of edges (P,) over that of the shortest ways, see `EdgePaths`.
+    """Compute the field (P, T, F) of edges (P,) and of their ends over that of the shortest ways, see `EdgePaths`.
 
-    By the angles (P, T, 4) of the partners, the ends' distances from the edges (P, T), wave numbers (P, T, F) and the
-    faces' factors.
+    By the angles (P, T, 4) of the partners, the distances from the edges (P, T), wave numbers (P, T, F) and the faces'
+    factors.
     """
     weight, root = wedge_terms(n[:, None], angles, lit[:, None])
-    return sum_of_terms(lit, weight, root, wave * way.breadth[..., None], factors)
-
-
-def end_factor(
-    way: EdgeWay, ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]], end: Floats, inside: Floats,
-    side: NDArray[np.int8], wave: Floats,
-) -> Any:  # fmt: skip
-    """Return what ends of edges send (P, T, F) over the field of edges without ends, without the detour's phase.
-
-    By r and z of source and receiver (P, T), by where the ends are and how far inside the edges the shortest ways meet
-    them (P, T), m, and by the sides (P,) on which they are taken to be, 1 for inside.
-    """
-    signed = 1.0 * side[:, None]
-    root = signed * (np.sign(inside) * np.sqrt(end_detour(way, *ends, end)))
-    return -0.5 * signed[..., None] * transition(root[..., None] * np.sqrt(wave))
+    scale, field = np.sqrt(wave * way.breadth[..., None]), np.zeros(wave.shape, dtype=np.complex128)
+    for term in range(lit.shape[1]):
+        kept = np.flatnonzero(lit[:, term])
+        both = ends.transition(kept, wave[kept], root[kept, :, term, None] * scale[kept])
+        both *= 0.5 * weight[kept, :, term, None]
+        field[kept] += both if factors[term] is None else both * factors[term][kept]
+    return field
 
 
 def cylindrical(n: Floats, seen: Floats, beside: NDArray[np.int8]) -> tuple[Floats, Floats, Floats]:
@@ -275,16 +310,6 @@ def least_angle(n: Floats, beside: NDArray[np.int8]) -> Floats:
     before or after that: in the middle of a sheet they would jump at its very plane.
     """
     return np.asarray(0.5 * np.pi * (n - 2.0) + 0.25 * np.pi * n * beside)
-
-
-def sum_of_terms(lit: NDArray[np.int8], weight: Floats, root: Floats, phase: Floats, factors: list[Any]) -> Any:
-    """Return the sum (P, T, F) of the terms (P, T, 4) at an edge, with phases over squared roots (P, T, F)."""
-    scale, field = np.sqrt(phase), np.zeros(phase.shape, dtype=np.complex128)
-    for term in range(lit.shape[1]):
-        kept = np.flatnonzero(lit[:, term])
-        each = 0.5 * weight[kept, :, term, None] * transition(root[kept, :, term, None] * scale[kept])
-        field[kept] += each if factors[term] is None else each * factors[term][kept]
-    return field
 
 
 def partner_factors(

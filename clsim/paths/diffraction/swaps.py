@@ -36,27 +36,58 @@ def with_swaps(family: Family, within: float) -> Family:
     Notes
     -----
     This is where two walls are met in another order, or where the apex goes on from an edge to the next one or to its
-    corner: both paths are as long as each other then. Pieces of one path meet already.
+    corner: both paths are as long as each other then. Pieces of one path meet already; where a path over an end of an
+    edge changes sides, the path over the edge itself begins or ends.
     """
     start, end = np.array(family.start), np.array(family.end)
     pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
     ends = np.flatnonzero(np.isfinite(end) & ~_among(pair, end, pair, start))
     starts = np.flatnonzero(np.isfinite(start) & ~_among(pair, start, pair, end))
-    if not len(ends) or not len(starts):
-        return family
-    ends = ends[np.lexsort((end[ends], pair[ends]))]
-    for one in np.unique(pair[starts]):
-        some, others = starts[pair[starts] == one], ends[pair[ends] == one]
-        first = np.searchsorted(end[others], start[some] - within)
-        count = np.searchsorted(end[others], start[some] + within, side="right") - first
-        mine = np.repeat(some, count)
-        theirs = others[np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())]
-        when = 0.5 * (start[mine] + end[theirs])
+    passing = np.flatnonzero(_changes_sides(family))
+    mine, theirs = _same_events(family, (ends, end[ends]), (passing, start[passing]), within)
+    later = start[theirs] > start[mine]
+    end[mine[later]] = start[theirs[later]]
+    mine, theirs = _same_events(family, (starts, start[starts]), (passing, start[passing]), within)
+    sooner = start[theirs] < end[mine]
+    start[mine[sooner]] = start[theirs[sooner]]
+    mine, theirs = _same_events(family, (starts, start[starts]), (ends, end[ends]), within)
+    longer = end[theirs] < end[mine]  # nothing ends as it begins
+    start[mine[longer][::-1]] = end[theirs[longer][::-1]]
+    return replace(family, start=read_only(start), end=read_only(end))
+
+
+def _changes_sides(family: EdgePaths) -> NDArray[np.bool_]:
+    """Tell of rows whether they go on from the row before, of the same path, on the other side of its end."""
+    found = np.zeros(len(family), dtype=bool)
+    columns = np.column_stack([family.source, family.receiver, family.objects])
+    same = np.all(columns[1:] == columns[:-1], axis=1) & (family.start[1:] == family.end[:-1])
+    found[1:] = same & (family.end_side[1:] != family.end_side[:-1])
+    return found
+
+
+def _same_events(
+    family: EdgePaths, one: tuple[Rows, Floats], other: tuple[Rows, Floats], within: float
+) -> tuple[Rows, Rows]:
+    """Find the rows of `one` and of `other` (n,) at whose times, s, both paths between two ends are as long.
+
+    Each is given as rows and their times; times are at most `within` apart.
+    """
+    pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
+    found = [np.empty((2, 0), dtype=np.int64)]
+    for each in np.intersect1d(pair[one[0]], pair[other[0]]):
+        (rows, times), (others, their_times) = ((r[pair[r] == each], t[pair[r] == each]) for r, t in (one, other))
+        order = np.argsort(their_times, kind="stable")
+        others, their_times = others[order], their_times[order]
+        first = np.searchsorted(their_times, times - within)
+        count = np.searchsorted(their_times, times + within, side="right") - first
+        mine = np.repeat(np.arange(len(rows)), count)
+        theirs = np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())
+        when = 0.5 * (times[mine] + their_times[theirs])
+        mine, theirs = rows[mine], others[theirs]
         same = np.abs(_delays(family, mine, when) - _delays(family, theirs, when)) < _SAME_DELAY
-        longer = end[theirs] < end[mine]  # nothing ends as it begins
-        mine, theirs = mine[same & longer], theirs[same & longer]
-        start[mine[::-1]] = end[theirs[::-1]]
-    return replace(family, start=read_only(start))
+        found.append(np.stack([mine[same], theirs[same]]))
+    both = np.concatenate(found, axis=1)
+    return both[0], both[1]
 
 
 def _among(pair: Rows, times: Floats, other_pair: Rows, others: Floats) -> NDArray[np.bool_]:

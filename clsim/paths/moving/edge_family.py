@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
-from clsim.acoustics.diffraction import EdgeWay, edge_way, lit_angles
+from clsim.acoustics.diffraction import edge_way, lit_angles
 from clsim.arrays import read_only
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
 from clsim.paths.diffraction.exact import exact_field
-from clsim.paths.diffraction.family import end_factor, least_angle, partner_factors, utd_field
+from clsim.paths.diffraction.family import EndsOfEdges, least_angle, partner_factors, utd_field
 from clsim.paths.family import BODY, DIFFRACTION, NONE, SPECULAR
 from clsim.paths.moving.edge_events import Chains, EdgeSolver
 from clsim.paths.moving.edge_lines import EdgeLines
@@ -207,15 +207,11 @@ class MovingEdgePaths(MovingPaths):
         t_s, t_r = (_beside(n, side, t) for side, t in zip(self.beside[index].T, (t_s, t_r), strict=True))
         factors = partner_factors(n, self.lines.faces[edge], (t_s, t_r), (r_s + r_r) / way.length, at)
         law = exact_field if self.model == "btm" else utd_field
-        field = law(n, lit, lit_angles(n[:, None], t_s, t_r), (r_s, r_r), way, wave, factors)
-        field /= way.length[..., None]
-        over = np.flatnonzero(self.over_end[index] >= 0)
-        if len(over):  # places are counted from the end
-            some = EdgeWay(way.length[over], way.apex[over], way.breadth[over])
-            inside = np.where(self.over_end[index[over], None] == 1, -some.apex, some.apex)
-            ends = (r_s[over], z_s[over]), (r_r[over], z_r[over])
-            field[over] *= end_factor(some, ends, np.zeros(1), inside, self.end_side[index[over]], wave[over])
-        return field
+        over_end = self.over_end[index]  # places are counted from the end
+        inside = np.where(over_end[:, None] == 1, -way.apex, way.apex)
+        ends = EndsOfEdges.of(self.end_side[index], way, ((r_s, z_s), (r_r, z_r)), np.zeros((1, 1)), inside)
+        field = law(n, lit, lit_angles(n[:, None], t_s, t_r), (r_s, r_r), way, wave, factors, ends)
+        return field / way.length[..., None]
 
     def vertices(self, rows: Rows, time: float, motion: str = "retarded") -> Floats:
         """Return source, points of interaction and receiver (P, N + 2, 3) of paths of one pair."""

@@ -13,7 +13,7 @@ from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
-from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL, transition_table
+from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL
 from clsim.render.opencl.path_kinds import KINDS, OF_GAINS
 from clsim.render.opencl.receiver_nodes import RECEIVER_NODE, receiver_at
 from clsim.render.opencl.surroundings import VECTOR, Surroundings
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
-    from clsim.tracks.basis import Basis
     from clsim.tracks.tracks import SceneTracks
 
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
@@ -171,12 +170,6 @@ class DeviceTracks:
     def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Return the walls of paths (slots,) that depend on the angle, see `Surroundings.bounces`."""
         return self._surroundings[source].bounces(self._met(rows))
-
-    def _transition(self, basis: Basis) -> dict[str, Any]:
-        """Return the table of the transition function at the frequencies of a basis."""
-        waves = basis.nodes / self._tracks.scene.air.speed_of_sound
-        table, middle = transition_table(waves, basis.parts)
-        return self._uploaded(transition=table, waves=waves.astype(np.float32)) | {"middle": middle}
 
     def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Return what the field of paths (slots,) that are more than reflected is made of: nothing, for images."""

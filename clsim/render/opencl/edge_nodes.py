@@ -10,12 +10,15 @@ from clsim.acoustics.diffraction import partner_reflections
 from clsim.paths.diffraction.family import least_angle
 from clsim.paths.diffraction.ways import EdgeView
 from clsim.render.opencl.device_nodes import DeviceTracks
+from clsim.render.opencl.lookup_tables import end_table, transition_table
+from clsim.render.opencl.path_kinds import END_CELLS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.opencl.compiler import Compiler
     from clsim.render.plan import Plan
+    from clsim.tracks.basis import Basis
     from clsim.tracks.tracks import SceneTracks
 
 # An edge as both ends are seen by it, as in nodes/edge_view.h.
@@ -34,10 +37,17 @@ class EdgeTracks(DeviceTracks):
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
     ) -> None:
         super().__init__(plan, tracks, family, queue, compiler, together)
-        self._transitions = [self._transition(filters.basis) for filters in plan.source_filters]
+        self._transitions = [self._tables_of(filters.basis) for filters in plan.source_filters]
 
     def _kinds(self) -> dict[str, int]:
         return {"EDGES": 1}
+
+    def _tables_of(self, basis: Basis) -> dict[str, Any]:
+        """Make the tables of the transition functions of edges and of their ends at the frequencies of a basis."""
+        waves = basis.nodes / self._tracks.scene.air.speed_of_sound
+        table, middle = transition_table(waves, basis.parts)
+        both = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
+        return self._uploaded(transition=both, waves=waves.astype(np.float32)) | {"middle": middle}
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         family, around = self._family, self._surroundings[source]

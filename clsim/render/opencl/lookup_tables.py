@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.diffraction import transition
+from clsim.acoustics.edge_end import end_coefficients
 from clsim.paths.response import covered, directivity_gain
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 from clsim.scene.directivity.patterns import Omni
@@ -92,6 +93,14 @@ def transition_table(waves: Floats, parts: int) -> tuple[NDArray[np.float32], fl
     values = np.zeros((len(place), len(waves)), dtype=np.complex128)
     values[1:] = transition((middle * (1.0 / place[1:] - 1.0))[:, None] * np.sqrt(number))
     return cubics(place, values, parts), middle
+
+
+def end_table(waves: Floats, parts: int, middle: float, cells: int) -> NDArray[np.float32]:
+    """Make the table of the coefficients of `end_transition` at waves in a metre (F,), flat; see ``edge_end.h``."""
+    place = np.linspace(0.0, 1.0, cells + 1)
+    radius = (middle * (1.0 / place[1:] - 1.0))[:, None] * np.sqrt(2.0 * np.pi * waves)
+    values = end_coefficients(radius).swapaxes(1, 2).reshape(cells, -1)
+    return cubics(place, np.concatenate([np.zeros((1, values.shape[1])), values]), parts)
 
 
 def _shaped(values: Floats | Complexes, shape: tuple[int, ...]) -> Any:

@@ -2,12 +2,14 @@
 
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE
+from clsim.acoustics.edge_end import END_TERMS
 from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
 from clsim.paths.moving.events import BEYOND_LEG
 from clsim.paths.moving.face_cubics import FACE_COLUMNS
 from clsim.paths.pose_cubics import POSE_COLUMNS
 from clsim.paths.scattering.way import PATIENCE
 
+END_CELLS = 128  # of the tables of ends of edges
 POINT, ELLIPSOID, CAPSULE, SPHERE = range(4)  # shapes of scatterers that programs know: from CAPSULE on with phases
 NO_WAY = -1e6  # s, a delay that tells that no way by a scatterer is found
 _SETTLED = 1e-5  # rad of a specular point: after the step it is wrong by about its square, its strength too
@@ -20,4 +22,7 @@ KINDS = {
     "NO_WAY": NO_WAY, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
     "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
 }  # fmt: skip
-OF_GAINS = {"SPHERE": SPHERE, "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION}
+OF_GAINS = {
+    "SPHERE": SPHERE, "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION,
+    "END_CELLS": END_CELLS, "END_TERMS": END_TERMS,
+}  # fmt: skip

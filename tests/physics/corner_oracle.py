@@ -1,0 +1,129 @@
+"""Fields of plates and boxes as sums over their edges, each by its own line integral, and the geometrical paths.
+
+The integral is that of Svensson, Fred and Vanderkooy, J. Acoust. Soc. Am. 106(5), 1999, eq. 27 and 30, between the two
+ends of an edge; faces are hard, and ends do not lie on edges. Conventions: exp(+jωt); free field exp(-jkR) / R.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_PANELS, _POINTS = 1000, 8  # of Gauss and Legendre, over u of z = apex + w sinh(u)
+_SHARPEST = 2e-3  # m, the width w: of an edge whose boundary is nearer than that the pole is integrated apart
+
+
+@dataclass(frozen=True)
+class Edge:
+    """An edge from a place to another one; `across` points along its 0-face, `out` off it into the air."""
+
+    start: np.ndarray
+    stop: np.ndarray
+    across: np.ndarray
+    out: np.ndarray
+    wedge: float  # exterior angle, rad
+
+    def cylindrical(self, place: np.ndarray) -> tuple[float, float, float]:
+        away = place - self.start
+        along = (self.stop - self.start) / np.linalg.norm(self.stop - self.start)
+        x, y = away @ self.across, away @ self.out
+        low = 0.5 * (self.wedge - 2.0 * np.pi)
+        angle = np.arctan2(y, x)
+        return float(np.hypot(x, y)), float(angle + 2.0 * np.pi * (angle < low)), float(away @ along)
+
+    def seen_from(self, place: np.ndarray) -> bool:
+        return 0.0 <= self.cylindrical(place)[1] <= self.wedge
+
+    def field(self, source: np.ndarray, receiver: np.ndarray, k: np.ndarray) -> np.ndarray:
+        """Return the field of the edge at wave numbers (F,)."""
+        (rs, ts, zs), (rr, tr, zr) = self.cylindrical(source), self.cylindrical(receiver)
+        nu, length = np.pi / self.wedge, np.hypot(rs + rr, zs - zr)
+        apex, stop = (zs * rr + zr * rs) / (rs + rr), np.linalg.norm(self.stop - self.start)
+        angles = nu * (np.pi + np.array([tr - ts, ts - tr, -(ts + tr), ts + tr]))
+        nearest = np.min(np.abs(np.sin(0.5 * angles))) / nu
+        width = 0.3 * min(rs * rr / length * max(nearest, 1e-9), _SHARPEST)
+        x, w = np.polynomial.legendre.leggauss(_POINTS)
+        ends = np.arcsinh(np.array([-apex, stop - apex]) / width)
+        borders = np.unique(np.concatenate([np.linspace(*ends, _PANELS + 1), np.clip(0.0, *ends)[None]]))
+        half = 0.5 * np.diff(borders)[:, None]
+        u = borders[:-1, None] + half * (x + 1.0)
+        off, weight = width * np.sinh(u), half * w * width * np.cosh(u)
+        before, after = np.hypot(rs, apex + off - zs), np.hypot(rr, apex + off - zr)
+        # cosh η - 1, and the detour, without the difference of numbers that are nearly the same
+        up, down = (apex + off - zs) / rs, (apex + off - zr) / rr
+        eta = np.abs(np.arcsinh(up) + np.arcsinh(down))
+        beta = sum(np.sin(a) / (2.0 * np.sinh(0.5 * nu * eta) ** 2 + 2.0 * np.sin(0.5 * a) ** 2) for a in angles)
+        common = (-nu / (4.0 * np.pi) * weight * beta / (before * after)).ravel()
+        return np.exp(-1j * np.multiply.outer(k, (before + after).ravel())) @ common
+
+
+@dataclass(frozen=True)
+class Face:
+    """A rectangle: a corner, two sides, and the normal out of it."""
+
+    corner: np.ndarray
+    sides: np.ndarray  # (2, 3), at right angles
+    normal: np.ndarray
+
+    def crosses(self, one: np.ndarray, other: np.ndarray) -> bool:
+        heights = (one - self.corner) @ self.normal, (other - self.corner) @ self.normal
+        if heights[0] * heights[1] >= 0.0:
+            return False
+        met = one + (other - one) * heights[0] / (heights[0] - heights[1])
+        share = self.sides @ (met - self.corner) / np.sum(self.sides**2, axis=1)
+        return bool(np.all((share > 0.0) & (share < 1.0)))
+
+    def mirrored(self, place: np.ndarray) -> np.ndarray:
+        return place - 2.0 * ((place - self.corner) @ self.normal) * self.normal
+
+
+def total(edges: list[Edge], faces: list[Face], source: np.ndarray, receiver: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Return the whole pressure (F,) of first order beside a convex thing: direct, mirrored, and of its edges."""
+    found = np.zeros(len(k), dtype=np.complex128)
+
+    def add(image: np.ndarray) -> None:
+        apart = np.linalg.norm(image - receiver)
+        found[:] += np.exp(-1j * k * apart) / apart
+
+    if not any(face.crosses(source, receiver) for face in faces):
+        add(source)
+    for face in faces:
+        image = face.mirrored(source)
+        if (source - face.corner) @ face.normal * ((receiver - face.corner) @ face.normal) > 0.0 and face.crosses(
+            image, receiver
+        ):
+            add(image)
+    for edge in edges:
+        if edge.seen_from(source) and edge.seen_from(receiver):
+            found += edge.field(source, receiver, k)
+    return found
+
+
+def plate(width: float, height: float) -> tuple[list[Edge], list[Face]]:
+    """Return a plate at z = 0 from (-width, -height) to the corner at (0, 0)."""
+    corners = [np.array(c, dtype=float) for c in ((0, 0, 0), (-width, 0, 0), (-width, -height, 0), (0, -height, 0))]
+    edges = []
+    for start, stop, other in zip(corners, corners[1:] + corners[:1], corners[2:] + corners[:2], strict=True):
+        along, across = (x / np.linalg.norm(x) for x in (stop - start, other - stop))
+        edges.append(Edge(start, stop, across, np.cross(along, across), 2.0 * np.pi))
+    sides = np.array([[-width, 0.0, 0.0], [0.0, -height, 0.0]])
+    return edges, [Face(corners[0], sides, np.array([0.0, 0.0, 1.0]))]
+
+
+def box(size: tuple[float, float, float]) -> tuple[list[Edge], list[Face]]:
+    """Return a box from -size to the corner at (0, 0, 0)."""
+    edges, faces = [], []
+    for axis in range(3):
+        one, other = (axis + 1) % 3, (axis + 2) % 3
+        unit, lengths = np.eye(3), np.array(size, dtype=float)
+        for up in (0.0, -1.0):
+            corner = up * lengths[axis] * unit[axis]
+            sides = np.array([-lengths[one] * unit[one], -lengths[other] * unit[other]])
+            faces.append(Face(corner, sides, unit[axis] * (1.0 if up == 0.0 else -1.0)))
+        for a in (0.0, -1.0):
+            for b in (0.0, -1.0):
+                start = a * lengths[one] * unit[one] + b * lengths[other] * unit[other]
+                # 0-face: that with the normal along `one`, which goes on along `other`
+                across = unit[other] * (-1.0 if b == 0.0 else 1.0)
+                out = unit[one] * (1.0 if a == 0.0 else -1.0)
+                edges.append(Edge(start, start - lengths[axis] * unit[axis], across, out, 1.5 * np.pi))
+    return edges, faces
