@@ -19,8 +19,8 @@ static double root_at_end(__global const edge_view* edge, double r_s, double z_s
 // A weight times `end_transition` for roots of detours by the end and by the edge of which neither is negative.
 static void transition_of_both(const edge_tables* t, double end, const response* of_end, double root, float weight, response* r)
 {
-    const float low = (float)(root > end ? end : root), high = (float)(root > end ? root : end);
-    const float phi = high > 0.0f ? atan(low / high) : 0.0f, x = phi * phi * (float)(32.0 / (HALF_TURN * HALF_TURN)) - 1.0f;
+    const float phi = (float)(root > end ? atan2(end, root) : atan2(root, end));
+    const float x = phi * phi * (float)(32.0 / (HALF_TURN * HALF_TURN)) - 1.0f;
     float angle[END_TERMS] = {weight * phi, weight * phi * x};
 #pragma unroll
     for (int m = 2; m < END_TERMS; m++) angle[m] = 2.0f * x * angle[m - 1] - angle[m - 2];

@@ -58,11 +58,12 @@ class Edge:
 
 @dataclass(frozen=True)
 class Face:
-    """A rectangle: a corner, two sides, and the normal out of it."""
+    """A rectangle: a corner, two sides, and the normal out of it; a sheet has air on both sides."""
 
     corner: np.ndarray
     sides: np.ndarray  # (2, 3), at right angles
     normal: np.ndarray
+    sheet: bool
 
     def crosses(self, one: np.ndarray, other: np.ndarray) -> bool:
         heights = (one - self.corner) @ self.normal, (other - self.corner) @ self.normal
@@ -87,11 +88,10 @@ def total(edges: list[Edge], faces: list[Face], source: np.ndarray, receiver: np
     if not any(face.crosses(source, receiver) for face in faces):
         add(source)
     for face in faces:
-        image = face.mirrored(source)
-        if (source - face.corner) @ face.normal * ((receiver - face.corner) @ face.normal) > 0.0 and face.crosses(
-            image, receiver
-        ):
-            add(image)
+        heights = np.array([source - face.corner, receiver - face.corner]) @ face.normal
+        above = np.all(heights > 0.0) or (face.sheet and np.all(heights < 0.0))
+        if above and face.crosses(face.mirrored(source), receiver):
+            add(face.mirrored(source))
     for edge in edges:
         if edge.seen_from(source) and edge.seen_from(receiver):
             found += edge.field(source, receiver, k)
@@ -106,7 +106,7 @@ def plate(width: float, height: float) -> tuple[list[Edge], list[Face]]:
         along, across = (x / np.linalg.norm(x) for x in (stop - start, other - stop))
         edges.append(Edge(start, stop, across, np.cross(along, across), 2.0 * np.pi))
     sides = np.array([[-width, 0.0, 0.0], [0.0, -height, 0.0]])
-    return edges, [Face(corners[0], sides, np.array([0.0, 0.0, 1.0]))]
+    return edges, [Face(corners[0], sides, np.array([0.0, 0.0, 1.0]), True)]
 
 
 def box(size: tuple[float, float, float]) -> tuple[list[Edge], list[Face]]:
@@ -118,7 +118,7 @@ def box(size: tuple[float, float, float]) -> tuple[list[Edge], list[Face]]:
         for up in (0.0, -1.0):
             corner = up * lengths[axis] * unit[axis]
             sides = np.array([-lengths[one] * unit[one], -lengths[other] * unit[other]])
-            faces.append(Face(corner, sides, unit[axis] * (1.0 if up == 0.0 else -1.0)))
+            faces.append(Face(corner, sides, unit[axis] * (1.0 if up == 0.0 else -1.0), False))
         for a in (0.0, -1.0):
             for b in (0.0, -1.0):
                 start = a * lengths[one] * unit[one] + b * lengths[other] * unit[other]

@@ -162,7 +162,7 @@ def test_what_a_moving_source_sends_round_an_edge(device: None, monkeypatch: pyt
         assert decibels(abs(found - wanted) * 1.85) < -95.0
         assert decibels(abs(heard[n] - wanted.imag) * 1.85) < -85.0
     # Without the shift of the source's frequency in the transition it is not.
-    wrong = mistaken(EdgePaths.response, " * found.frequency_ratio[..., None]", "")
+    wrong = mistaken(EdgePaths.response, "found.frequency_ratio[", "np.ones(found.delay.shape)[")
     monkeypatch.setattr(EdgePaths, "response", wrong)
     found = field(paths, np.array([n / RATE]), TONE)[0] * np.exp(2j * np.pi * TONE * n / RATE)
     assert decibels(abs(found - wanted) * 1.85) > -70.0

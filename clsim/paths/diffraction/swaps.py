@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from clsim.arrays import read_only
-from clsim.paths.family import ends_at
+from clsim.paths.family import DIFFRACTION, ends_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,30 +39,34 @@ def with_swaps(family: Family, within: float) -> Family:
     corner: both paths are as long as each other then. Pieces of one path meet already; where a path over an end of an
     edge changes sides, the path over the edge itself begins or ends.
     """
-    start, end = np.array(family.start), np.array(family.end)
+    start, end = _with_ends(family, within)
     pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
     ends = np.flatnonzero(np.isfinite(end) & ~_among(pair, end, pair, start))
     starts = np.flatnonzero(np.isfinite(start) & ~_among(pair, start, pair, end))
-    passing = np.flatnonzero(_changes_sides(family))
-    mine, theirs = _same_events(family, (ends, end[ends]), (passing, start[passing]), within)
-    later = start[theirs] > start[mine]
-    end[mine[later]] = start[theirs[later]]
-    mine, theirs = _same_events(family, (starts, start[starts]), (passing, start[passing]), within)
-    sooner = start[theirs] < end[mine]
-    start[mine[sooner]] = start[theirs[sooner]]
     mine, theirs = _same_events(family, (starts, start[starts]), (ends, end[ends]), within)
     longer = end[theirs] < end[mine]  # nothing ends as it begins
     start[mine[longer][::-1]] = end[theirs[longer][::-1]]
     return replace(family, start=read_only(start), end=read_only(end))
 
 
-def _changes_sides(family: EdgePaths) -> NDArray[np.bool_]:
-    """Tell of rows whether they go on from the row before, of the same path, on the other side of its end."""
-    found = np.zeros(len(family), dtype=bool)
-    columns = np.column_stack([family.source, family.receiver, family.objects])
-    same = np.all(columns[1:] == columns[:-1], axis=1) & (family.start[1:] == family.end[:-1])
-    found[1:] = same & (family.end_side[1:] != family.end_side[:-1])
-    return found
+def _with_ends(family: EdgePaths, within: float) -> tuple[Floats, Floats]:
+    """Compute starts and ends, s, where paths over edges have the times at which those over their ends change sides."""
+    start, end, count = np.array(family.start), np.array(family.end), len(family.edge_names)
+    edges = (family.interactions == DIFFRACTION) & (family.objects >= count)
+    over = np.where(edges, (family.objects - count) // 2, family.objects)
+    way = [tuple(row) for row in np.column_stack([family.source, family.receiver, over]).tolist()]
+    same = np.append(False, np.all(family.objects[1:] == family.objects[:-1], axis=1) & (start[1:] == end[:-1]))
+    same[1:] &= family.end_side[1:] != family.end_side[:-1]
+    passing: dict[tuple[int, ...], list[float]] = {}
+    for row in np.flatnonzero(same).tolist():
+        passing.setdefault(way[row], []).append(float(start[row]))
+    for row in np.flatnonzero(family.end_side == 0).tolist() if passing else ():
+        for time in passing.get(way[row], []):
+            if abs(end[row] - time) <= within and time > start[row]:
+                end[row] = time
+            elif abs(start[row] - time) <= within and time < end[row]:
+                start[row] = time
+    return start, end
 
 
 def _same_events(
