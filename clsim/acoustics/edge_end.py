@@ -69,7 +69,7 @@ def end_coefficients(radius: Floats) -> Complexes:
 
     Notes
     -----
-    With ``t² = a² - js`` the integral falls as exp(-s); half-way rule in u of ``s = f exp(u - exp(-u))`` at the
+    Our own derivation: with ``t² = a² - js`` the integral falls as exp(-s); half-way rule in u of ``s = f exp(u - exp(-u))`` at the
     Chebyshev nodes of φ².
     """
     nodes = np.cos(np.pi * (np.arange(END_TERMS) + 0.5) / END_TERMS)

@@ -40,6 +40,8 @@ OWN = {
     "bank_error": "a maximum",
     "double_transition": "derived: a double integral as four single ones",
     "double_tie": "derived: the coupling of two phases that are quadratic in both angles",
+    "angle_polynomials": "a recurrence of Chebyshev polynomials",
+    "end_coefficients": "derived: a quadrature of end_transition at Chebyshev nodes",
     "end_detour": "derived: differences of lengths without cancellation",
     "fit_delay": "derived: least squares of phases of neighbours' products",
     "largest_hole": "a maximum",
