@@ -18,6 +18,7 @@ if process.is_command():  # here, because what follows takes long enough for som
     process.end_on_interrupt()
 
 import ast
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -54,6 +55,9 @@ class _Package(ModuleType):
         value: object = getattr(import_module(_HOMES[name]), name)
         self.__dict__[name] = value
         return value
+
+    def __reduce__(self) -> tuple[Callable[[str], ModuleType], tuple[str]]:
+        return import_module, (self.__name__,)  # functions that name it are sent to workers with it
 
     def __dir__(self) -> list[str]:
         return sorted({*self.__dict__, *_HOMES, *_PACKAGES})

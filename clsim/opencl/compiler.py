@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, DeviceError
+from clsim.opencl.device import refuse_after_fork
 from clsim.opencl.kernel_cache import Trial, TriedKernel
 from clsim.opencl.kernels import PROGRAMS, kernel_source
 from clsim.opencl.launch import Launch
@@ -55,10 +56,11 @@ class Compiler:
         Raises
         ------
         DeviceError
-            If the device's compiler refuses the program.
+            If the device's compiler refuses the program, or the process was forked after the context was made.
         ClsimError
             If a constant is missing or unknown: a defect of the caller.
         """
+        refuse_after_fork()
         kernels: dict[Any, Launch] = self._of_thread.__dict__.setdefault("kernels", {})
         key = program, kernel_source(program), frozenset(constants.items())
         if key not in kernels:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,8 @@ INSTALL = (
     "install a driver: `pip install pocl-binary-distribution` (Linux x86-64), "
     "`apt install pocl-opencl-icd` (Debian, Ubuntu), or the OpenCL driver of your graphics card"
 )
+
+_openers: list[int] = []  # the processes that have opened devices: this one, and those that it was forked from
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +104,27 @@ def no_device() -> str:
     return f"no OpenCL device: {prepare() or INSTALL}"
 
 
+def refuse_after_fork() -> None:
+    """Refuse devices in a process forked from one that had opened them.
+
+    Drivers keep threads, which a fork does not copy: the first kernel of the child would wait for them for ever. As a
+    process has each driver once, the child cannot open it anew either.
+
+    Raises
+    ------
+    DeviceError
+        If this is such a process.
+    """
+    if any(opener != os.getpid() for opener in _openers):
+        raise DeviceError(
+            "this process was forked from one that had used OpenCL devices, whose drivers do not work after a fork: "
+            'start processes by "spawn" or "forkserver" (multiprocessing.get_context("spawn")), or fork before the '
+            'first device is used; see the page "Many processes"'
+        )
+
+
 def _devices() -> list[tuple[DeviceInfo, Any]]:
+    refuse_after_fork()
     trouble = prepare()
     import pyopencl as cl
 
@@ -109,6 +132,8 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
         platforms = cl.get_platforms()
     except cl.Error:  # the loader reports no platform as an error
         return []
+    if os.getpid() not in _openers:
+        _openers.append(os.getpid())
     found = []
     for p, platform in enumerate(platforms):
         pocl = platform.name == "Portable Computing Language"
