@@ -11,7 +11,7 @@ import numpy as np
 from clsim.numerics.quaternions import rotate
 from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
-from clsim.tail.bands import band_shares
+from clsim.tail.bands import at_middles, band_shares, with_middles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from clsim.tail.design import SourceTail
 
 _SHAPED = 7  # of seeds: what the numbers are for
+_SLOWNESSES = (1, 2, 4, 8, 16)  # by which sampling rates are divided
+_SLOWEST = _SLOWNESSES[-1]
+_ROOM = 1.25  # half of such a rate over the end of a band, at least: envelopes make bands wider
+_RINGING = 1024  # samples in which the onset of low bands rings, before time 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,27 +159,46 @@ def _departures(shares: Floats, count: int, rng: np.random.Generator) -> NDArray
 def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """Return noise (K, L) whose energy in bands and bins of time is that of energies (T, K, B).
 
-    A bin of n samples of variance v has the energy n v at every frequency.
+    A bin of n samples of variance v has the energy n v at every frequency. Low bands are shaped at lower rates.
     """
     from scipy.fft import irfft, next_fast_len, rfft
 
-    times, streams, bands = energy.shape
+    times, streams, _ = energy.shape
     length = math.ceil(times * tail.time_step * rate)
-    size = next_fast_len(length, real=True)
-    shares = band_shares(np.arange(size // 2 + 1) * (rate / size), tail.centres).astype(np.float32)
-    at = np.clip((np.arange(length) + 0.5) / (tail.time_step * rate) - 0.5, 0.0, times - 1.0)
-    before = np.minimum(at.astype(np.int64), max(times - 2, 0))
-    after, part = np.minimum(before + 1, times - 1), (at - before).astype(np.float32)
-    level = np.sqrt(energy / (tail.time_step * rate)).astype(np.float32)
+    size = _SLOWEST * next_fast_len(-(-(length + _RINGING) // _SLOWEST), real=True)
+    centres = with_middles(tail.centres)
+    shares = band_shares(np.arange(size // 2 + 1) * (rate / size), centres).astype(np.float32)
+    level = np.sqrt(at_middles(energy) / (tail.time_step * rate)).astype(np.float32)
+    slowness = _slowness(centres, rate)
+    groups = [(n, *_envelope_places(length, n, tail.time_step * rate, times)) for n in np.unique(slowness).tolist()]
     taps = np.zeros((streams, length), np.float32)
     for k in range(streams):
         spectrum = rfft(rng.standard_normal(size, np.float32))
-        noise = irfft(spectrum * shares, size)[:, :length]
-        for b in range(bands):
-            envelope = level[before, k, b]
-            envelope += part * (level[after, k, b] - envelope)
-            taps[k] += noise[b] * envelope
+        total = np.zeros_like(spectrum)
+        for slow, before, part in groups:
+            bins, after = size // slow // 2 + 1, np.minimum(before + 1, times - 1)
+            made = np.zeros(size // slow, np.float32)
+            for b in np.flatnonzero(slowness == slow):
+                envelope = level[before, k, b]
+                envelope += part * (level[after, k, b] - envelope)
+                made[: len(part)] += irfft(spectrum[:bins] * shares[b, :bins], size // slow)[: len(part)] * envelope
+            total[:bins] += rfft(made)
+        taps[k] = irfft(total, size)[:length]
     return taps
+
+
+def _slowness(centres: Floats, rate: float) -> NDArray[np.int64]:
+    """Return the power of two (B,) by which the sampling rate may be divided for bands that end at the next centre."""
+    last = np.append(centres[1:], 0.5 * rate)
+    fits = [n * _ROOM * last <= 0.5 * rate for n in _SLOWNESSES]
+    return np.asarray(np.max([np.where(fit, n, 1) for n, fit in zip(_SLOWNESSES, fits, strict=True)], axis=0))
+
+
+def _envelope_places(length: int, slow: int, step: float, times: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Return the bins of time before every `slow`-th sample, and how far beyond their middles these lie, (n,) each."""
+    at = np.clip((np.arange(0, length, slow) + 0.5) / step - 0.5, 0.0, times - 1.0)
+    before = np.minimum(at.astype(np.int64), max(times - 2, 0))
+    return before, (at - before).astype(np.float32)
 
 
 def gains_of(scene: Scene, receivers: Sequence[int], tail: SourceTail, time: float) -> Floats:

@@ -2,13 +2,16 @@
 
 import math
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import box_decays
 import numpy as np
 import pytest
+from exhaustive import exhaustive
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import firwin
 from scipy.signal.windows import tukey
@@ -22,7 +25,7 @@ from clsim.render.diffuse_tail import diffuse_tail
 from clsim.render.methods import per_sample, static
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.rendering import Rendering
-from clsim.tail.bands import band_centres, band_shares
+from clsim.tail.bands import at_middles, band_centres, band_shares, with_middles
 from clsim.tail.design import DEPARTURES, SourceTail, TailEnergy, TailOptions, find_tail
 from clsim.tail.noise import combined, plane_waves
 from clsim.tail.zones import Zones, zone_radius
@@ -120,6 +123,43 @@ def test_reverberation_is_eyrings_in_a_diffuse_room() -> None:
     np.testing.assert_allclose(measured.t30[0, 0], measured.eyring, rtol=0.08)
 
 
+@pytest.mark.parametrize(
+    ("table", "centres"),
+    [
+        (box_decays.ZIGZAG, (500.0, 1e3, 2e3, 4e3)), exhaustive((box_decays.ZIGZAG, tuple(box_decays.OCTAVES))),
+        exhaustive((box_decays.SMOOTH, tuple(box_decays.OCTAVES))),
+    ],
+)  # fmt: skip
+def test_decays_where_absorption_depends_on_frequency(
+    table: tuple[float, ...], centres: tuple[float, ...], measured: Callable[..., float]
+) -> None:
+    """T20 and T30 of the streams' noise by octaves against images of all orders, in the mean over 64 directions.
+
+    The noise's own error is some 0.7 % at 500 Hz, and 1.5 % at 125 Hz, where 5 % are allowed.
+    """
+    here, there = np.array([1.3, 1.1, 1.2]), np.array([4.4, 3.2, 1.7])
+    room = clsim.Shoebox(box_decays.SIZE, clsim.Material.from_absorption(box_decays.OCTAVES, table))
+    tone = clsim.Signal.tone(1e3, duration=0.1, sampling_rate=RATE)
+    of = clsim.Scene(
+        room, clsim.Air(speed_of_sound=C, absorption=False),
+        [clsim.Source("s", tone, clsim.Trajectory.fixed(here))], [clsim.Receiver("r", clsim.Trajectory.fixed(there))],
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the material", clsim.ClsimWarning)
+        tail = tail_of(of, 0, (0.5 * min(centres), 1.5 * max(centres)))
+    taps = plane_waves(tail, (0, 0), 0, RATE, moves=False).taps
+    spectrum, f = np.fft.rfft(taps, 2 * taps.shape[1]), np.fft.rfftfreq(2 * taps.shape[1], 1.0 / RATE)
+    by_order, off = box_decays.images(here, there, 2.0 if min(centres) > 300.0 else 3.0), []
+    for centre in centres:
+        passed = np.sqrt(box_decays.butterworth(np.maximum(f, 1e-3), centre))
+        power = np.sum(np.fft.irfft(spectrum * passed)[:, : taps.shape[1]] ** 2, axis=0)
+        wanted = box_decays.decay_times(box_decays.octave_decay(by_order, table, centre), box_decays.STEP)
+        found = box_decays.decay_times(power, 1.0 / RATE)
+        allowed = 3.0 if centre > 300.0 else 5.0  # %
+        off += [100.0 * abs(a / b - 1.0) / allowed for a, b in zip(found, wanted, strict=True)]
+    assert measured("decay of the tail by octaves", "images of all orders", 3.0 * max(off), 3.0, "%") <= 3.0
+
+
 def isotropic(seconds: float, level: float = 1.0, zones: Zones | None = None) -> SourceTail:
     """A tail alike from all sides that does not decay, of 0.25 in all, of one band."""
     here = Zones(4.0, HEARD[None] / 4.0, beams=False, turns=np.array([[0.0, 0.0, 0.0, 1.0]]))
@@ -131,9 +171,9 @@ def isotropic(seconds: float, level: float = 1.0, zones: Zones | None = None) ->
 
 
 def test_made_responses_decay_as_the_rays_energies() -> None:
-    """What is still to come, by short-time spectra at the middle of each band, within 0.5 dB down to -35 dB.
+    """What is still to come, by short-time spectra at the middle of each band, within 0.6 dB down to -35 dB.
 
-    64 directions and 3 frequencies at least: a frame's own error is 0.3 dB, that of sums of frames less.
+    64 directions and 6 frequencies at least: a frame's own error is 0.2 dB, that of sums of frames less.
     """
     of = scene(clsim.Material.from_absorption([250.0, 4000.0], [0.1, 0.4], scattering=0.5))
     tail = tail_of(of, 2, (500.0, 4000.0), error_db=1.0)
@@ -143,15 +183,15 @@ def test_made_responses_decay_as_the_rays_energies() -> None:
     frames = sliding_window_view(taps, 2048, axis=1)[:, ::hop]
     power = np.mean(np.abs(np.fft.rfft(frames * window)) ** 2, axis=0)
     f = np.fft.rfftfreq(2048, 1.0 / RATE)
-    assert pair.energy.shape[2] == len(tail.centres) == 4
+    assert pair.energy.shape[2] == len(tail.centres) == 10
     for b, centre in enumerate(tail.centres):
-        near = np.abs(np.log2(np.maximum(f, 1.0) / centre)) < 0.05
+        near = np.abs(np.log2(np.maximum(f, 1.0) / centre)) < 0.1
         variance = np.repeat(pair.energy[:, :, b].mean(axis=1) / step, step)
         wanted = sliding_window_view(variance[: taps.shape[1]], 2048)[::hop] @ window**2
         left, asked = (np.cumsum(x[::-1])[::-1] for x in (power[:, near].mean(axis=1), wanted))
         loud = asked > asked[0] * 10.0**-3.5
         assert np.count_nonzero(loud) > 7
-        np.testing.assert_allclose(10.0 * np.log10(left[loud] / asked[loud]), 0.0, atol=0.5)
+        np.testing.assert_allclose(10.0 * np.log10(left[loud] / asked[loud]), 0.0, atol=0.6)
 
 
 def test_microphones_are_as_coherent_as_in_a_diffuse_field() -> None:
@@ -331,4 +371,16 @@ def test_bands_add_up_to_one() -> None:
         np.testing.assert_allclose(shares.sum(axis=0), 1.0, rtol=1e-12)
         np.testing.assert_allclose(band_shares(centres, centres), np.eye(len(centres)), atol=1e-12)
     assert len(band_centres(18e3, 22e3)) <= 3
-    assert band_centres(100.0, 8000.0).tolist() == [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0]
+    thirds = band_centres(100.0, 8000.0)
+    assert len(thirds) == 20
+    np.testing.assert_allclose(thirds[1::3], [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0])
+
+
+def test_middles_of_bands_go_on_smoothly() -> None:
+    """Exponential decays whose rates are cubic over bands stay that; silent bands leave nothing beyond their neighbours."""
+    bands, t = np.arange(9) / 2.0, np.linspace(0.0, 3.0, 7)[:, None]
+    decays = np.exp(-t * (1.0 + 0.5 * bands + 0.05 * bands**2))
+    np.testing.assert_allclose(at_middles(decays[:, ::2])[:, 2:-2], decays[:, 2:-2], rtol=1e-12)
+    np.testing.assert_array_less(at_middles(np.array([1.0, 2.0, 0.0, 3.0])), 3.0 + 1e-9)
+    assert at_middles(np.array([[2.0]])).tolist() == [[pytest.approx(2.0)]]
+    assert with_middles(np.array([500.0, 2000.0])).tolist() == pytest.approx([500.0, 1000.0, 2000.0])
