@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from clsim.paths.diffraction.double import DoubleEdgePaths
 from clsim.paths.diffraction.exact import ExactEdgePaths
 from clsim.paths.diffraction.family import EdgePaths
 from clsim.paths.diffraction.intervals import EdgeSearch
+from clsim.paths.diffraction.pieces import Pieces, find_pieces
 from clsim.paths.diffraction.swaps import with_swaps
-from clsim.paths.diffraction.visibility import ENDS_BESIDE, SIDES, EdgeCandidates, EdgeVisibility
+from clsim.paths.diffraction.visibility import ENDS_BESIDE, EdgeCandidates
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.specular.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
@@ -50,17 +51,6 @@ _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
 _SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
 _FARTHEST = 8  # resolutions, the same where that is more
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pieces:
-    """Stretches of candidates between boundaries."""
-
-    candidates: EdgeCandidates
-    row: NDArray[np.int64]
-    begin: Floats
-    end: Floats
-    sides: NDArray[np.int8]  # (n, 11), see `EdgeVisibility.sides`
 
 
 def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> EdgePaths:
@@ -164,12 +154,14 @@ def _source_rows(
     to_receivers = [
         _sequences(room.walls, tables.sphere(1 + r), edges, spheres, order) for r in range(len(scene.receivers))
     ]
+    done = source / len(scene.sources)
     for share, candidates in generator(room.walls, from_source, to_receivers, edges, order):
-        pieces = _pieces(finder, candidates, order)
+        pieces = find_pieces(finder, candidates, order, partial(search.progress, done))
         found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
         if len(found) > search.path_limit:
             raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
-        search.progress((source + share) / len(scene.sources))
+        done = (source + share) / len(scene.sources)
+        search.progress(done)
     return found, query.resolution
 
 
@@ -276,35 +268,6 @@ def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:
     return EdgeCandidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> _Pieces:
-    """Return the intervals in which candidates are there, cut at the boundaries of their terms."""
-    there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
-    ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)
-    met = candidates.before.shape[1] + candidates.after.shape[1]
-    for edge, term in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
-        ignored[:, term : term + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
-    no = there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8)
-    stack, found = [(there.path, there.begin, there.end)], [no]
-    while stack:
-        row, begin, end = stack.pop()
-        half = 0.5 * (end - begin)
-        sides, sure = visibility.sides(finder.query, row, begin + half, half)
-        sides[ignored[row]] = 0
-        done = sure | (2.0 * half <= finder.query.resolution)
-        found.append((row[done], begin[done], end[done], sides[done]))
-        row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
-        if len(row):
-            middle = begin + half
-            stack.append((np.append(row, row), np.append(begin, middle), np.append(middle, end)))
-    row, begin, end, sides = (np.concatenate(column) for column in zip(*found, strict=True))
-    rank = np.lexsort((begin, row))
-    row, begin, end, sides = row[rank], begin[rank], end[rank], sides[rank]
-    first = np.append(True, (row[1:] != row[:-1]) | (begin[1:] != end[:-1]) | np.any(sides[1:] != sides[:-1], axis=1))
-    starts = np.flatnonzero(first[: len(row)])
-    stops = np.append(starts[1:], len(row))[: len(starts)] - 1
-    return _Pieces(candidates, row[starts], begin[starts], end[stops], sides[starts])
-
-
 class _Partners:
     """When other paths begin and end, by receiver, walls and edges."""
 
@@ -328,7 +291,7 @@ class _Partners:
         return event if abs(event - time) <= within else time
 
 
-def _rows(query: VisibilityQuery, edges: Edges, pieces: _Pieces, partners: _Partners) -> Iterator[dict[str, Any]]:
+def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, partners: _Partners) -> Iterator[dict[str, Any]]:
     """Yield paths, with the times of their partners."""
     asked, within = pieces.candidates, max(_SAME_EVENT, _FARTHEST * query.resolution)
     begin, end = pieces.begin.copy(), pieces.end.copy()

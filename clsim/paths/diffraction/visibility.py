@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.acoustics.diffraction import TERMS, EdgeWay, edge_way, lit_angles
+from clsim.paths.specular.intervals import GRAZE
 from clsim.paths.specular.visibility import EVER, Reach, mirrored, moves_within, path_status
 from clsim.paths.trajectory_tables import PERTURBATIONS
 
@@ -176,8 +177,12 @@ class EdgeVisibility:
         ratio[rows] = np.where(free, np.minimum(ratio[rows], sure), sure)
         return valid, ratio * stance.reach, stance.reach
 
-    def sides(self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats) -> tuple[NDArray[np.int8], Bools]:
-        """Return on which sides of their boundaries candidates are, (n, 11), and whether that is sure within `half`.
+    def sides(
+        self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats
+    ) -> tuple[NDArray[np.int8], Bools, Bools]:
+        """Tell on which sides of their boundaries candidates are, (n, 11), if that is sure, and if they graze one.
+
+        It is sure where it holds within `half` of the times, s.
 
         The sides are those of the four partners, 1 where one is seen and -1 where not; of the end of the edge, 1 while
         the shortest way meets the edge, 0 for candidates that run over no end; of the partners at the second edge, 0
@@ -202,9 +207,17 @@ class EdgeVisibility:
         inside = np.where(end == 0, apex, self.edges.length[one] - apex)
         over_end = self.slides(stance, 0, np.full(len(end), -1), query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
+        margins = [np.abs(angles).min(axis=1), passed.min(axis=0), np.where(double, np.abs(others).min(axis=1), np.inf)]
+        off = np.minimum(
+            np.min(margins, axis=0) * np.minimum(*stance.distances), np.where(end < 0, np.inf, np.abs(inside))
+        )
         last = np.where(end < 0, 0, np.where(inside >= 0.0, 1, -1))
         second = np.where(double[:, None], np.where(others >= 0.0, 1, -1), 0)
-        return np.column_stack([np.where(angles >= 0.0, 1, -1), last, second, *beside]).astype(np.int8), sure
+        return (
+            np.column_stack([np.where(angles >= 0.0, 1, -1), last, second, *beside]).astype(np.int8),
+            sure,
+            off < GRAZE * query.walls.size,
+        )
 
     def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
         """Return how far the place on the first or second edge may move along it, (n,) m."""

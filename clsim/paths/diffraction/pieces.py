@@ -1,0 +1,138 @@
+"""Intervals of paths over edges, cut where partners of their terms begin or end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.diffraction import TERMS, partner_reflections
+from clsim.errors import InputError
+from clsim.paths.diffraction.visibility import SIDES, EdgeVisibility
+from clsim.paths.specular.intervals import GRAZE_TIME, MOST_EVALUATIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.diffraction.intervals import EdgeSearch
+    from clsim.paths.diffraction.visibility import EdgeCandidates
+
+_CHUNK = 20_000  # intervals looked at at a time, which bounds what waits
+MOST_TOGETHER = 10_000_000  # evaluations of all paths of a batch: their intervals take 350 MB at most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Stretches of candidates between boundaries of their terms.
+
+    Attributes
+    ----------
+    candidates : EdgeCandidates
+        The paths.
+    row : ndarray (n,) int
+        Of the candidates.
+    begin, end : ndarray (n,)
+        s.
+    sides : ndarray (n, 11) int8
+        See `EdgeVisibility.sides`.
+    """
+
+    candidates: EdgeCandidates
+    row: NDArray[np.int64]
+    begin: Floats
+    end: Floats
+    sides: NDArray[np.int8]
+
+
+def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell: Callable[[], None]) -> Pieces:
+    """Find the intervals in which candidates are active, and cut them at the boundaries of their terms.
+
+    Parameters
+    ----------
+    finder : EdgeSearch
+        What finds the intervals.
+    candidates : EdgeCandidates
+        The paths.
+    order : int
+        Most reflections; terms whose partners have more are left out.
+    tell : callable
+        Called every now and then.
+
+    Raises
+    ------
+    InputError
+        If a path needs more than `MOST_EVALUATIONS`, or all need more than `MOST_TOGETHER`.
+
+    Notes
+    -----
+    Certified subdivision, as of `find_intervals`. While a path runs along a boundary, as where source, receiver and
+    edge are in a plane of symmetry, no clearance is enough: an interval of `GRAZE_TIME` is one piece there if its sides
+    are the same at both ends and in the middle.
+    """
+    there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
+    ignored = _ignored(finder, candidates, order)
+    stack = [(there.path, there.begin, there.end)]
+    found: list[tuple[Any, ...]] = [(there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8))]
+    evaluations = np.zeros(len(candidates.edge), dtype=np.int64)
+    while stack:
+        row, begin, end = stack.pop()
+        if len(row) > _CHUNK:
+            stack.append((row[_CHUNK:], begin[_CHUNK:], end[_CHUNK:]))
+            row, begin, end = row[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
+        half = 0.5 * (end - begin)
+        sides, sure, grazes = visibility.sides(finder.query, row, begin + half, half)
+        sides[ignored[row]] = 0
+        done = sure | (2.0 * half <= finder.query.resolution)
+        unsure = np.flatnonzero(~done & grazes & (half <= 0.5 * GRAZE_TIME))
+        for instant in (begin, end) if len(unsure) else ():
+            beside, _, _ = visibility.sides(finder.query, row[unsure], instant[unsure], np.zeros(len(unsure)))
+            beside[ignored[row[unsure]]] = 0
+            unsure = unsure[np.all(beside == sides[unsure], axis=1)]
+        done[unsure] = True
+        np.add.at(evaluations, row, 1)
+        _refuse_endless(finder, candidates, evaluations)
+        tell()
+        found.append((row[done], begin[done], end[done], sides[done]))
+        row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
+        if len(row):
+            middle = begin + half
+            stack.append((np.append(row, row), np.append(begin, middle), np.append(middle, end)))
+    return _joined(candidates, *(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _ignored(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> NDArray[np.bool_]:
+    """Tell which sides (n, 11) do not matter: those of terms whose partners have too many reflections."""
+    ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)
+    met = candidates.before.shape[1] + candidates.after.shape[1]
+    for edge, term in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
+        ignored[:, term : term + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
+    return ignored
+
+
+def _refuse_endless(finder: EdgeSearch, candidates: EdgeCandidates, evaluations: NDArray[np.int64]) -> None:
+    worst = int(np.argmax(evaluations)) if len(evaluations) else 0
+    together = evaluations.sum()
+    if together > MOST_TOGETHER or (together and evaluations[worst] > MOST_EVALUATIONS):
+        raise InputError(
+            "diffraction",
+            f"must let paths over edges be settled within {MOST_EVALUATIONS} evaluations of each and {MOST_TOGETHER} "
+            f"of a batch, but one over {finder.edges.names[candidates.edge[worst, 0]]!r} has had {evaluations[worst]}: "
+            "it runs along a boundary of shadow or reflection; move an end a millimetre, shorten the run, lower "
+            "max_order, or give a larger resolution",
+        )
+
+
+def _joined(
+    candidates: EdgeCandidates, row: NDArray[np.int64], begin: Floats, end: Floats, sides: NDArray[np.int8]
+) -> Pieces:
+    """Sort intervals by path and time, and join those that touch and have the same sides."""
+    rank = np.lexsort((begin, row))
+    row, begin, end, sides = row[rank], begin[rank], end[rank], sides[rank]
+    first = np.append(True, (row[1:] != row[:-1]) | (begin[1:] != end[:-1]) | np.any(sides[1:] != sides[:-1], axis=1))
+    starts = np.flatnonzero(first[: len(row)])
+    stops = np.append(starts[1:], len(row))[: len(starts)] - 1
+    return Pieces(candidates, row[starts], begin[starts], end[stops], sides[starts])
