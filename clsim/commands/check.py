@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.commands.arguments import add_scene
+from clsim.numerics.quaternions import rotate
 from clsim.render.tails import left_by_images
+from clsim.scene.directivity.patterns import Omni
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import plan_scene
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
 
     from clsim.paths.path_set import PathSet
     from clsim.scene.motion.trajectory import Trajectory
+    from clsim.scene.scene import Scene
     from clsim.scene_file.scene import SceneFile
     from clsim.workflow.pipeline import PlannedScene
 
@@ -35,6 +39,7 @@ def execute(options: argparse.Namespace) -> int:
         print(line, flush=True)
     if file.paths["diffraction"]:
         print(*file.scene.room.edges().describe(), *_thin(file), sep="\n", flush=True)
+    print(*_facing(file.scene), sep="\n", flush=True)
     planned = plan_scene(file, progress)
     passing = [] if file.scene.room.is_convex and not file.scene.bodies else [_comings_and_goings(planned.paths)]
     for line in [*passing, *planned.plan.describe(), *_left_by_images(planned)]:
@@ -55,6 +60,20 @@ def _motion(trajectory: Trajectory) -> list[str]:
     length = np.linalg.norm(np.diff(trajectory.position(t), axis=0), axis=1).sum()
     speed = np.linalg.norm(trajectory.velocity(t), axis=1).max()
     return [f"{length:.3g} m in {trajectory.end - trajectory.start:.4g} s, at most {speed:.3g} m/s"]
+
+
+def _facing(scene: Scene) -> list[str]:
+    """Return the directions in which sources and receivers face at 0 s, neighbours that face alike in one line."""
+    rows = []
+    for field, end in scene.named_ends():
+        axis = rotate(end.orientation(np.zeros(1)), (1.0, 0.0, 0.0))[0].round(3) + 0.0
+        kind = ", omnidirectional" if isinstance(end.directivity, Omni) else ""
+        rows.append((field, f"faces ({', '.join(f'{x:g}' for x in axis)}) at 0 s{kind}"))
+    lines = []
+    for (_, direction), group in groupby(rows, lambda row: (row[0].partition("[")[0], row[1])):
+        fields = [field for field, _ in group]
+        lines.append(f"{' to '.join(dict.fromkeys((fields[0], fields[-1])))}: {direction}")
+    return lines
 
 
 def _left_by_images(planned: PlannedScene) -> list[str]:

@@ -48,7 +48,7 @@ name = "robot"
 # The signal is the sound pressure at 1 m on the axis. Other kinds: "chirp", "pulses", "noise", "sequence", "wav".
 signal = {{ kind = "tone", frequency = 40e3, duration = {duration:g}, sampling_rate = 192e3, fade = {fade:g} }}
 {trajectory}
-# directivity = {{ kind = "piston", radius = 0.0047 }}   # or "first-order", "table", "sofa"; aim = [1.0, 0.0, 0.0]
+# directivity = {{ kind = "piston", radius = 0.0047 }}   # or "first-order", "table", "sofa"; aim = "forward"
 
 [[receivers]]
 name = "ceiling"

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, as_number, short_repr
+from clsim.arrays import Floats, as_choice, as_floats, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.directivity.patterns import Omni
-from clsim.scene.motion.checks import LONGEST, as_direction
+from clsim.scene.motion.checks import LONGEST, as_direction, as_places
+from clsim.scene.motion.facing import forward, towards
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
@@ -36,8 +37,11 @@ class Source:
         Where it is and how it is turned.
     directivity : Directivity
         Gain by direction, 1 on the axis.
-    aim : array_like (3,), optional
-        A fixed direction in which the axis points; for trajectories without orientations of their own.
+    aim : array_like (3,) or "forward", optional
+        A fixed direction in which the axis points, or ``"forward"`` for that of the motion; for trajectories without
+        orientations of their own.
+    aim_at : array_like (3,), optional
+        A point at which the axis points from wherever the trajectory is, m; in place of `aim`.
     start : float
         Time at which the signal begins, s, from 0 to 1e9.
     transducer : Transducer, optional
@@ -46,7 +50,7 @@ class Source:
         Whether it sits in a wall: True on the side of the room, or a direction off the wall to the side that it is on,
         as a mesh that is open needs it.
     mounted_on : str, optional
-        Name of the body of the scene that carries it: trajectory and aim are then told in the body's own coordinates.
+        Name of the body of the scene that carries it: trajectory and aim are then given in the body's own coordinates.
         The ends of a `Scene` have trajectories in the room, and nothing here.
 
     Attributes
@@ -57,7 +61,13 @@ class Source:
     Raises
     ------
     InputError
-        If a value is of another kind or out of bounds.
+        If a value is of another kind or out of bounds, nothing moves ``"forward"``, or its direction jumps.
+
+    Notes
+    -----
+    ``aim="forward"`` and `aim_at` become orientations of `trajectory`, without roll: the +y axis stays horizontal. They
+    hold the axis within 1e-4 rad. Where a motion rests (below a fiftieth of its top speed) ``"forward"`` turns evenly
+    from one direction to the next.
     """
 
     name: str
@@ -69,12 +79,14 @@ class Source:
     transducer: Transducer | None = None
     flush: Any = False
     mounted_on: str | None = None
+    aim_at: Any = None
     emitted: Signal = field(init=False, repr=False)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "aim", _checked_end(self))
+        _check_end(self)
+        _settle_aim(self)
         object.__setattr__(self, "flush", _checked_flush(self.flush))
         object.__setattr__(self, "start", as_number("start", self.start, at_least=0.0, at_most=LONGEST, unit="s"))
         emitted = self.signal if self.transducer is None else self.transducer.drive(self.signal)
@@ -118,8 +130,11 @@ class Receiver:
         Where it is and how it is turned.
     directivity : Directivity
         Gain by direction, 1 on the axis.
-    aim : array_like (3,), optional
-        A fixed direction in which the axis points; for trajectories without orientations of their own.
+    aim : array_like (3,) or "forward", optional
+        A fixed direction in which the axis points, or ``"forward"`` for that of the motion; for trajectories without
+        orientations of their own.
+    aim_at : array_like (3,), optional
+        A point at which the axis points from wherever the trajectory is, m; in place of `aim`.
     transducer : Transducer, optional
         Response on the axis, V per Pa.
     electronics : Electronics, optional
@@ -143,11 +158,13 @@ class Receiver:
     electronics: Electronics | None = None
     flush: Any = False
     mounted_on: str | None = None
+    aim_at: Any = None
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "aim", _checked_end(self))
+        _check_end(self)
+        _settle_aim(self)
         object.__setattr__(self, "flush", _checked_flush(self.flush))
         if self.electronics is not None and not isinstance(self.electronics, Electronics):
             raise InputError("electronics", f"must be Electronics, but is {self.electronics!r:.80}")
@@ -201,8 +218,8 @@ class Receiver:
 End = Source | Receiver
 
 
-def _checked_end(item: End) -> Floats | None:
-    """Check name, trajectory, directivity and aim of a source or receiver; return the aim as an array."""
+def _check_end(item: End) -> None:
+    """Refuse a source or receiver whose name, trajectory, directivity or carrier is none."""
     if not isinstance(item.name, str) or not item.name.strip():
         raise InputError("name", f"must be a text that is not empty, but is {item.name!r:.80}")
     if not isinstance(item.trajectory, Trajectory):
@@ -215,11 +232,25 @@ def _checked_end(item: End) -> Floats | None:
         raise InputError("mounted_on", f"must name a body, and flush be left out, but is {item.mounted_on!r:.80}")
     if item.trajectory.start > 0.0:
         raise InputError("trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s")
-    if item.aim is None:
-        return None
-    if item.trajectory.has_orientation:
-        raise InputError("aim", "must be left out, because the trajectory has orientations of its own")
-    return as_direction("aim", item.aim)
+
+
+def _settle_aim(item: End) -> None:
+    """Make the aim of a source or receiver an array, or orientations of its trajectory."""
+    for name in ("aim", "aim_at"):
+        if getattr(item, name) is not None and item.trajectory.has_orientation:
+            raise InputError(name, "must be left out, because the trajectory has orientations of its own")
+    aim, trajectory = item.aim, item.trajectory
+    if item.aim_at is not None:
+        if aim is not None:
+            raise InputError("aim_at", "must be left out where aim is given")
+        trajectory = towards(trajectory, as_places("aim_at", item.aim_at, (3,)))
+    elif isinstance(aim, str):
+        as_choice("aim", aim, ("forward",))
+        aim, trajectory = None, forward(trajectory)
+    elif aim is not None:
+        aim = as_direction("aim", aim)
+    for name, value in (("aim", aim), ("aim_at", None), ("trajectory", trajectory)):
+        object.__setattr__(item, name, value)
 
 
 def _orientation(item: End, times: Floats) -> Floats:

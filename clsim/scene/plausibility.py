@@ -1,4 +1,4 @@
-"""What is allowed but hardly meant: rooms and signals in other units than metres and hertz, transmitters that hear."""
+"""Warnings of what is allowed but hardly meant: other units than metres and hertz, swapped roles, missing aims."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 from typing import TYPE_CHECKING
 
 from clsim.errors import warn
+from clsim.scene.directivity.patterns import Omni
 from clsim.scene.transducer.transducer import TRANSDUCER_NAMES, Transducer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from clsim.scene.ends import Receiver, Source
+    from clsim.scene.ends import End, Receiver, Source
     from clsim.scene.room.protocol import Room
 
 _LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units
@@ -41,6 +42,18 @@ def warn_of_roles(sources: Sequence[Source], receivers: Sequence[Receiver]) -> N
             if given is not None and (given.name, given.sensitivity) == (wrong, known.sensitivity):
                 warn(f"{field}[{i}].transducer: {wrong} {what}")
                 break
+
+
+def warn_of_facing(ends: Sequence[tuple[str, End]]) -> None:
+    """Warn of the first directional end that moves but faces +x all the time because nothing says otherwise."""
+    for field, end in ends:
+        motion = end.trajectory
+        if end.aim is None and not (motion.is_static or motion.has_orientation or isinstance(end.directivity, Omni)):
+            warn(
+                f"{field}: {end.name!r} moves and is directional, but faces +x all the time, as its trajectory has no "
+                'orientations; give aim = "forward", aim_at = [x, y, z], or a direction such as aim = [1, 0, 0]'
+            )
+            break
 
 
 def _doubt_in_size(room: Room) -> str:

@@ -15,7 +15,7 @@ from clsim.scene.body import Body, with_carriers
 from clsim.scene.body_checks import check_bodies
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.placement import check_distances, check_motions, check_scatterers, check_sides, first_place
-from clsim.scene.plausibility import warn_of_roles, warn_of_units
+from clsim.scene.plausibility import warn_of_facing, warn_of_roles, warn_of_units
 from clsim.scene.room.protocol import Room, checked_room
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.view import scene_page
@@ -56,7 +56,8 @@ class Scene:
     Warns
     -----
     ClsimWarning
-        If all ends are outside a watertight mesh, or the room's size or a signal's frequency look like another unit.
+        If all ends are outside a watertight mesh, the room's size or a signal's frequency look like another unit, or
+        a directional end moves without orientation or aim.
     """
 
     room: Room
@@ -89,6 +90,7 @@ class Scene:
         check_sides(self.room, ends)
         warn_of_units(self.room, self.sources)
         warn_of_roles(self.sources, self.receivers)
+        warn_of_facing(ends)
         for i, source in enumerate(self.sources):
             check_distances(f"sources[{i}]", source, self.receivers, distance)
             if source.end > source.trajectory.end * (1 + 1e-12) + 1e-9:

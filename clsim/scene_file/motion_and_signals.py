@@ -35,6 +35,7 @@ class _Chirp(Model):
     method: Literal["linear", "exponential"] = "linear"
     window: Literal["none", "tukey", "hann"] = "none"
     amplitude: float = 1.0
+    fade: float = 0.0
 
     def build(self, base: Path) -> Signal:
         """Return the chirp."""
@@ -48,6 +49,7 @@ class _Noise(Model):
     seed: int
     band: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     rms: float = 1.0
+    fade: float = 0.0
 
     def build(self, base: Path) -> Signal:
         """Return the noise, the same for the same seed."""

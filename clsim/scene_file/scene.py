@@ -59,7 +59,8 @@ class _Air(Model):
 class _Common(Model):
     name: str
     directivity: DirectivityModel = OmniModel()
-    aim: Vector | None = None
+    aim: Vector | Literal["forward"] | None = None
+    aim_at: Vector | None = None
     transducer: TransducerModel | None = None
     flush: bool | Vector = False
     mounted_on: str | None = None
@@ -71,6 +72,7 @@ class _Common(Model):
             "name": self.name,
             "directivity": within("directivity", lambda: self.directivity.build(base)),
             "aim": self.aim,
+            "aim_at": self.aim_at,
             "flush": self.flush,
             "mounted_on": self.mounted_on,
             "transducer": None if model is None else within("transducer", lambda: model.build(base)),

@@ -60,7 +60,7 @@ TEXTS = {
     "interpolator": "The filter that delays.",
     "baseband": "Complex envelopes about a carrier instead of sound.",
     "phases": "One per magnitude, rad.",
-    "aim": "A fixed direction in which the axis points; for trajectories without orientations of their own.",
+    "aim": "A fixed direction in which the axis points, or `\"forward\"` for that of the motion; for trajectories without orientations of their own.",
     "flush": "Whether it sits in a wall, or the direction off the wall that it sits in.",
     "rear": "Beyond the last angle of the table: as there, mirrored, or nothing.",
     "side": "Which side of a table of -180° to 180° counts.",

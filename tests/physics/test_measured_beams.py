@@ -40,7 +40,7 @@ def world(signal: clsim.Signal, beam, walls: clsim.Material) -> clsim.Scene:
     start = np.array([1.5, 2.0, 1.2])
     way = clsim.Trajectory.line(start, start + 0.2 * VELOCITY, 0.2)
     ear = clsim.Receiver("ear", clsim.Trajectory.fixed((3.6, 2.6, 1.5)))
-    return clsim.Scene(clsim.Shoebox(SIZE, walls), AIR, [clsim.Source("s", signal, way, beam)], [ear])
+    return clsim.Scene(clsim.Shoebox(SIZE, walls), AIR, [clsim.Source("s", signal, way, beam, aim=(1, 0, 0))], [ear])
 
 
 def by_hand(scene: clsim.Scene, paths: clsim.PathSet, times: np.ndarray, rate: float, count: int) -> np.ndarray:

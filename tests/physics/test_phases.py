@@ -123,12 +123,15 @@ def test_an_image_is_a_mirrored_source_in_the_open(engine: str) -> None:
     ears = [clsim.Receiver("r", clsim.Trajectory.fixed((2.4, 1.7, 1.1)), Lopsided())]
     here = clsim.Trajectory.line((1.0, 1.0, 2.0), (1.6, 2.0, 2.2), 0.2)
     mirrored = clsim.Trajectory.line((4.0, 1.0, 2.0), (3.4, 2.0, 2.2), 0.2)
-    inside = clsim.Scene(clsim.Shoebox((9, 4, 3), wall), AIR, [clsim.Source("s", signal, here, Lopsided())], ears)
+    ahead = (1.0, 0.0, 0.0)
+    source = clsim.Source("s", signal, here, Lopsided(), aim=ahead)
+    inside = clsim.Scene(clsim.Shoebox((9, 4, 3), wall), AIR, [source], ears)
     made = clsim.render(clsim.find_paths(inside, 1), RATE, engine=engine, duration=0.05).pressure[0]
     # The same ears, 5 m on: the wall is at x = 5, and the image at 5 - x.
     on = [clsim.Receiver("r", clsim.Trajectory.fixed((7.4, 1.7, 1.1)), Lopsided())]
-    direct = clsim.Source("s", signal, clsim.Trajectory.line((6.0, 1.0, 2.0), (6.6, 2.0, 2.2), 0.2), Lopsided())
-    image = clsim.Source("i", signal, mirrored, _Seen(Lopsided()))
+    moved = clsim.Trajectory.line((6.0, 1.0, 2.0), (6.6, 2.0, 2.2), 0.2)
+    direct = clsim.Source("s", signal, moved, Lopsided(), aim=ahead)
+    image = clsim.Source("i", signal, mirrored, _Seen(Lopsided()), aim=ahead)
     room = clsim.Shoebox((20, 4, 3), clsim.Material.from_reflection(0.0))
     both = clsim.Scene(room, AIR, [direct, image], on)
     wanted = clsim.render(clsim.find_paths(both, 0), RATE, engine=engine, duration=0.05).pressure[0]

@@ -54,7 +54,8 @@ def scene(source: Source, receiver: Receiver, **more: float) -> Scene:
         (lambda: Receiver("r", HERE, aim=(0.0, 1e300, 0.0)), r"^aim\[1\]: must be within"),
         (lambda: Receiver("r", HERE, aim=(0.0, 0.0, 0.0)), "^aim: must be a direction, but is 0, 0, 0"),
         (lambda: scene(Source("s", TONE, HERE), Receiver("r", Trajectory.fixed((2, 2, 1))), min_distance=1e-300), "^min_distance: must be at least 1e-06 m"),
-        (lambda: Piston(1e300), "^radius: must be at most 1000 m"),
+        (lambda: Piston(1e300), "^radius: must be at most 1 m"),
+        (lambda: Piston(4.7), "^radius: must be at most 1 m, but is 4.7 m; .*: 4.7 mm are 0.0047 m"),
         (lambda: Transducer.resonance(40e3, 2e3, 1e300), "^sensitivity: must be at most"),
         (lambda: Transducer.from_table([1e3, 2e3], [1.0, 1e300]), r"^values\[1\]: must be within"),
         (lambda: Transducer.from_impulse_response([1e-300], 192e3), "^samples: must not all be 0"),
@@ -77,7 +78,7 @@ def test_what_is_beyond_all_use_is_refused_by_name(make, message: str) -> None:
     [
         lambda: Signal.tone(0.01, 100.0, 1e3, amplitude=-1e6),
         lambda: Signal.tone(5e6, 1e-5, 20e6, amplitude=20e-6),
-        lambda: Signal.from_array([8_388_607, -8_388_608], 96e3),
+        lambda: Signal.from_array([8_388_607, -8_388_608], 96e3, scale=2.0**-23),
         lambda: Signal.pulses(TONE, 0.1, 864_000),
         lambda: Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=192e3, repeats=2000),
         lambda: Air(speed_of_sound=135.0),

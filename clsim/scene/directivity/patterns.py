@@ -10,6 +10,7 @@ import numpy as np
 
 from clsim.acoustics.directivity import first_order_gain, piston_gain
 from clsim.arrays import Floats, as_number
+from clsim.errors import InputError
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, name_directivity
 
@@ -25,6 +26,7 @@ _NICERA_ANGLES = np.arange(0.0, 91.0, 10.0)  # degrees
 _NICERA_DB = np.array([0.0, 0.0, 0.0, -1.0, -3.0, -6.0, -9.0, -12.0, -14.0, -15.0])
 
 _EVERYWHERE = (0.0, math.inf)
+_LARGEST_RADIUS = 1.0  # m, beyond which no room is in a piston's far field
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +118,12 @@ class Piston(AxisymmetricDirectivity):
     Parameters
     ----------
     radius : float
-        Radius of the piston, m.
+        Radius of the piston, m; at most 1.
 
     Raises
     ------
     InputError
-        If the radius is not positive.
+        If the radius is not from 1 µm to 1 m.
 
     Examples
     --------
@@ -135,7 +137,7 @@ class Piston(AxisymmetricDirectivity):
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", as_number("radius", self.radius, at_least=1e-6, at_most=1e3, unit="m"))
+        object.__setattr__(self, "radius", _checked_radius(self.radius))
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return the gain; see `AxisymmetricDirectivity.gain`.
@@ -155,6 +157,18 @@ class Piston(AxisymmetricDirectivity):
             Gain, 1.
         """
         return piston_gain(cosine, frequency, self.radius, speed_of_sound)
+
+
+def _checked_radius(radius: float) -> float:
+    """Return the radius of a piston, m; what is larger than a metre was given in millimetres."""
+    radius = as_number("radius", radius, at_least=1e-6, unit="m")
+    if radius > _LARGEST_RADIUS:
+        raise InputError(
+            "radius",
+            f"must be at most {_LARGEST_RADIUS:g} m, but is {radius:g} m; lengths are in metres: "
+            f"{radius:g} mm are {1e-3 * radius:g} m",
+        )
+    return radius
 
 
 def _nicera(outside: str | None) -> AxialDirectivity:

@@ -53,15 +53,15 @@ def read_sofa_table(path: str | PathLike[str], measurement: int) -> tuple[Floats
 
 
 def _opened(path: Path) -> Any:
-    check_packages("path", f"reading {path}", "sofa", "sofar")
-    import sofar
-
     if path.suffix != ".sofa":
         raise InputError("path", f"must end in .sofa, but is {path}")
     try:
         check_file(path, LARGEST_BINARY)
     except OSError as error:
         raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
+    check_packages("path", f"reading {path}", "sofa", "sofar")
+    import sofar
+
     _check_size(path)
     try:
         # Conventions that sofar does not know and versions that it no longer has are read all the same.

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number
-from clsim.errors import InputError
+from clsim.errors import InputError, warn
 
 SHORTEST, LONGEST = 1e-9, 1e9  # s, bounds of lengths of time
 _NO_LENGTH = 1e-100  # of a direction
+_TWO_TURNS = 4.0 * np.pi + 1e-9  # rad
 
 
 def as_span(field_name: str, value: Any) -> float:
@@ -50,6 +51,15 @@ def as_direction(field_name: str, value: Any) -> Floats:
     if not np.linalg.norm(direction) > _NO_LENGTH:
         raise InputError(field_name, f"must be a direction, but is {', '.join(f'{x:g}' for x in direction)}")
     return direction
+
+
+def question_turns(field_name: str, largest: float) -> None:
+    """Warn of angles of more than two turns, rad: degrees, more often than something that spins."""
+    if largest > _TWO_TURNS:
+        warn(
+            f"{field_name}: {largest:.6g} rad are {largest / (2.0 * np.pi):.3g} turns; angles are in radians: "
+            f"{largest:.6g} degrees are {np.radians(largest):.6g} rad"
+        )
 
 
 def as_increasing(times: Any) -> Floats:

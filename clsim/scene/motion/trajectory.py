@@ -21,6 +21,7 @@ from clsim.scene.motion.checks import (
     as_places,
     as_span,
     as_topic,
+    question_turns,
 )
 from clsim.scene.motion.curves import Circular, Static, Straight, frame_about, kinks, legs_through, spline_through
 from clsim.scene.motion.motion import Motion
@@ -162,6 +163,11 @@ class Trajectory(Motion):
         InputError
             If a value is not finite or out of range, or the axis is zero.
 
+        Warns
+        -----
+        ClsimWarning
+            If the phase is beyond two turns: degrees, more often than radians.
+
         Examples
         --------
         >>> circle = Trajectory.circle((4, 3, 1.5), radius=1.0, period=1.0, duration=2.0)
@@ -170,13 +176,15 @@ class Trajectory(Motion):
                [4. , 4. , 1.5]])
         """
         e1, e2 = frame_about(as_direction("axis", axis))
+        phase = as_number("phase", phase, at_least=-LONGEST, at_most=LONGEST, unit="rad")
+        question_turns("phase", abs(phase))
         curve = Circular(
             as_places("center", center, (3,)),
             read_only(e1),
             read_only(e2),
             as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m"),
             2.0 * math.pi / as_span("period", period),
-            as_number("phase", phase, at_least=-LONGEST, at_most=LONGEST, unit="rad"),
+            phase,
         )
         return Trajectory(curve, 0.0, as_span("duration", duration))
 
@@ -214,6 +222,11 @@ class Trajectory(Motion):
         InputError
             If the axis has no length, lengths differ, a value is not finite or times do not increase.
 
+        Warns
+        -----
+        ClsimWarning
+            If angles are beyond two turns: degrees, more often than radians.
+
         Examples
         --------
         >>> door = Trajectory.swing((2, 0, 0), (0, 0, 1), [0.0, 1.5], [0.0, 2.0], origin=(3, 0, 0))
@@ -223,6 +236,7 @@ class Trajectory(Motion):
         """
         t = as_increasing(times)
         theta = as_floats("angles", angles, (len(t),), within=LONGEST, unit="rad")
+        question_turns("angles", float(np.abs(theta).max()))
         point = as_places("axis_point", axis_point, (3,))
         unit = as_direction("axis", axis)
         unit = unit / np.abs(unit).max()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
-from clsim.errors import InputError
+from clsim.errors import InputError, warn
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.scene.signal.sequences import SEQUENCES, binary_sequence, most_repeats
 from clsim.scene.signal.waveforms import Chirp, Noise, Pulses, Samples, Sequence, Tone, Waveform
@@ -24,6 +24,8 @@ _ALL_SEGMENTS = 400  # above which segments are picked
 _WINDOW = 0.04  # s, of a short-time spectrum
 _QUIET_WINDOW = 1e-6  # energy of a window relative to the loudest, below which it is taken relative to this level
 _LONGEST = 1e7  # s
+_TAPERS = {"none": 0.0, "tukey": 0.1, "hann": 0.5}  # share of a chirp's duration in which its envelope rises
+_REFERENCE, _LOUD = 20e-6, 160.0  # Pa and dB SPL, above which samples are hardly in Pa
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +38,25 @@ class Signal:
         What gives the samples.
     sampling_rate : float
         Hz.
+
+    Raises
+    ------
+    InputError
+        If it is given samples, which `from_array` takes.
     """
 
     waveform: Waveform
     sampling_rate: float
 
     __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        if not hasattr(self.waveform, "read"):
+            raise InputError(
+                "waveform",
+                f"must be a waveform, but is {type(self.waveform).__name__}; "
+                "samples are taken by Signal.from_array(samples, sampling_rate)",
+            )
 
     @property
     def count(self) -> int:
@@ -243,11 +258,10 @@ class Signal:
         """
         rate = _rate(sampling_rate)
         duration = _duration(duration, rate)
-        fade = as_number("fade", fade, at_least=0.0, at_most=duration / 2, unit="s")
         return cls(
             Tone(
                 _frequency("frequency", frequency, rate), duration, _amplitude(amplitude),
-                as_number("phase", phase, at_least=-1e9, at_most=1e9, unit="rad"), fade,
+                as_number("phase", phase, at_least=-1e9, at_most=1e9, unit="rad"), _fade(fade, duration),
             ),
             rate,
         )  # fmt: skip
@@ -262,6 +276,7 @@ class Signal:
         method: str = "linear",
         window: str = "none",
         amplitude: float = 1.0,
+        fade: float = 0.0,
     ) -> Signal:
         """Return a sweep from one frequency to another.
 
@@ -277,6 +292,8 @@ class Signal:
             Envelope; ``"tukey"`` rises and falls within a tenth of the duration each.
         amplitude : float
             Pa.
+        fade : float
+            Length of a raised-cosine rise and fall, s, in place of a window; at most half the duration.
 
         Returns
         -------
@@ -300,11 +317,15 @@ class Signal:
         """
         rate = _rate(sampling_rate)
         as_choice("method", method, ("linear", "exponential"))
-        as_choice("window", window, ("none", "tukey", "hann"))
+        as_choice("window", window, tuple(_TAPERS))
+        duration = _duration(duration, rate)
+        fade = _fade(fade, duration)
+        if fade > 0.0 and window != "none":
+            raise InputError("fade", f"must be left out with a window, but is {fade:g} s beside {window!r}")
         return cls(
             Chirp(
-                _frequency("start", start, rate), _frequency("stop", stop, rate), _duration(duration, rate), method,
-                {"none": 0.0, "tukey": 0.1, "hann": 0.5}[window], _amplitude(amplitude),
+                _frequency("start", start, rate), _frequency("stop", stop, rate), duration, method,
+                fade / duration or _TAPERS[window], _amplitude(amplitude),
             ),
             rate,
         )  # fmt: skip
@@ -354,6 +375,7 @@ class Signal:
         seed: int,
         band: tuple[float, float] | None = None,
         rms: float = 1.0,
+        fade: float = 0.0,
     ) -> Signal:
         """Return Gaussian noise, the same for the same seed.
 
@@ -366,7 +388,10 @@ class Signal:
         band : (low, high), optional
             Pass band, Hz; white up to half the sampling rate when left out.
         rms : float
-            Root mean square, Pa.
+            Root mean square between the fades, Pa.
+        fade : float
+            Length of a raised-cosine rise and fall, s; at most half the duration. Abrupt ends sound over all
+            frequencies, outside of the band too.
 
         Returns
         -------
@@ -390,7 +415,7 @@ class Signal:
         40000.0
         """
         rate = _rate(sampling_rate)
-        ends = None
+        ends, duration = None, _duration(duration, rate)
         if band is not None:
             low, high = as_floats("band", band, (2,))
             as_number("band[0]", float(low), at_least=0.0, unit="Hz")
@@ -398,8 +423,8 @@ class Signal:
             ends = (float(low), float(high))
         return cls(
             Noise(
-                _duration(duration, rate), as_count("seed", seed, at_least=0, at_most=2**64 - 1), ends,
-                as_number("rms", rms, at_least=0.0, at_most=LOUDEST, unit="Pa"),
+                duration, as_count("seed", seed, at_least=0, at_most=2**64 - 1), ends,
+                as_number("rms", rms, at_least=0.0, at_most=LOUDEST, unit="Pa"), _fade(fade, duration),
             ),
             rate,
         )  # fmt: skip
@@ -463,15 +488,18 @@ class Signal:
         return cls(Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, _amplitude(amplitude)), rate)
 
     @classmethod
-    def from_array(cls, samples: Any, sampling_rate: float) -> Signal:
-        """Return a signal from samples (n,) in Pa.
+    def from_array(cls, samples: Any, sampling_rate: float, scale: float | None = None) -> Signal:
+        """Return a signal from samples (n,).
 
         Parameters
         ----------
         samples : array_like (n,)
-            Pa, or V for a transducer.
+            Numbers in units of `scale`.
         sampling_rate : float
             Hz.
+        scale : float, optional
+            Of a sample of 1, Pa, or V for a transducer; 1 where left out. Integers need it: they are steps of a
+            converter, whose full scale is rarely 32767 Pa.
 
         Returns
         -------
@@ -481,15 +509,33 @@ class Signal:
         Raises
         ------
         InputError
-            If the samples are no finite numbers, louder than any sound, or not (n,), or the rate is out of bounds.
+            If the samples are no finite numbers, louder than any sound, or not (n,), integers have no scale, or the
+            rate is out of bounds.
+
+        Warns
+        -----
+        ClsimWarning
+            Above 160 dB SPL.
 
         Examples
         --------
         >>> Signal.from_array([0.0, 1.0, 0.0], 48e3).read(-1, 2)
         array([0., 0., 1.])
+        >>> Signal.from_array(np.array([0, 16384, 0], dtype=np.int16), 48e3, scale=1 / 32768).read(0, 2)
+        array([0. , 0.5])
         """
-        rate = _rate(sampling_rate)
-        return cls(_with_centroid(as_floats("samples", samples, (None,), within=LOUDEST, unit="Pa"), rate), rate)
+        rate, pressure = _rate(sampling_rate), as_floats("samples", samples, (None,), within=LOUDEST, unit="Pa")
+        kind = np.asarray(samples).dtype
+        if scale is not None:
+            pressure = as_floats("samples", pressure * as_scale(scale), (None,), within=LOUDEST, unit="Pa")
+        elif np.issubdtype(kind, np.integer):
+            raise InputError(
+                "scale",
+                f"must be given for integers ({kind}), the pressure of a sample of 1 in Pa: full scale of 16 bits is "
+                "1 Pa with scale=1 / 32768",
+            )
+        _question_level("samples", pressure)
+        return cls(_with_centroid(pressure, rate), rate)
 
     @classmethod
     def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0) -> Signal:
@@ -513,10 +559,16 @@ class Signal:
         ------
         InputError
             If the file is missing or no sound file, has no such channel, is too long, or holds what is no finite sound.
+
+        Warns
+        -----
+        ClsimWarning
+            Above 160 dB SPL.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel)
         samples *= scale
+        _question_level("scale", samples)
         return cls(_with_centroid(read_only(samples), _rate(rate)), rate)
 
 
@@ -540,6 +592,17 @@ def _hann(length: int) -> Floats:
     return np.asarray(np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2)
 
 
+def _question_level(field: str, pressure: NDArray[Any]) -> None:
+    """Warn of samples above 160 dB SPL: of a converter's steps, or of another unit."""
+    peak = float(np.abs(pressure).max())
+    level = 20.0 * math.log10(max(peak, _REFERENCE) / (math.sqrt(2.0) * _REFERENCE))
+    if level > _LOUD:
+        warn(
+            f"{field}: gives samples of up to {peak:.5g} Pa, as loud as a tone of {level:.0f} dB SPL at 1 m; "
+            "scale is the pressure of a sample of 1, in Pa"
+        )
+
+
 def _with_centroid(samples: NDArray[Any], rate: float) -> Samples:
     """Return samples with the centroid of their energy as centre frequency; silence has none."""
     frequencies, energy = Signal(Samples(samples, rate, None), rate).energy_spectrum()
@@ -557,6 +620,10 @@ def _amplitude(amplitude: float) -> float:
 
 def _duration(duration: float, rate: float) -> float:
     return as_number("duration", duration, at_least=1.0 / rate, at_most=_LONGEST, unit="s")
+
+
+def _fade(fade: float, duration: float) -> float:
+    return as_number("fade", fade, at_least=0.0, at_most=duration / 2, unit="s")
 
 
 def _frequency(field: str, frequency: float, rate: float) -> float:

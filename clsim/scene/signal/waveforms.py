@@ -199,6 +199,7 @@ class Noise:
     seed: int
     band: tuple[float, float] | None
     rms: float
+    fade: float
 
     @property
     def centre_frequency(self) -> float | None:
@@ -211,6 +212,13 @@ class Noise:
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
         """Return samples."""
+        out = self._steady(first, last, sampling_rate)
+        if self.fade > 0.0:
+            _taper(out, first, sampling_rate, self.duration, self.fade)
+        return out
+
+    def _steady(self, first: int, last: int, sampling_rate: float) -> Floats:
+        """Return samples without the rise and fall."""
         if self.band is None:
             return self.rms * white_noise(self.seed, first, last)
         from scipy.fft import irfft, rfft

@@ -110,7 +110,7 @@ def test_check_says_what_a_mesh_is_like(mesh_scene: Path, capsys) -> None:
     without_screen(mesh_scene)
     assert main(["check", str(mesh_scene)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[1:5] == [
+    assert [line for line in lines if "faces (" not in line][1:5] == [
         "room: watertight",
         "sources[0]: 'robot' is inside at 0 s",
         "receivers[0]: 'mic' is inside at 0 s",

@@ -3,6 +3,7 @@
 import io
 import os
 import struct
+import sys
 import zipfile
 from pathlib import Path
 
@@ -39,6 +40,14 @@ def test_named_pipes_and_devices_are_no_files(name: str, tmp_path: Path) -> None
     (tmp_path / name).symlink_to("/dev/zero")
     with pytest.raises(InputError, match="it is a device, not a file"):
         READERS[name](tmp_path / name)
+
+
+def test_what_is_no_file_is_named_without_the_package_that_would_read_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "sofar", None)
+    with pytest.raises(InputError, match="No such file"):
+        READERS["beam.sofa"](tmp_path / "beam.sofa")
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -12,6 +12,7 @@ from exhaustive import few
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scene_fields import leaves, refusal, written
+from scipy.spatial.transform import Rotation
 
 import clsim
 from clsim.scene_file import load_scene
@@ -35,13 +36,15 @@ transducer = { kind = "resonance", frequency = 40e3, width = 2.4e3, sensitivity 
 [[sources]]
 name = "beacon"
 start = 0.01
-signal = { kind = "pulses", pulse = { kind = "chirp", start = 39e3, stop = 41e3, duration = 1e-3, sampling_rate = 192e3 }, period = 0.01, count = 3 }
+signal = { kind = "pulses", pulse = { kind = "chirp", start = 39e3, stop = 41e3, duration = 1e-3, sampling_rate = 192e3, fade = 1e-4 }, period = 0.01, count = 3 }
 trajectory = { kind = "waypoints", times = [0.0, 1.0, 2.0], positions = [[1, 1, 1], [2, 1, 1], [2, 2, 1]] }
 directivity = { kind = "named", name = "MA40S4S" }
+aim = "forward"
 [[receivers]]
 name = "ceiling"
 trajectory = { kind = "fixed", position = [1.0, 1.0, 2.9] }
 directivity = { kind = "first-order", weight = 0.5 }
+aim_at = [4.0, 3.0, 1.5]
 transducer = { kind = "table", frequencies = [10e3, 40e3, 90e3], magnitudes = [0.001, 0.002, 0.001], outside = "zero" }
 electronics = { ambient_noise_db = 10.0, self_noise_db = 5.0, seed = 3, low_cut = 20e3, high_cut = 80e3, order = 4, gain_db = 40.0, adc_bits = 12, adc_full_scale = 1.0, clock_ppm = 50.0, clock_offset = 0.001 }
 [paths]
@@ -75,6 +78,13 @@ def test_the_file_says_what_the_constructors_say(tmp_path: Path) -> None:
     assert beacon.start == 0.01
     np.testing.assert_allclose(robot.trajectory.position(0.25), [4, 4, 1.5], atol=1e-12)
     np.testing.assert_allclose(file.scene.room.reflections(50e3)[[0, 4]], [0.9, math.sqrt(0.8)])
+    # The parabola through the beacon's points leaves the first one at (1.5, -0.5) m/s; the ceiling looks down at (4, 3, 1.5).
+    faces = [
+        Rotation.from_quat(end.orientation(np.zeros(1))[0]).apply([1.0, 0.0, 0.0])
+        for end in (beacon, file.scene.receivers[0])
+    ]
+    for axis, towards in zip(faces, [(1.5, -0.5, 0.0), (3.0, 2.0, -1.4)], strict=True):
+        np.testing.assert_allclose(axis, np.array(towards) / np.linalg.norm(towards), rtol=0, atol=1e-4)
 
 
 def test_completed_scene_is_the_same_from_another_folder(tmp_path: Path) -> None:
@@ -83,7 +93,9 @@ def test_completed_scene_is_the_same_from_another_folder(tmp_path: Path) -> None
     walk = {"kind": "file", "path": "walk.txt", "format": "tum", "smooth": False}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        file = build_scene(changed(("sources", 1, "trajectory"), walk), tmp_path)
+        content = changed(("sources", 1, "trajectory"), walk)
+        del content["sources"][1]["aim"]  # the file has orientations
+        file = build_scene(content, tmp_path)
         other = tmp_path / "out" / "deep"
         other.mkdir(parents=True)
         (other / "scene.toml").write_text(completed_scene(file, other, duration=0.07))

@@ -3,6 +3,7 @@
 import tracemalloc
 from decimal import Decimal, localcontext
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import soundfile
 from scipy.signal import correlate, firwin
 from scipy.signal.windows import hann, tukey
 
-from clsim import InputError, Signal
+from clsim import ClsimWarning, InputError, Signal
 from clsim.scene.signal.occupied_bandwidth import spectra
 from clsim.scene.signal.sequences import binary_sequence
 
@@ -23,10 +24,12 @@ SIGNALS = {
     "pulses": Signal.pulses(PULSE, 0.05, 4),
     "white": Signal.noise(0.2, RATE, seed=3),
     "band": Signal.noise(0.2, RATE, seed=3, band=(30e3, 50e3)),
+    "faded": Signal.noise(0.2, RATE, seed=3, band=(30e3, 50e3), fade=0.03),
+    "faded chirp": Signal.chirp(20e3, 80e3, 0.2, RATE, fade=0.03),
     "sequence": Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, bits=7),
-    "array": Signal.from_array(np.arange(1.0, 9000.0), RATE),
-    "faster": Signal.from_array(np.arange(1.0, 9000.0), 44_100).at_rate(RATE),
-    "slower": Signal.from_array(np.arange(1.0, 9000.0), 250e3).at_rate(RATE),
+    "array": Signal.from_array(np.arange(1.0, 9000.0), RATE, scale=0.1),
+    "faster": Signal.from_array(np.arange(1.0, 9000.0), 44_100, scale=0.1).at_rate(RATE),
+    "slower": Signal.from_array(np.arange(1.0, 9000.0), 250e3, scale=0.1).at_rate(RATE),
 }
 
 
@@ -300,6 +303,16 @@ def test_wav_with_nan_or_nothing_is_refused(tmp_path) -> None:
         (lambda: Signal.tone(40e3, 1.0, -1), "sampling_rate"),
         (lambda: Signal.tone(40e3, 1.0, RATE, fade=0.6), "fade"),
         (lambda: Signal.chirp(1e3, 2e3, 1.0, RATE, window="box"), "window"),
+        (lambda: Signal.chirp(1e3, 2e3, 1.0, RATE, window="hann", fade=0.1), "fade: must be left out with a window"),
+        (lambda: Signal.chirp(1e3, 2e3, 1.0, RATE, fade=0.51), "fade: must be at most 0.5 s"),
+        (lambda: Signal.noise(1.0, RATE, seed=1, fade=-0.1), "fade: must be at least 0 s"),
+        (
+            lambda: Signal(np.zeros(9), RATE),
+            r"waveform: .* is ndarray; samples are taken by Signal\.from_array\(samples",
+        ),
+        (lambda: Signal.from_array(np.zeros(9, dtype=np.int16), RATE), r"scale: must be given for integers \(int16\)"),
+        (lambda: Signal.from_array([0, 1, 0], RATE), r"scale: must be given for integers \(int64\)"),
+        (lambda: Signal.from_array([0.0, 1e12], RATE, scale=2.0), r"samples\[1\]: must be within 1e\+12 Pa"),
         (lambda: Signal.noise(1.0, RATE, seed=-1), "seed"),
         (lambda: Signal.noise(1.0, RATE, seed=2**64), "seed"),
         (lambda: Signal.noise(1.0, RATE, seed=1, band=(5e3, 4e3)), r"band\[1\]"),
@@ -318,6 +331,48 @@ def test_wav_with_nan_or_nothing_is_refused(tmp_path) -> None:
 def test_bad_input_names_the_field(make, field: str) -> None:
     with pytest.raises(InputError, match=f"^{field}"):
         make()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda fade: Signal.tone(40e3, 0.02, RATE, phase=0.5 * np.pi, fade=fade),
+        lambda fade: Signal.chirp(20e3, 80e3, 0.02, RATE, fade=fade),
+        lambda fade: Signal.noise(0.02, RATE, seed=3, fade=fade),
+        lambda fade: Signal.noise(0.02, RATE, seed=3, band=(30e3, 50e3), fade=fade),
+    ],
+)
+def test_fades_are_raised_cosines_at_both_ends(make) -> None:
+    whole, fade = make(0.0), 0.005
+    t = np.arange(whole.count) / RATE
+    rise = np.minimum(np.minimum(t, 0.02 - t) / fade, 1.0)
+    wanted = whole.read(0, whole.count) * 0.5 * (1.0 - np.cos(np.pi * rise))
+    np.testing.assert_allclose(make(fade).read(0, whole.count), wanted, rtol=0, atol=1e-13)
+
+
+def test_faded_noise_stays_in_its_band() -> None:
+    """Abrupt ends sound over all frequencies; a fade of 5 ms is 80 dB down 4 kHz off the band's filter."""
+    outside = []
+    for fade in (0.0, 5e-3):
+        signal = Signal.noise(0.05, RATE, seed=1, band=(30e3, 50e3), fade=fade)
+        energy = np.abs(np.fft.rfft(signal.read(-1000, signal.count + 1000))) ** 2
+        frequencies = np.fft.rfftfreq(signal.count + 2000, 1.0 / RATE)
+        outside.append(10.0 * np.log10(energy[frequencies < 25e3].sum() / energy.sum()))
+    assert outside[1] < -75.0 < outside[0] + 30.0
+
+
+def test_loud_samples_are_questioned(tmp_path: Path) -> None:
+    loud = np.array([0.0, 3000.0, -3000.0])  # 160.5 dB SPL as a tone of that peak
+    with pytest.warns(ClsimWarning, match=r"^samples: gives samples of up to 3000 Pa, .* 161 dB SPL at 1 m"):
+        Signal.from_array(loud, RATE)
+    Signal.from_array(0.9 * loud, RATE)  # 159.6 dB; warnings are errors
+    steps = np.array([0, 16384, -32768], dtype=np.int16)
+    np.testing.assert_array_equal(Signal.from_array(steps, RATE, scale=2.0**-15).read(0, 3), [0.0, 0.5, -1.0])
+    with pytest.warns(ClsimWarning, match="^samples: gives samples of up to 32768 Pa"):
+        Signal.from_array(steps, RATE, scale=1.0)
+    soundfile.write(tmp_path / "a.wav", np.array([0.0, 0.5]), 48000, subtype="FLOAT")
+    with pytest.warns(ClsimWarning, match="^scale: gives samples of up to 16384 Pa"):
+        Signal.from_wav(tmp_path / "a.wav", scale=32768.0)
 
 
 def test_complex_samples_are_refused_rather_than_halved() -> None:
