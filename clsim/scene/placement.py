@@ -12,6 +12,7 @@ from clsim.scene.ends import Source
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.instants import Instants
 from clsim.scene.places import first_approach, first_refused, nearest_within
+from clsim.scene.room.enclosed import held_by_rooms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -157,19 +158,24 @@ def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float
 
 
 def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
-    """Refuse ends that the walls of a watertight mesh part from the others; warn where all are outside.
+    """Refuse ends that the walls of a closed room part from the others; warn of those that a hole alone joins to them.
 
-    An open mesh has no inside, and a convex room is left by nobody.
+    A mesh that is open, or whose holes are large, has no inside, and a convex room is left by nobody.
 
     Warns
     -----
     ClsimWarning
-        If all ends are outside: they hear the mesh as a thing in the open.
+        If all ends are outside: they hear the mesh as a thing in the open. If some are outside of a mesh with a few
+        small holes.
     """
-    if room.is_convex or not room.is_closed:
+    if room.is_convex:
         return
     places = np.array([first_place(room, item) for _, item in ends])
-    inside = room.contains(places)
+    mesh = room.as_mesh()
+    found = (room.contains(places), True) if room.is_closed else held_by_rooms(mesh.vertices, mesh.triangles, places)
+    if found is None:
+        return
+    inside, closed = found
     if inside.all() or (not inside.any() and room.surrounds(places).all()):  # walls may be solids around the room
         return
     apart = inside if 0 < 2 * inside.sum() < len(ends) else ~inside
@@ -177,13 +183,17 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     where = ", ".join(f"{x:.6g}" for x in places[int(np.argmax(apart))])
     low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in room.extent)
     side = "inside the mesh, and others are not" if apart is inside else "outside the room or inside a closed obstacle"
+    kind = "is watertight" if closed else "has holes, which alone join both sides,"
     where = (
-        f"{item.name!r} at ({where}) m is {side}; the mesh is watertight and reaches from ({low}) to ({high}) m: "
+        f"{item.name!r} at ({where}) m is {side}; the mesh {kind} and reaches from ({low}) to ({high}) m: "
         "check its scale and up, and the position"
     )
-    if inside.any():
+    if not inside.any():
+        warn(f"{field}.trajectory: no source or receiver is inside the room: {where}")
+    elif closed:
         raise InputError(f"{field}.trajectory", f"must be where other ends can be heard, but {where}")
-    warn(f"{field}.trajectory: no source or receiver is inside the room: {where}")
+    else:
+        warn(f"{field}.trajectory: {where}")
 
 
 def first_place(room: Room, item: End) -> Floats:

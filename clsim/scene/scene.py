@@ -51,13 +51,13 @@ class Scene:
     InputError
         If the room lacks what a `Room` has, a name is used twice, or a trajectory leaves the room, comes too close to
         another one or reaches the speed of sound, a body goes through a wall or meets an end or a scatterer, or an end
-        is outside a watertight mesh that others are in; the message gives time and place.
+        is outside a closed room that others are in; the message gives time and place.
 
     Warns
     -----
     ClsimWarning
-        If all ends are outside a watertight mesh, the room's size or a signal's frequency look like another unit, or
-        a directional end moves without orientation or aim.
+        If all ends are outside a closed mesh, or some outside one with small holes, the room's size or a signal's
+        frequency look like another unit, or a directional end moves without orientation or aim.
     """
 
     room: Room

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -15,6 +16,7 @@ from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
 from clsim.scene.room.contact import first_contact, first_off, walls_at
 from clsim.scene.room.edges import Edges, find_edges
+from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
 from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, mesh_shape
@@ -328,8 +330,8 @@ class MeshRoom:
 
     @property
     def volume(self) -> float | None:
-        """Volume that a watertight mesh encloses, m³; None where it is open."""
-        return abs(self.shape.volume) if self.is_closed else None
+        """Volume inside a watertight mesh, as `contains` has it, whatever the winding, m³; None where it is open."""
+        return _volume(self) if self.is_closed else None
 
     @property
     def surface_area(self) -> float:
@@ -529,6 +531,11 @@ class MeshRoom:
             if len(forward):
                 count[forward] += walls.holds(w, x[forward] + away[forward, None] * ray)
         return count
+
+
+@lru_cache(maxsize=4)
+def _volume(room: MeshRoom) -> float | None:
+    return enclosed_volume(room.vertices, room.triangles, room.walls.crossing, room.contains)
 
 
 def _checked_triangles(value: object, count: int) -> NDArray[np.int64]:

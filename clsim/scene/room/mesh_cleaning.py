@@ -112,14 +112,14 @@ class MeshShape:
         Edges of three triangles or more.
     flipped_edges : int
         Edges whose two triangles run in the same direction: one of them is flipped.
-    volume : float
-        Enclosed by the mesh, signed by its winding, m³; meaningless where edges are open.
+    inwards : bool
+        Whether it is watertight and all triangles face inwards.
     """
 
     open_edges: Floats
     crowded_edges: int
     flipped_edges: int
-    volume: float
+    inwards: bool
 
     @property
     def watertight(self) -> bool:
@@ -135,9 +135,5 @@ def mesh_shape(vertices: Floats, triangles: NDArray[np.int64]) -> MeshShape:
     forward = np.bincount(which, weights=directed[:, 0] < directed[:, 1], minlength=len(edges))
     corners = vertices[triangles]
     volume = float(np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
-    return MeshShape(
-        vertices[edges[uses % 2 == 1]],
-        int(np.sum(uses > 2)),
-        int(np.sum((uses == 2) & (forward != 1))),
-        volume,
-    )
+    opened, flipped = edges[uses % 2 == 1], int(np.sum((uses == 2) & (forward != 1)))
+    return MeshShape(vertices[opened], int(np.sum(uses > 2)), flipped, volume < 0.0 and not flipped and not len(opened))

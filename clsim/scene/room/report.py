@@ -46,7 +46,7 @@ def describe_mesh(
     lines += ["watertight"] if shape.watertight else _openings(shape.open_edges)
     if shape.flipped_edges:
         lines.append(f"mixed winding at {shape.flipped_edges} edges; harmless, since walls are two-sided")
-    elif shape.watertight and shape.volume < 0.0:
+    elif shape.inwards:
         lines.append("all triangles face inwards; harmless, since walls are two-sided")
     return [f"room: {line}" for line in (*lines, *notes)]
 

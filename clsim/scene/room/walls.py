@@ -54,6 +54,8 @@ class Walls:
         `outward_sides`.
     tree : WallTree
         Boxes around walls and groups of them.
+    crossing : bool
+        Whether some walls run through each other.
     """
 
     size: float
@@ -75,6 +77,7 @@ class Walls:
     shell: NDArray[np.int64]
     outward: NDArray[np.int64]
     tree: WallTree
+    crossing: bool
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -144,7 +147,7 @@ def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArra
         line, first_line, first_piece,
         edge, first_edge,
         touching[level][order, 0], firsts(np.bincount(touching[level][:, 1], minlength=len(offset))),
-        shell, outward, tree,
+        shell, outward, tree, bool(crossings),
     )  # fmt: skip
 
 
