@@ -13,6 +13,7 @@ from typing import NoReturn
 
 from clsim.commands import COMMANDS
 from clsim.errors import ClsimError, InputError, meant, not_one_of
+from clsim.files.names import shown
 from clsim.scene_file.words import as_toml
 from clsim.version import __version__
 from clsim.workflow.console import built_programs, one_line_warnings
@@ -49,7 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _failed(message: str, error: BaseException, status: int) -> int:
     """Print what went wrong and what is noted beside it on one line; return the exit status."""
-    print(as_toml(" ".join("; ".join([message, *getattr(error, "__notes__", [])]).split())), file=sys.stderr)
+    text = as_toml(" ".join("; ".join([message, *getattr(error, "__notes__", [])]).split()))
+    print(shown(text), file=sys.stderr)
     return status
 
 

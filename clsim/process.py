@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130  # exit status
 _MESSAGE = b"clsim: interrupted; nothing half-written was left\n"
+_CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 _AGAIN = 0.02  # s after which an interrupt is tried again that came during an import or in a callback
 _IMPORTS = "<frozen importlib._bootstrap>"  # file of the frames that import
 
@@ -86,6 +87,24 @@ def _raise_again(found: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(found)
 
 
+def printable(text: str) -> str:
+    r"""Return a text with escapes for its control characters, which change what a terminal shows; lines and tabs stay.
+
+    Examples
+    --------
+    >>> print(printable("a\x1b[31mb"))
+    a\x1b[31mb
+    """
+    return text.translate(_CONTROL)
+
+
+class _Terminal(io.TextIOWrapper):
+    """Standard output on a terminal: names in it, which others may have chosen, give it no commands."""
+
+    def write(self, text: str, /) -> int:
+        return super().write(printable(text))
+
+
 class _UnfailingFile(io.FileIO):
     """A file into which messages go, or nowhere where it takes none: no command fails of that."""
 
@@ -111,7 +130,9 @@ def open_streams() -> None:
     codecs.register_error("clsim-escape", _escaped)
     if sys.stdout is None:
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
-    if isinstance(sys.stdout, io.TextIOWrapper):
+    if sys.stdout.isatty():
+        sys.stdout = _Terminal(sys.stdout.buffer, sys.stdout.encoding, "clsim-escape", line_buffering=True)
+    elif isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="clsim-escape")
     encoding = getattr(sys.stderr, "encoding", None) or "utf-8"
     file = io.BufferedWriter(_UnfailingFile(2, "w", closefd=False))

@@ -15,6 +15,7 @@ from clsim.commands.arguments import add_force
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
 from clsim.files.input_files import LARGEST_TEXT, read_file
+from clsim.files.names import shown
 from clsim.files.ownership import NewFile
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
@@ -101,8 +102,8 @@ def execute(options: argparse.Namespace) -> int:
         file = f'kind = "file", path = {named}, format = "{motion[0]}"{gap}'
         trajectory = f"trajectory = {{ {file}, translate = {_text(moved)} }}"
     text = _TEMPLATE.format(
-        name=options.scene.name, room=room, duration=duration, fade=min(0.005, 0.1 * duration), trajectory=trajectory,
-        receiver=_text(places[1]), order=3 if options.mesh is None else 2,
+        name=shown(options.scene.name), room=room, duration=duration, fade=min(0.005, 0.1 * duration),
+        trajectory=trajectory, receiver=_text(places[1]), order=3 if options.mesh is None else 2,
     )  # fmt: skip
     build_scene(tomllib.loads(text), base)  # what is written works
     with atomic_path(target.ready()) as temporary:
@@ -168,7 +169,10 @@ def _places(low: Floats, high: Floats, room: MeshRoom | None) -> tuple[Floats, F
 
 def _relative(path: Path, base: Path) -> str:
     """Return a path as a scene file in a folder names it."""
-    return json.dumps(Path(os.path.relpath(path, base)).as_posix(), ensure_ascii=False)
+    named = Path(os.path.relpath(path, base)).as_posix()
+    if any("\udc80" <= letter <= "\udcff" for letter in named):
+        raise InputError("path", f"must be UTF-8, as scene files are, but is {shown(named)}; rename it")
+    return json.dumps(named, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _text(place: Floats) -> str:

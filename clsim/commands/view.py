@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
+from clsim.files.names import shown
 from clsim.files.ownership import NewFile
 from clsim.paths.view import view_scene
 from clsim.scene_file import load_scene
@@ -45,7 +46,7 @@ def execute(options: argparse.Namespace) -> int:
     planned = plan_scene(file, progress)
     with progress("drawing", options.frames) as advance:
         view_scene(
-            planned.paths, page.ready(), title=options.scene.stem, duration=planned.plan.duration,
+            planned.paths, page.ready(), title=shown(options.scene.stem), duration=planned.plan.duration,
             frames=options.frames, limit=options.limit, progress=advance,
             motion=planned.plan.options.motion, amplitude=planned.plan.options.amplitude,
         )  # fmt: skip

@@ -6,6 +6,18 @@ import re
 from itertools import count
 
 _LONGEST = 200  # letters; file systems take 255 bytes, of which the ends of names need some
+_SPACES = "\u00a0\u2009\u202f"  # which Python does not count as printable
+
+
+def shown(name: str) -> str:
+    r"""Return a name, or a line, as texts can hold it: with escapes for bytes that are no UTF-8 and control characters.
+
+    Examples
+    --------
+    >>> print(shown("wa\udcfflk\x1b.toml"), shown("Übung.toml"))
+    wa\udcfflk\x1b.toml Übung.toml
+    """
+    return "".join(c if c.isprintable() or c in _SPACES else c.encode("unicode_escape").decode() for c in name)
 
 
 def file_names(wanted: tuple[str, ...]) -> list[str]:

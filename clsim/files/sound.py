@@ -218,8 +218,8 @@ class SoundFile:
     def __init__(self, path: Path) -> None:
         import soundfile
 
-        self._path = path
-        self._count = int(soundfile.info(path).frames)
+        self._path = os.fsencode(path)  # names need not be UTF-8
+        self._count = int(soundfile.info(self._path).frames)
 
     def __len__(self) -> int:
         return self._count

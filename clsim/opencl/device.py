@@ -101,7 +101,8 @@ def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
 
 def no_device() -> str:
     """Return why there is no device, and what to do."""
-    return f"no OpenCL device: {prepare() or INSTALL}"
+    trouble = prepare()
+    return f"OpenCL cannot be used: {trouble}" if trouble else f"no OpenCL device: {INSTALL}"
 
 
 def refuse_after_fork() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import hashlib
 import os
 import shutil
@@ -22,6 +23,7 @@ from clsim.errors import warn
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+_TOO_LARGE = "this process may not write files as large as kernels are"
 _ROOM = 2**20  # bytes: about what the kernels of one scene take
 
 
@@ -49,6 +51,8 @@ def prepare() -> str:
     if not trouble:
         return ""
     trouble = f"the cache of built kernels, {folder}, cannot be used: {trouble}"
+    if trouble.endswith(_TOO_LARGE):  # which no other folder would change
+        return f"{trouble}; raise the limit to {_ROOM} bytes or more (`ulimit -f`)"
     private = _private_folder()
     if private is None:
         return f"{trouble}; no temporary folder can either: free some space, or set POCL_CACHE_DIR to one that can"
@@ -98,7 +102,7 @@ def _trouble(folder: Path) -> str:
             file.write(bytes(_ROOM))
             file.flush()
     except OSError as error:
-        return error.strerror or str(error)
+        return _TOO_LARGE if error.errno == errno.EFBIG else error.strerror or str(error)
     return ""
 
 

@@ -53,7 +53,7 @@ def open_store(path: str | os.PathLike[str]) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # metadata that are not gathered are only slower
             found = xarray.open_dataset(path, engine="h5netcdf") if kind == "hdf5" else xarray.open_zarr(path)
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:  # and what unpacks a damaged chunk
         raise InputError("path", f"must be a store of clsim, but {path} is none: {error}") from error
     check_format(found.attrs, path)
     return with_times(found, found.attrs["sampling_rate"])

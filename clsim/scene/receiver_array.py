@@ -123,6 +123,8 @@ def _from_xml(path: str | PathLike[str], content: bytes) -> list[list[float]]:
     """Return what the elements ``pos`` of a file say."""
     from xml.etree import ElementTree
 
+    if b"\0" in content:  # UTF-16, in which what follows would find nothing
+        raise InputError("path", f"{path}: must be UTF-8, but holds a zero byte")
     if b"<!" in content.replace(b"<!--", b""):  # entities could make a small file as large as memory
         raise InputError("path", f"{path}: must be XML without declarations such as <!DOCTYPE")
     try:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimWarning
+from clsim.files.names import shown
 from clsim.scene_file.words import as_toml
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def one_line_warnings() -> Iterator[None]:
 
     def show(message: Any, *_: Any, **__: Any) -> None:
         """Print a warning as one line, each text once."""
-        text = as_toml(" ".join(str(message).split()))
+        text = shown(as_toml(" ".join(str(message).split())))
         if text not in seen:
             seen.add(text)
             print(f"clsim: warning: {text}", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,6 @@ from clsim.scene_file import load_scene
 from clsim.workflow.outputs import COMPLETED
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
@@ -66,8 +66,12 @@ def load_recording(
     carrier = None if baseband is None else float(baseband[0])
     if any(name in record.files for kind in STORES.values() if kind.packages for name in kind.names([])):
         store = open_store(folder)
-        samples, rate = store["sound"][rows].values, float(store.attrs["sampling_rate"])
-        store.close()
+        try:
+            samples, rate = store["sound"][rows].values, float(store.attrs["sampling_rate"])
+        except (OSError, ValueError, RuntimeError, KeyError, TypeError) as error:  # of what unpacks a damaged chunk
+            raise InputError("folder", f"must hold the sound that was written, but {error}") from error
+        finally:
+            store.close()
     else:
         kept = file_names(tuple(names))
         samples, rate = _read([folder / f"{kept[r]}.wav" for r in rows], carrier)
@@ -98,6 +102,6 @@ def _read(paths: list[Path], carrier: float | None) -> tuple[NDArray[Any], float
         samples = np.empty((len(files), len(files[0])), dtype=np.float32 if carrier is None else np.complex64)
         for row, sound in zip(samples, files, strict=True):
             row[:] = sound[0 : len(row)]
-        return samples, float(soundfile.info(paths[0]).samplerate)
+        return samples, float(soundfile.info(os.fsencode(paths[0])).samplerate)
     except (OSError, ValueError, soundfile.LibsndfileError) as error:
         raise InputError("folder", f"must hold the sound that was written, but {error}") from error

@@ -54,7 +54,7 @@ def test_without_any_folder_it_is_one_line(fresh: pytest.MonkeyPatch, capsys, tr
     fresh.setattr(tempfile, "mkdtemp", lambda **where: made.append(make(**where)) or made[-1])
     assert main(["devices"]) == 2
     err = capsys.readouterr().err
-    assert err.startswith("clsim: error: no OpenCL device: the cache of built kernels, ")
+    assert err.startswith("clsim: error: OpenCL cannot be used: the cache of built kernels, ")
     assert f"cannot be used: {trouble}; no temporary folder can either: free some space" in err
     assert err.count("\n") == 1
     assert made
@@ -68,7 +68,7 @@ def test_a_full_folder_is_trouble(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2**16, hard))
     try:
-        assert cache._trouble(tmp_path) == "File too large"
+        assert cache._trouble(tmp_path) == cache._TOO_LARGE
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     (tmp_path / "file").touch()

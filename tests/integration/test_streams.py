@@ -56,7 +56,7 @@ def test_an_error_keeps_its_status(folder: Path, redirected: str) -> None:
     assert done.returncode == 2
     assert done.stdout == b""
     assert done.stderr == (
-        b"" if "2" in redirected else b"clsim: error: [Errno 2] No such file or directory: 'none.toml'\n"
+        b"" if "2" in redirected else b"clsim: error: none.toml: cannot be read: No such file or directory\n"
     )
 
 

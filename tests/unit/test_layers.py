@@ -189,6 +189,8 @@ def test_help_loads_no_command() -> None:
         "clsim.version",
         "clsim.errors",
         "clsim.cli",
+        "clsim.files",
+        "clsim.files.names",
         "clsim.workflow",
         "clsim.workflow.console",
         "clsim.commands",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,23 @@ def _check_unpacked(file: Path, kind: str) -> None:
         points = sum(int(array["count"]) for array in header.get("accessors", ()))
         if points > _MOST_POINTS:
             raise InputError(str(file), f"must hold at most {_MOST_POINTS} points, but says {points}")
+        _check_nodes(file, header)
+
+
+def _check_nodes(file: Path, header: dict[str, Any]) -> None:
+    """Refuse nodes of a glTF file that are no trees: trimesh leaves out places of a node that has two parents.
+
+    It never ends where a node is its own descendant.
+    """
+    children = [list(node.get("children", ())) for node in header.get("nodes", ())]
+    parents = Counter(child for several in children for child in several)
+    reached = [node for node in range(len(children)) if node not in parents]
+    for node in reached:  # which grows meanwhile
+        reached += [child for child in children[node] if parents[child] == 1]
+    if len(reached) != len(children):
+        raise InputError(
+            str(file), "must hold nodes that form trees, but one has two parents, or is its own descendant"
+        )
 
 
 def _beside(file: Path) -> Any:
