@@ -165,8 +165,8 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     Warns
     -----
     ClsimWarning
-        If all ends are outside: they hear the mesh as a thing in the open. If some are outside of a mesh with a few
-        small holes.
+        If all ends are outside of a watertight mesh: they hear it as a thing in the open. If some, not all, are outside
+        of a mesh with small holes.
     """
     if room.is_convex:
         return
@@ -176,6 +176,8 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     if found is None:
         return
     inside, closed = found
+    if not inside.any() and not room.is_closed:  # around a thing in the open
+        return
     if inside.all() or (not inside.any() and room.surrounds(places).all()):  # walls may be solids around the room
         return
     apart = inside if 0 < 2 * inside.sum() < len(ends) else ~inside
@@ -183,7 +185,7 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     where = ", ".join(f"{x:.6g}" for x in places[int(np.argmax(apart))])
     low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in room.extent)
     side = "inside the mesh, and others are not" if apart is inside else "outside the room or inside a closed obstacle"
-    kind = "is watertight" if closed else "has holes, which alone join both sides,"
+    kind = "is closed" if closed else "has holes, which alone join both sides,"
     where = (
         f"{item.name!r} at ({where}) m is {side}; the mesh {kind} and reaches from ({low}) to ({high}) m: "
         "check its scale and up, and the position"

@@ -135,8 +135,7 @@ def test_who_is_outside_of_a_hall_with_a_door_is_told(rng: np.random.Generator) 
         assert message.startswith(f"receivers[1].trajectory: 'r1' at ({where}) m is outside the room")
         assert "the mesh has holes, which alone join both sides, and reaches from (0, 0, 0) to (8, 6, 3) m" in message
         assert warned(room, place, *INSIDE)[0].startswith(f"sources[0].trajectory: 's' at ({where}) m is outside")
-    (message,) = warned(room, (9, 2.5, 1), (10, 2.5, 1))
-    assert message.startswith("sources[0].trajectory: no source or receiver is inside the room: 's' at (9, 2.5, 1) m")
+    assert warned(room, (9, 2.5, 1), (10, 2.5, 1)) == []  # as around a pillar without lids
 
 
 def test_obstacles_and_sheets_in_a_hall_with_a_door(rng: np.random.Generator) -> None:
