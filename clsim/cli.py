@@ -75,7 +75,8 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     """Return the options; only the command that is called is imported, and adds its arguments."""
     parser = _Parser(
         prog="clsim", description="Simulate what receivers hear in a room while sources and receivers move.",
-        epilog="exit status: 0 done; 1 members of a study, or scenes of a device's test, failed; 2 an error, told in a "
+        epilog="exit status: 0 done; 1 members of a study, or scenes of a device's test, failed, or results "
+        "have changed; 2 an error, told in a "
         "line; 130 interrupted",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"clsim {__version__}")

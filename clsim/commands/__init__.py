@@ -12,6 +12,7 @@ COMMANDS = {
     "plot": "draw directivities, or what air absorbs",
     "materials": "list or draw the built-in materials, with sources and uncertainty",
     "score": "tell how well ranges are found in the results of a run",
+    "verify": "compare the results of a run or a study with the digests and checksums of what was written",
     "study": "render a scene many times with other values of some of its fields",
     "devices": "list the OpenCL devices of this machine",
     "warm-up": "build the kernels that common scenes need, so that first renders need not",

@@ -13,6 +13,7 @@ from clsim.errors import InputError
 from clsim.files.atomic import safe_path
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
 RECORD = "clsim.json"
@@ -84,6 +85,12 @@ def save_record(folder: Path, record: Record, work: Path) -> None:
     """Write the record of a folder, on the disk itself; `work` is where it is made."""
     with safe_path(folder / RECORD, work) as temporary:
         temporary.write_text(json.dumps({"format": _FORMAT, **asdict(record)}, indent=1) + "\n", "utf-8")
+
+
+def changed_results(folder: Path, record: Record, names: Iterable[str] | None = None) -> list[str]:
+    """List results, of all or of those of some names, that no longer hold what was written, or are missing."""
+    wanted = record.files if names is None else [name for name in names if name in record.files]
+    return [name for name in wanted if fingerprint(folder / name) != record.files[name]]
 
 
 def _plain(name: Any) -> str:

@@ -331,11 +331,11 @@ class _ZarrStore(SoundStore):
 
         path, sound = self.paths[0], self._sound
         shutil.rmtree(path, ignore_errors=True)
-        sound.coordinates().to_zarr(path, mode="w-", consolidated=False, zarr_format=3)
+        write_zarr(sound.coordinates(), path, "w-")
         zarr.open_group(path, mode="r+").create_array(
             "sound", shape=(len(sound.receiver_names), sound.samples), chunks=(1, min(sound.chunk, sound.samples)),
             dtype=sound.sample_type, fill_value=0.0, dimension_names=("receiver", "time"),
-            attributes=sound.sound_attributes,
+            attributes=sound.sound_attributes, compressors=_compressors(),
         )  # fmt: skip
         consolidate(path)
         tree_to_disk(path)
@@ -408,6 +408,20 @@ def check_store(kind: str, receiver_names: Sequence[str]) -> None:
         problem = STORES[kind].problem_of(name)
         if problem:
             raise InputError(f"receivers[{i}]", problem)
+
+
+def _compressors() -> list[Any]:
+    """Return Zarr's usual codec, and one that refuses chunks that have changed since they were written."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return [ZstdCodec(level=0), Crc32cCodec()]
+
+
+def write_zarr(content: Any, path: Path, mode: str) -> None:
+    """Write an xarray Dataset into a Zarr group, each chunk with its checksum."""
+    fresh = [name for name in content.variables if not (path / name).exists()]  # others keep theirs
+    encoding = {name: {"compressors": _compressors()} for name in fresh}
+    content.to_zarr(path, mode=mode, consolidated=False, zarr_format=3, encoding=encoding)
 
 
 def consolidate(path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from clsim.arrays import texts
 from clsim.errors import in_one_line, warn
 from clsim.files.atomic import safe_path
-from clsim.output.stores import consolidate
+from clsim.output.stores import consolidate, write_zarr
 from clsim.study.member import PARTIAL, STORE, as_row, discard, root_attributes, row_of_group
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def write_summary(folder: Path, index: Index) -> None:
         summary = summary.assign_coords({k: v for k, v in coords.items() if k in over})
     partial, final = folder / PARTIAL / "summary", folder / STORE / "summary"
     shutil.rmtree(partial, ignore_errors=True)
-    summary.to_zarr(partial, mode="w-", consolidated=False, zarr_format=3)
+    write_zarr(summary, partial, "w-")
     consolidate(partial)
     shutil.rmtree(final, ignore_errors=True)
     partial.replace(final)

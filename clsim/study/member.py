@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
-from clsim.output.stores import STORE_FORMAT, consolidate
+from clsim.output.stores import STORE_FORMAT, consolidate, write_zarr
 from clsim.study.content import computed, metrics_function
 from clsim.study.file import Member, Study
 from clsim.version import __version__
@@ -202,7 +202,7 @@ def settings_to_study(settings: dict[str, Any]) -> Study:
 
 def _finish(content: Any, group: Path, target: Path) -> None:
     """Write all but the sound into a group, and give it its name when all is on the disk."""
-    content.to_zarr(group, mode="a", consolidated=False, zarr_format=3)
+    write_zarr(content, group, "a")
     consolidate(group)
     tree_to_disk(group)
     if row_of_group(target) is None:

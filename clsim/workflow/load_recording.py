@@ -14,7 +14,7 @@ from clsim.errors import InputError, not_one_of
 from clsim.files.names import file_names
 from clsim.files.sound import EnvelopeFile, SoundFile
 from clsim.output.open_store import open_store
-from clsim.output.record import load_record
+from clsim.output.record import changed_results, load_record
 from clsim.output.stores import STORES
 from clsim.recording import Recording
 from clsim.scene_file import load_scene
@@ -25,9 +25,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.output.record import Record
+
 
 def load_recording(
-    folder: str | os.PathLike[str], receivers: Sequence[str] | None = None, *, paths: bool = False
+    folder: str | os.PathLike[str],
+    receivers: Sequence[str] | None = None,
+    *,
+    paths: bool = False,
+    verify: bool = False,
 ) -> Recording:
     """Return the recording in a folder that ``clsim run`` wrote, whatever the store.
 
@@ -39,6 +45,9 @@ def load_recording(
         Names of those that are wanted; all when left out.
     paths : bool
         Whether its paths are found again, from the completed scene: what scores ask for.
+    verify : bool
+        Whether the files that are read are compared with the digests in the folder's record. Damaged chunks of a Zarr
+        store are refused without it, too.
 
     Returns
     -------
@@ -48,10 +57,12 @@ def load_recording(
     Raises
     ------
     InputError
-        If the folder holds no finished run, a receiver is none of it, or a package that reads the store is missing.
+        If the folder holds no finished run, a receiver is none of it, a package that reads the store is missing, or
+        what was written has changed where that is seen.
     """
     folder = Path(folder)
     as_flag("paths", paths)
+    as_flag("verify", verify)
     record = load_record(folder, "folder")
     if not (record.finished and (folder / COMPLETED).exists()):
         raise InputError("folder", f"must hold what clsim run finished, but {folder} does not")
@@ -64,17 +75,12 @@ def load_recording(
         raise InputError("receivers", "must name one at least, but is empty")
     baseband: Any = file.render["baseband"]
     carrier = None if baseband is None else float(baseband[0])
-    if any(name in record.files for kind in STORES.values() if kind.packages for name in kind.names([])):
-        store = open_store(folder)
-        try:
-            samples, rate = store["sound"][rows].values, float(store.attrs["sampling_rate"])
-        except (OSError, ValueError, RuntimeError, KeyError, TypeError) as error:  # of what unpacks a damaged chunk
-            raise InputError("folder", f"must hold the sound that was written, but {error}") from error
-        finally:
-            store.close()
-    else:
-        kept = file_names(tuple(names))
-        samples, rate = _read([folder / f"{kept[r]}.wav" for r in rows], carrier)
+    stores = [name for kind in STORES.values() if kind.packages for name in kind.names([]) if name in record.files]
+    kept = file_names(tuple(names))
+    files = stores or [f"{kept[r]}.wav" for r in rows]
+    if verify:
+        _refuse_changed(folder, record, [COMPLETED, *files])
+    samples, rate = _stored(folder, rows) if stores else _read([folder / name for name in files], carrier)
     chosen = [file.scene.receivers[r] for r in rows]
     found = None
     if paths:
@@ -85,6 +91,25 @@ def load_recording(
         samples, rate, tuple(end.name for end in chosen), found, (f"read from {folder}",),
         tuple(end.unit for end in chosen), carrier=carrier,
     )  # fmt: skip
+
+
+def _refuse_changed(folder: Path, record: Record, names: list[str]) -> None:
+    """Refuse files that are not what the record of their folder says, or of which it says nothing."""
+    unknown = [name for name in names if name not in record.files]
+    for name in [*unknown, *changed_results(folder, record, names)]:
+        how = "was not written by clsim" if name in unknown else "has changed since it was written, or is missing"
+        raise InputError("folder", f"must hold what was written, but {folder / name} {how}")
+
+
+def _stored(folder: Path, rows: list[int]) -> tuple[NDArray[Any], float]:
+    """Return the samples (rows, n) of a Zarr or HDF5 store, and their rate, Hz."""
+    try:
+        with open_store(folder) as store:
+            return store["sound"][rows].values, float(store.attrs["sampling_rate"])
+    except InputError as error:
+        raise InputError("folder", error.problem) from error
+    except (OSError, ValueError, RuntimeError, KeyError, TypeError) as error:  # of what unpacks a damaged chunk
+        raise InputError("folder", f"must hold the sound that was written, but {error}") from error
 
 
 def _row(names: list[str], wanted: str) -> int:

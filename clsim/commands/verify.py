@@ -1,0 +1,34 @@
+"""`clsim verify`: whether results are still what was written."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from clsim.commands.arguments import as_path
+from clsim.errors import InputError
+from clsim.output.record import changed_results, load_record
+from clsim.study.verify import STORE, changed_arrays
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("folder", type=as_path, help="results of clsim run or clsim study")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Print which results have changed; return the exit status, 1 if any has."""
+    folder = options.folder
+    record = load_record(folder, "folder")
+    if record.files:
+        changed, count = changed_results(folder, record), len(record.files)
+    elif (folder / STORE).is_dir():
+        changed, count = changed_arrays(folder / STORE)
+    else:
+        raise InputError("folder", f"must hold results of clsim run or clsim study, but {folder} does not")
+    for name in changed:
+        print(f"{folder / name}: has changed since it was written, or is missing")
+    print(f"{count - len(changed)} of {count} results are as they were written")
+    return int(bool(changed))
