@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import struct
 from os import PathLike
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import LOUDEST, as_number
+from clsim.arrays import LOUDEST, as_flag, as_number
 from clsim.errors import InputError
 from clsim.files.atomic import not_written, temporary_path
 from clsim.files.input_files import check_file
@@ -25,6 +26,12 @@ _LARGEST = 2**35  # bytes of a file, whatever its channels
 _LONGEST = 2**28  # samples of a channel, 1 GiB: 23 minutes at 192 kHz
 _MOST_PER_BYTE, _MPEG_PER_BYTE = 5000, 25  # samples: silence in FLAC, and 24 kHz at 8 kbit/s
 _BLOCK = 2**20  # samples of all channels read at a time
+# What libsndfile notes of a chunk that is longer than the rest of the file.
+_CUT = re.compile(r"^ *([\w .]+?) *: (\d+) \(should be (\d+)\)", re.MULTILINE)
+_WHOLE_FILE = {"RIFF": 1, "Riff size": 1, "FORM": 1, "riff": 7}  # bytes of padding that writers leave out at the end
+# Lengths that programs write which do not know them, as they write into a pipe: of ffmpeg and of AU; of SoX.
+_UNKNOWN = (range(2**32 - 1, 2**32), range(2**31 - 4096, 2**31))
+_OGG_PAGE, _LAST_PAGE = 27 + 255 + 255 * 255, 4  # bytes of a page at most, and the flag of the last one
 _PADDING = 5000  # samples by which compressed sound can be shorter than its file says
 _LARGEST_WAV = 2**32 - 2**16  # bytes; beyond that RF64
 _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
@@ -35,8 +42,40 @@ def as_scale(value: Any) -> float:
     return as_number("scale", value, at_least=-LOUDEST, at_most=LOUDEST)
 
 
-def read_sound_file(path: str | PathLike[str], channel: int) -> tuple[NDArray[np.float32], float]:
+def missing_bytes(log: str) -> int:
+    """Return the number of bytes by which a file is shorter than its header says, by libsndfile's log of its header."""
+    found = [(name, int(told), int(there)) for name, told, there in _CUT.findall(log)]
+    known = [(name, told - there) for name, told, there in found if not any(told in some for some in _UNKNOWN)]
+    return max((less for name, less in known if less > _WHOLE_FILE.get(name, 0)), default=0)
+
+
+def _check_whole(path: str | PathLike[str], file: Any) -> None:
+    """Refuse a file that has been cut, as far as its format shows that."""
+    missing = missing_bytes(file.extra_info)
+    problem = f"ends {missing} bytes before its header says" if missing else ""
+    if file.format == "OGG":
+        with Path(path).open("rb") as raw:
+            raw.seek(max(0, Path(path).stat().st_size - _OGG_PAGE))
+            _, page, rest = raw.read().rpartition(b"OggS")
+        if not page or len(rest) < 2 or not rest[1] & _LAST_PAGE:
+            problem = "ends before its last page"
+    if problem:
+        raise InputError("path", f"must be whole, but {path} {problem}; truncated=True takes what is there")
+
+
+def read_sound_file(
+    path: str | PathLike[str], channel: int, truncated: bool = False
+) -> tuple[NDArray[np.float32], float]:
     """Return one channel of a sound file, (n,), full scale being 1, and its sampling rate in Hz.
+
+    Parameters
+    ----------
+    path : path-like
+        Of the file.
+    channel : int
+        From 0.
+    truncated : bool
+        Whether a file that ends before its header says is taken as far as it goes.
 
     Raises
     ------
@@ -46,6 +85,7 @@ def read_sound_file(path: str | PathLike[str], channel: int) -> tuple[NDArray[np
     """
     import soundfile
 
+    as_flag("truncated", truncated)
     if not isinstance(path, str | PathLike):
         raise InputError("path", f"must be a path, but is {path!r:.80}")
     try:
@@ -58,25 +98,30 @@ def read_sound_file(path: str | PathLike[str], channel: int) -> tuple[NDArray[np
             if not 0 < file.frames <= most:
                 claim = f"{path} says that it holds {file.frames} samples" if file.frames else f"{path} is empty"
                 raise InputError("path", f"must hold sound, and its bytes hold {most} samples at most, but {claim}")
-            return _channel(file, channel, path), float(file.samplerate)
+            if not truncated:
+                _check_whole(path, file)
+            return _channel(file, channel, path, truncated), float(file.samplerate)
     except FileNotFoundError as error:
         raise InputError("path", f"must be a sound file, but there is no file {str(path)!r}") from error
     except (OSError, RuntimeError) as error:
         raise InputError("path", f"must be a sound file, but {getattr(error, 'strerror', None) or error}") from error
 
 
-def _channel(file: Any, channel: int, path: str | PathLike[str]) -> NDArray[np.float32]:
+def _channel(file: Any, channel: int, path: str | PathLike[str], truncated: bool) -> NDArray[np.float32]:
     """Return the samples of a channel; memory is taken as they come, not as the file says."""
     parts, count = [np.empty(0, np.float32)], 0
-    for block in file.blocks(max(1, _BLOCK // file.channels), dtype="float32", always_2d=True):
+    # SoundFile.blocks yields what was in memory where a file ends before it says.
+    while len(block := file.read(max(1, _BLOCK // file.channels), dtype="float32", always_2d=True)):
         part = block[:, channel].copy()
         bad = np.flatnonzero(~(np.abs(part) <= LOUDEST))
         if len(bad):
             raise InputError("path", f"must hold finite samples, but [{count + bad[0]}] of {path} is {part[bad[0]]:g}")
         parts.append(part)
         count += len(part)
-    if not count or count < file.frames - _PADDING:
-        raise InputError("path", f"must be whole, but {path} says that it holds {file.frames} samples and has {count}")
+    if not count or (count < file.frames - _PADDING and not truncated):
+        advice = "; truncated=True takes what is there" if count else ""
+        problem = f"must be whole, but {path} says that it holds {file.frames} samples and has {count}"
+        raise InputError("path", problem + advice)
     return np.concatenate(parts)
 
 
@@ -219,7 +264,10 @@ class SoundFile:
         import soundfile
 
         self._path = os.fsencode(path)  # names need not be UTF-8
-        self._count = int(soundfile.info(self._path).frames)
+        info = soundfile.info(self._path)
+        if missing_bytes(info.extra_info):
+            raise ValueError(f"{path} ends {missing_bytes(info.extra_info)} bytes before its header says")
+        self._count = int(info.frames)
 
     def __len__(self) -> int:
         return self._count

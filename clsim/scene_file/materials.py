@@ -68,6 +68,7 @@ class _ImpulseResponseFile(_Echo):
     path: str
     channel: int = 0
     scale: float = 1.0
+    truncated: bool = False
 
     def build(self, base: Path) -> Material:
         """Return the material whose impulse response a file holds."""

@@ -79,10 +79,11 @@ class _Wav(Model):
     path: str
     channel: int = 0
     scale: float = 1.0
+    truncated: bool = False
 
     def build(self, base: Path) -> Signal:
         """Return the signal of a file."""
-        return Signal.from_wav(base / self.path, channel=self.channel, scale=self.scale)
+        return Signal.from_wav(**self.arguments() | {"path": base / self.path})
 
 
 PulseModel = Annotated[_Tone | _Chirp | _Noise | _Sequence | _Wav, Field(discriminator="kind")]

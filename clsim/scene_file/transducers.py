@@ -69,10 +69,11 @@ class _ImpulseResponseFile(Model):
     path: str
     channel: int = 0
     scale: float = 1.0
+    truncated: bool = False
 
     def build(self, base: Path) -> Transducer:
         """Return the transducer whose impulse response a file holds."""
-        return Transducer.from_wav(base / self.path, channel=self.channel, scale=self.scale)
+        return Transducer.from_wav(**self.arguments() | {"path": base / self.path})
 
 
 class ElectronicsModel(Model):

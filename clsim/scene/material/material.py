@@ -322,6 +322,7 @@ class Material(ReflectingSurface):
         name: str = "",
         *,
         scattering: Any = None,
+        truncated: bool = False,
     ) -> Material:
         """Return the material whose impulse response is one channel of a sound file.
 
@@ -337,6 +338,8 @@ class Material(ReflectingSurface):
             See `from_impulse_response`.
         scattering : float or (frequencies, values), optional
             Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
+        truncated : bool
+            Whether a file that ends before its header says is taken as far as it goes; else it is refused.
 
         Returns
         -------
@@ -349,7 +352,7 @@ class Material(ReflectingSurface):
             If the file is missing or no sound file, has no such channel, or holds no passive response.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
-        samples, rate = read_sound_file(path, channel)
+        samples, rate = read_sound_file(path, channel, truncated)
         taps = scale * samples.astype(np.float64)
         return cls.from_impulse_response(taps, rate, reference, band, outside, tolerance, name, scattering=scattering)
 

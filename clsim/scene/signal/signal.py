@@ -538,7 +538,9 @@ class Signal:
         return cls(_with_centroid(pressure, rate), rate)
 
     @classmethod
-    def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0) -> Signal:
+    def from_wav(
+        cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0, *, truncated: bool = False
+    ) -> Signal:
         """Return one channel of a sound file; full scale (1.0) becomes `scale` Pa.
 
         Parameters
@@ -549,6 +551,8 @@ class Signal:
             From 0.
         scale : float
             Of a sample of 1, Pa, or V for a transducer.
+        truncated : bool
+            Whether a file that ends before its header says is taken as far as it goes; else it is refused.
 
         Returns
         -------
@@ -566,7 +570,7 @@ class Signal:
             Above 160 dB SPL.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
-        samples, rate = read_sound_file(path, channel)
+        samples, rate = read_sound_file(path, channel, truncated)
         samples *= scale
         _question_level("scale", samples)
         return cls(_with_centroid(read_only(samples), _rate(rate)), rate)

@@ -284,7 +284,15 @@ class Transducer:
         return cls(ImpulseResponse(taps, rate), name)
 
     @classmethod
-    def from_wav(cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0, name: str = "") -> Transducer:
+    def from_wav(
+        cls,
+        path: str | PathLike[str],
+        channel: int = 0,
+        scale: float = 1.0,
+        name: str = "",
+        *,
+        truncated: bool = False,
+    ) -> Transducer:
         """Return the transducer whose impulse response is one channel of a sound file; full scale becomes `scale`.
 
         Parameters
@@ -297,6 +305,8 @@ class Transducer:
             Of a sample of 1: Pa at 1 m per V, or V per Pa.
         name : str
             What to call it.
+        truncated : bool
+            Whether a file that ends before its header says is taken as far as it goes; else it is refused.
 
         Returns
         -------
@@ -309,7 +319,7 @@ class Transducer:
             If the file is missing or no sound file, has no such channel, or holds NaN or silence.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
-        samples, rate = read_sound_file(path, channel)
+        samples, rate = read_sound_file(path, channel, truncated)
         return cls.from_impulse_response(scale * samples.astype(np.float64), rate, name)
 
     @classmethod
