@@ -51,13 +51,15 @@ def explain(error: ValidationError, content: Any, model: type[BaseModel]) -> Inp
     InputError
         To be raised by the caller.
     """
-    # A misspelt key comes before what is then missing; of a number or a list of numbers, what is wrong within the list.
+    # A misspelt key comes before what is then missing; of a number or a list of numbers, what is wrong within the list;
+    # of a text where a word or something else may stand, the word.
     complaints: list[Any] = error.errors(include_url=False)
     first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
     field = _field_of(first, content)
     for complaint in complaints:
         inner = _field_of(complaint, content)
-        if inner.startswith(f"{field}["):
+        word = complaint["type"] == "literal_error" and isinstance(complaint["input"], str) and inner == field
+        if word or inner.startswith(f"{field}["):
             first, field = complaint, inner
     kind, context, given = first["type"], first.get("ctx", {}), first["input"]
     if kind == "missing":

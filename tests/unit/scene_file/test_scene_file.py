@@ -87,6 +87,11 @@ def test_the_file_says_what_the_constructors_say(tmp_path: Path) -> None:
         np.testing.assert_allclose(axis, np.array(towards) / np.linalg.norm(towards), rtol=0, atol=1e-4)
 
 
+def test_a_misspelt_word_is_asked_for_where_a_list_may_stand_too() -> None:
+    told = refusal(changed(("sources", 0, "aim"), "foreward"), Path())
+    assert told == 'sources[0].aim: must be one of "forward", but is \'foreward\'; did you mean "forward"?'
+
+
 def test_completed_scene_is_the_same_from_another_folder(tmp_path: Path) -> None:
     rows = "".join(f"{t / 10} {1 + t / 100} 1 1 0 0 0 1\n" for t in range(30))
     (tmp_path / "walk.txt").write_text(rows)
