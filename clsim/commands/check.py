@@ -9,6 +9,7 @@ import numpy as np
 
 from clsim.commands.arguments import add_scene
 from clsim.numerics.quaternions import rotate
+from clsim.paths.without_edges import largest_jump_db
 from clsim.render.tails import left_by_images
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene_file import load_scene
@@ -42,6 +43,8 @@ def execute(options: argparse.Namespace) -> int:
     print(*_facing(file.scene), sep="\n", flush=True)
     planned = plan_scene(file, progress)
     passing = [] if file.scene.room.is_convex and not file.scene.bodies else [_comings_and_goings(planned.paths)]
+    if passing and not file.paths["diffraction"]:
+        passing += _jump(planned.paths)
     for line in [*passing, *planned.plan.describe(), *_left_by_images(planned)]:
         print(line)
     scene = file.scene
@@ -94,6 +97,13 @@ def _thin(file: SceneFile) -> list[str]:
         f"two wavelengths, {1e3 * wavelengths:.3g} mm: a sheet does as well (sheets_below = {wavelengths:.2g})"
         for name, thickness in file.scene.room.as_mesh().thin_panels(wavelengths)
     ]
+
+
+def _jump(paths: PathSet) -> list[str]:
+    """Report the largest jump of the pressure where paths begin and end, if there is one."""
+    jump = largest_jump_db(paths)
+    jumps = f"paths begin and end at edges: the pressure jumps by up to {jump or 0:.1f} dB of the strongest path"
+    return [] if jump is None else [f"{jumps}; paths over edges make it continuous (diffraction = 1)"]
 
 
 def _comings_and_goings(paths: PathSet) -> str:

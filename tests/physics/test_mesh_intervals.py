@@ -274,6 +274,7 @@ def test_shooting_finds_the_same_in_a_small_room_and_says_that_it_can_miss(
 
 
 @pytest.mark.usefixtures("device")
+@pytest.mark.filterwarnings("ignore:.*Fresnel zone:clsim.ClsimWarning")  # of small walls
 def test_few_rays_tell_how_many_paths_they_miss(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     monkeypatch.setattr(ray_shooting, "RAYS", 200)

@@ -160,6 +160,7 @@ def test_prisms_have_the_paths_of_brute_force(name: str, rng) -> None:
 
 
 @pytest.mark.usefixtures("device")
+@pytest.mark.filterwarnings("ignore:.*Fresnel zone:clsim.ClsimWarning")  # of furniture
 @pytest.mark.parametrize(("name", "order", "pairs"), few([("bedroom", 3, 4), ("bedroom", 2, 20), ("concert", 2, 20)]))
 def test_real_rooms_have_the_paths_of_brute_force(name: str, order: int, pairs: int, rng) -> None:
     room = read(f"{name}.obj")

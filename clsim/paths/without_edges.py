@@ -1,0 +1,165 @@
+"""What reflections alone leave out: faces smaller than Fresnel zones, and jumps where paths begin and end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import warn
+from clsim.paths.family import BODY, SPECULAR
+from clsim.scene.view import known_until
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.family import PairPaths
+    from clsim.paths.path_set import PathSet
+    from clsim.scene.room.walls import Walls
+    from clsim.scene.scene import Scene
+
+_MOST_ROWS = 64  # paths by small faces of a pair that are looked at
+_MOST_EVENTS = 64  # beginnings and ends of paths of a pair that are looked at
+_SOFTEST_DB = -40.0  # re the free direct sound
+_LEAST_JUMP_DB = -60.0  # re the strongest path
+_FARTHEST = 100.0  # m, of paths whose Fresnel zones matter
+_SAME_EVENT = 1e-5  # s
+
+
+def warn_of_small_faces(paths: PathSet) -> None:
+    """Warn once of the loudest reflection by a face that is smaller than the Fresnel zone of the path over it.
+
+    Parameters
+    ----------
+    paths : PathSet
+        Without edges.
+
+    Notes
+    -----
+    The radius of the first Fresnel zone is ``√(λ d₁ d₂ / (d₁ + d₂))`` for the lengths d₁ and d₂ of the path before and
+    after the face (M. Born and E. Wolf, "Principles of Optics", section 8.2), at the centre frequency of the signal. A
+    path is looked at in the middle of its interval.
+    """
+    widths = _widths(paths.scene)
+    reports = [report for _, pair in paths.pairs() for report in _small_faces(pair, widths)] if len(widths) else []
+    if reports:
+        level, name, width, zone = max(reports)
+        warn(
+            f"{name!r} is {1e3 * width:.3g} mm wide, the Fresnel zone of a path over it {1e3 * zone:.3g} mm: its "
+            f"reflection, {level:.0f} dB re the free direct sound, is wrong by several dB without edges "
+            "(diffraction=1)"
+        )
+
+
+def largest_jump_db(paths: PathSet) -> float | None:
+    """Find the largest jump of the pressure where paths begin and end, dB re the strongest path.
+
+    Paths that take over from each other, such as by the same walls in another order, cancel. None stands for less than
+    -60 dB.
+    """
+    jumps = [jump for receiver in range(len(paths.scene.receivers)) for jump in _jumps(paths.heard_by(receiver))]
+    worst = 20.0 * np.log10(max(jumps, default=0.0) + 1e-300)
+    return float(worst) if worst > _LEAST_JUMP_DB else None
+
+
+def _widths(scene: Scene) -> Floats:
+    """List the least widths of walls of the room and of faces of bodies (n,), m; none where all are large."""
+    parts = [np.full(len(scene.room.faces.names), np.inf)]
+    if not scene.room.is_convex:
+        parts = [_least_widths(scene.room.as_mesh().walls)]
+    parts += [_least_widths(body.mesh.walls) for body in scene.bodies]
+    zone = _zone(_longest_wave(scene), _FARTHEST)
+    if np.any(parts[0] < zone):  # without an edge that diffracts the images of a face make it whole
+        parts[0][~np.isin(np.arange(len(parts[0])), scene.room.edges().faces)] = np.inf
+    found = np.concatenate(parts)
+    return found if np.any(found < zone) else found[:0]
+
+
+def _least_widths(walls: Walls) -> Floats:
+    found = np.empty(len(walls))
+    for wall in range(len(walls)):
+        outline = walls.edges_of(wall)
+        along = outline[:, 1] - outline[:, 0]
+        across = np.cross(walls.normal[wall], along / np.linalg.norm(along, axis=1)[:, None])
+        found[wall] = np.ptp(outline.reshape(-1, 3) @ across.T, axis=0).min()
+    return found
+
+
+def _longest_wave(scene: Scene) -> float:
+    return float(scene.air.speed_of_sound / min(source.emitted.centre_frequency for source in scene.sources))
+
+
+def _zone(wave: float, length: float) -> float:
+    """Width of the first Fresnel zone half-way along a path, m: an upper bound elsewhere."""
+    return float(np.sqrt(wave * length))
+
+
+def _small_faces(pair: PairPaths, widths: Floats) -> Iterator[tuple[float, str, float, float]]:
+    """Yield level, name of the face, its width and the Fresnel zone's of paths of a pair over small faces."""
+    family, rows = pair.family, pair.index
+    kinds, objects = family.interactions[rows], family.objects[rows]
+    face = np.where(kinds == SPECULAR, objects, objects + len(family.scene.room.faces.names))
+    met = (kinds == SPECULAR) | (kinds == BODY)
+    width = np.where(met, widths[np.where(met, face, 0)], np.inf)
+    source = family.scene.sources[pair.source]
+    wave = family.scene.air.speed_of_sound / source.emitted.centre_frequency
+    for row in np.flatnonzero(width.min(axis=1, initial=np.inf) < _zone(wave, _FARTHEST))[:_MOST_ROWS].tolist():
+        time = _middle(family.scene, family.start[rows[row]], family.end[rows[row]])
+        places = family.vertices(rows[row : row + 1], time)[0]
+        before = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
+        length = before[np.isfinite(before)][-1]
+        for k in np.flatnonzero(met[row]).tolist():
+            zone = 2.0 * np.sqrt(wave * before[k] * (length - before[k]) / length)
+            if width[row, k] < zone:
+                level = _level_db(pair.part(np.array([row])), time)
+                name = _name(pair, int(kinds[row, k]), int(objects[row, k]))
+                if level > _SOFTEST_DB:
+                    yield level, name, float(width[row, k]), float(zone)
+
+
+def _name(pair: PairPaths, kind: int, thing: int) -> str:
+    return pair.family.scene.room.faces.names[thing] if kind == SPECULAR else pair.family.object_names[thing]
+
+
+def _middle(scene: Scene, start: float, end: float) -> float:
+    until = known_until([*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()])
+    first, last = max(start, 0.0), min(end, max(until, start, 0.0))
+    return 0.5 * (first + last)
+
+
+def _level_db(pair: PairPaths, time: float) -> float:
+    """Level of a path re the free direct sound, at the centre frequency of the signal."""
+    scene, times = pair.family.scene, np.array([time])
+    source, receiver = scene.sources[pair.source], scene.receivers[pair.receiver]
+    strength = np.abs(pair.gain(pair.arrivals(times), times)).max()
+    apart = np.linalg.norm(receiver.trajectory.position(times) - source.trajectory.position(times))
+    return float(20.0 * np.log10(strength * apart + 1e-300))
+
+
+def _jumps(paths: PathSet) -> Iterator[float]:
+    """Yield jumps of the pressure of one receiver over the strongest path, by sources."""
+    scene = paths.scene
+    until = known_until([*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()])
+    for source in range(len(scene.sources)):
+        pairs = [pair for _, pair in paths.pairs() if pair.source == source]
+        if not pairs:
+            continue
+        start, end = (np.concatenate([getattr(p.family, x)[p.index] for p in pairs]) for x in ("start", "end"))
+        events = np.unique(np.concatenate([start, end]))
+        events = events[(events > 0.0) & (events < until)]
+        events = events[np.unique(np.linspace(0, len(events) - 1, _MOST_EVENTS).astype(int))] if len(events) else events
+        terms = np.concatenate([_phasors(pair, events) for pair in pairs])
+        for which, event in enumerate(events.tolist()):
+            born, gone = (np.abs(x - event) < _SAME_EVENT for x in (start, end))
+            strongest = np.abs(np.where((start <= event) & (end >= event), terms[:, which], 0.0)).max()
+            yield float(np.abs(np.sum(terms[born, which]) - np.sum(terms[gone, which])) / max(strongest, 1e-300))
+
+
+def _phasors(pair: PairPaths, times: Floats) -> NDArray[Any]:
+    """Compute the phasors (P, T) of paths at the centre frequency of the signal, also where they are not active."""
+    found = pair.arrivals(times)
+    frequency = pair.family.scene.sources[pair.source].emitted.centre_frequency
+    return np.asarray(pair.gain(found, times) * np.exp(-2j * np.pi * frequency * found.delay))
