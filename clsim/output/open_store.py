@@ -39,7 +39,9 @@ def open_store(path: str | os.PathLike[str]) -> Any:
     Notes
     -----
     ``xarray.open_zarr`` and ``xarray.open_dataset(engine="h5netcdf")`` open the same stores, without ``time`` (which
-    would take twice the space of the sound): it is ``numpy.arange(samples) / sampling_rate``.
+    would take twice the space of the sound): it is ``numpy.arange(samples) / sampling_rate``. Sound is read when it is
+    used: a damaged chunk of it raises an error of the package that unpacks it then, and in `load_recording` an
+    InputError.
     """
     path = Path(path)
     inside = [path / "recording.zarr", path / "recording.h5"]

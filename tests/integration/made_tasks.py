@@ -46,6 +46,7 @@ def do(number: int, note: str, waits: float, kills: bool, device: str | None) ->
         Path(note).touch()
         os.kill(os.getpid(), 9)
     try:
+        Path(f"{note}.begun").touch()
         time.sleep(waits)
         if number < 0:
             raise UnreadableError("a", "b")

@@ -18,6 +18,7 @@ from test_resume import SCENE, command
 
 from clsim.cli import main
 from clsim.cluster.dispatch import Dispatch
+from clsim.cluster.processes import local_team
 from clsim.cluster.workers import Workers
 from clsim.errors import ClsimWarning
 
@@ -95,11 +96,13 @@ def test_nothing_listens_while_processes_work(tmp_path: Path) -> None:
 
 
 def test_a_task_that_is_left_cleans_up(tmp_path: Path) -> None:
-    before = tree(os.getpid())
-    note = tmp_path / "cleaned"
-    rows = Workers(2).rows(Dispatch([0, 1, 2]), MadeTasks(str(note), 0.3), [])
-    next(rows)
-    rows.close()  # while others are done
+    before, note = tree(os.getpid()), tmp_path / "cleaned"
+    with local_team(1, MadeTasks(str(note), 60.0), []) as team:
+        while not team.workers():
+            team.done(0.1)
+        team.begin(0, *team.workers())
+        while not note.with_suffix(".begun").exists():
+            time.sleep(0.01)
     assert note.exists()
     assert not _workers(tree(os.getpid()) - before)
 
