@@ -1,4 +1,4 @@
-"""What comes back from bodies: specular points and strengths of ellipsoids, and the field of a rigid sphere.
+"""Specular points and strengths of bodies, by geometrical optics: those of ellipsoids.
 
 The strength of a body is the pressure that it sends to 1 m of a wave of 1 Pa, m; 20 lg of it is the target strength.
 Time goes by ``exp(+j 2 pi f t)``.
@@ -8,24 +8,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from scipy.interpolate import CubicSpline
 
-    from clsim.arrays import Complexes, Floats
+    from clsim.arrays import Floats
 
 FAR = 0.1  # rad; where the first of Newton's steps is longer, they are watched
 _STEPS = 40  # of these, at most
 FOUND = 1e-3  # rad; the next step is about its square
 LONGEST_STEP = 0.5  # rad
 PENUMBRA = 0.25  # cosine of the angle of incidence about which bodies stop to be mirrors
+_OPPOSITE = 1e-9  # rad from opposite directions, below which their bisector is none
 _SMALL = 1e-100  # in divisors: what is divided by it is squared, too
-_FINENESS = 16  # angles of the table of a sphere in one radian of its fastest turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +93,7 @@ def ellipsoid_glint(
     scale = semi_axes[:, None]
     between, hidden = _between(source / scale, receiver / scale)
     if near is None or math.isinf(near.change):
-        begin = _unit(scale * (_unit(source) + _unit(receiver))) if near is None else near.normal
+        begin = _unit(scale * _bisector(source, receiver)) if near is None else near.normal
         u, change = _search(scale, source, receiver, between, begin, weight)
     else:
         u, change = _newton(scale, source, receiver, near.normal, weight, LONGEST_STEP)
@@ -139,32 +137,6 @@ def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glin
     bend = np.maximum(_bend(scale, source, receiver, u, 1.0)[0], _SMALL)
     strength = lit_share(cosine) * cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend)
     return np.asarray(np.where(glint.hidden, 0.0, strength))
-
-
-def sphere_strength(radius: float, source: Floats, receiver: Floats, glint: Glint) -> tuple[Floats, Floats]:
-    """Return the strength (n,) that `sphere_field` of a rigid sphere is relative to, m, and its cosine (n,).
-
-    Parameters
-    ----------
-    radius : float
-        a, m.
-    source, receiver : ndarray (3, n)
-        Both ends as seen from the centre, m.
-    glint : Glint
-        Of these ends.
-
-    Notes
-    -----
-    The strength is that of geometrical optics along the normal, ``a / 2 / (1 + a cos(theta) (1 / d1 + 1 / d2) / 2)``,
-    in every direction: across the plane of incidence that has a zero at grazing incidence, which is the field's to
-    decide. Our own derivation, and choice. The cosine is that of half the angle between the directions to both ends
-    from the centre.
-    """
-    both = _unit(source) + _unit(receiver)
-    cosine = 0.5 * np.sqrt(_dot(both, both))
-    apart = [glint.place - end for end in (source, receiver)]
-    near = sum(1.0 / np.sqrt(_dot(away, away)) for away in apart)
-    return np.asarray(0.5 * radius / (1.0 + 0.5 * radius * cosine * near)), cosine
 
 
 def lit_share(cosine: Floats) -> Floats:
@@ -226,6 +198,17 @@ def _careful(
     return u, change
 
 
+def _bisector(s: Floats, r: Floats) -> Floats:
+    """Return the sums (3, n) of the directions to both ends; where these are opposite, a direction across them."""
+    one, other = _unit(s), _unit(r)
+    both = one + other
+    opposite = _dot(both, both) < _OPPOSITE**2
+    if opposite.any():
+        across = np.eye(3)[np.abs(one).argmin(axis=0)].T
+        both = np.where(opposite, across - _dot(across, one) * one, both)
+    return np.asarray(both)
+
+
 def _unit(v: Floats) -> Floats:
     """Return vectors (3, n) of length 1."""
     return np.asarray(v / np.sqrt(np.maximum(_dot(v, v), _SMALL)))
@@ -271,95 +254,3 @@ def _newton(
     held = np.minimum(1.0, longest / np.maximum(length, _SMALL))
     moved = u + held * (first * one + second * other)
     return _unit(moved), length * held
-
-
-def sphere_form(ka: Floats, cosine: Floats) -> Complexes:
-    """Return the form function of a rigid sphere, for a plane wave and far away.
-
-    Parameters
-    ----------
-    ka : ndarray (F,)
-        Wave number times radius, above 0.
-    cosine : ndarray (n,)
-        Of the angle between where the wave goes and where what is scattered goes: -1 for what comes back.
-
-    Returns
-    -------
-    ndarray (n, F)
-        What is scattered to a distance d is ``a / (2 d)`` of the wave at the centre, times this, times
-        ``exp(-j k d)``.
-
-    Notes
-    -----
-    ``F = (2 j / ka) sum (2 n + 1) (-j_n'(ka) / h_n2'(ka)) P_n(cos gamma)`` with the Hankel functions of the second kind
-    (P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2).
-
-    Examples
-    --------
-    >>> form = sphere_form(np.array([2.0 * np.pi * 112e3 / 1477.3 * 0.01]), np.array([-1.0]))
-    >>> float((20.0 * np.log10(0.005 * abs(form[0, 0]))).round(2))
-    -45.52
-    """
-    from scipy.special import eval_legendre, spherical_jn, spherical_yn
-
-    most = float(ka.max())
-    n = np.arange(math.ceil(most + 4.05 * most ** (1.0 / 3.0)) + 10)[:, None]
-    with np.errstate(over="ignore", invalid="ignore"):
-        regular, other = spherical_jn(n, ka, derivative=True), spherical_yn(n, ka, derivative=True)
-        ratio = np.where(np.isfinite(other), -regular / (regular - 1j * other), 0.0)
-    return np.asarray((eval_legendre(n.T, cosine[:, None]) @ ((2 * n + 1) * ratio)) * (2j / ka))
-
-
-def sphere_field(radius: float, wave: Floats, cosine: Floats) -> Complexes:
-    """Return the field of a rigid sphere over what geometrical optics gives of it at its specular point.
-
-    Parameters
-    ----------
-    radius : float
-        a, m.
-    wave : ndarray (F,)
-        Wave numbers, 1/m.
-    cosine : ndarray (...)
-        Of half the angle between the directions to both ends, as of `sphere_strength`.
-
-    Returns
-    -------
-    ndarray (..., F)
-        ``F(ka, gamma) exp(-2 j k a cos(theta))``: 1 for high frequencies but for the waves that creep round, away from
-        the shadow. Splines over the angle hold it within -90 dB.
-
-    Notes
-    -----
-    Our own derivation: the front comes back from the nearest point of the surface, ``2 a cos(theta)`` before what is
-    scattered at the centre would.
-    """
-    values = _field_table(tuple((radius * wave).tolist()))(2.0 * np.arcsin(np.minimum(cosine, 1.0)))
-    return np.asarray(values)
-
-
-@lru_cache(maxsize=64)
-def _field_table(ka: tuple[float, ...]) -> CubicSpline:
-    """Return splines (F,) of the field of a sphere over the angle of scattering, 0 to pi."""
-    from scipy.interpolate import CubicSpline
-
-    angle, values = sphere_fields(ka)
-    splines: Any = CubicSpline(angle, values)
-    return cast("CubicSpline", splines)
-
-
-def sphere_fields(ka: tuple[float, ...]) -> tuple[Floats, Complexes]:
-    """Return angles of scattering (n,) from 0 to pi, and the field (n, F) of a sphere there, for splines between.
-
-    Parameters
-    ----------
-    ka : tuple of float (F,)
-        Wave numbers times radius, above 0.
-
-    Notes
-    -----
-    See `sphere_field`, with the series of P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2.
-    """
-    every = np.array(ka)
-    angle = np.linspace(0.0, math.pi, math.ceil(math.pi * _FINENESS * (float(every.max()) + 5.0)))
-    turn = np.exp(-2j * np.sin(0.5 * angle)[:, None] * every)
-    return angle, sphere_form(every, np.cos(angle)) * turn

@@ -92,6 +92,7 @@ NODES_MADE = {
 EDGE_TABLES = {
     "transition": taken("bins", "CELLS, 4, PARTS, BIN_VECTORS"), "faces": taken("bins", "slots, 2, PARTS, BIN_VECTORS"),
     "waves": taken("bins", "BIN_VECTORS"), "middle": DOUBLE,
+    "modes": taken("double", "spheres: FREQUENCIES, then modes, 4, FREQUENCIES"),
 }  # fmt: skip
 BRANCHES = {"branches": taken("float", "rows, stride"), "stride": INT, "lead": INT}
 BLOCKS = {

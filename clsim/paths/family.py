@@ -160,6 +160,11 @@ class PathFamily(ABC):
         return is_complex(self.scene)
 
     @property
+    def varies(self) -> bool:
+        """Whether the response of a path changes over a run so much that a few instants do not tell of all."""
+        return False
+
+    @property
     def moves(self) -> bool:
         """Whether paths change though both ends rest."""
         return self.scene.air.fluctuation is not None

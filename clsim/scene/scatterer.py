@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 import numpy as np
 
 from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_glint
-from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength, sphere_field, sphere_strength
+from clsim.acoustics import sphere
+from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength
 from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.motion.trajectory import Trajectory
@@ -50,6 +51,11 @@ class Shape(Protocol):
         ...
 
     @property
+    def shadows(self) -> bool:
+        """Whether what it scatters takes away the sound that goes on behind it."""
+        ...
+
+    @property
     def aspects(self) -> int:
         """How many numbers `field` takes."""
         ...
@@ -66,13 +72,21 @@ class Shape(Protocol):
         """Return by what its strength is multiplied (..., F) at wave numbers (F,), 1/m; None for 1."""
         ...
 
-    def largest(self, wave: Floats) -> Floats:
-        """Return a bound (F,) of strength times field in any direction at wave numbers (F,) 1/m, m."""
+    def largest(self, wave: Floats, nearest: Floats) -> Floats:
+        """Return bounds (n, F) of what it sends back, times the length of the path, at wave numbers (F,) 1/m.
+
+        The distances of both ends from it have at least these harmonic means, over 2, (n,) m.
+        """
         ...
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return which places (n, 3) are in it, or nearer to it than a margin, m."""
         ...
+
+
+def _over(nearest: Floats, strength: Floats) -> Floats:
+    """Return bounds (n, F) of strengths (F,) m over distances (n,) m."""
+    return np.asarray(strength / nearest[:, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +97,7 @@ class PointShape:
     kind: ClassVar[str] = "point"
     radius: ClassVar[float] = 0.0
     is_complex: ClassVar[bool] = False
+    shadows: ClassVar[bool] = False
     aspects: ClassVar[int] = 1
 
     @property
@@ -103,9 +118,9 @@ class PointShape:
         """Return None: it has no field of its own."""
         return None
 
-    def largest(self, wave: Floats) -> Floats:
-        """Return the one strength (F,), m."""
-        return np.full(len(wave), self.strongest)
+    def largest(self, wave: Floats, nearest: Floats) -> Floats:
+        """Return the bounds (n, F) of its one strength."""
+        return _over(nearest, np.full(len(wave), self.strongest))
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return which places (n, 3) are nearer than a margin, m."""
@@ -119,6 +134,7 @@ class EllipsoidShape:
     semi_axes: Floats
     kind: ClassVar[str] = "ellipsoid"
     is_complex: ClassVar[bool] = False
+    shadows: ClassVar[bool] = False
     aspects: ClassVar[int] = 1
 
     @property
@@ -139,9 +155,9 @@ class EllipsoidShape:
         """Return None: geometrical optics are the same at all frequencies."""
         return None
 
-    def largest(self, wave: Floats) -> Floats:
-        """Return half the largest geometric mean of both radii of curvature (F,), where it is flattest, m."""
-        return np.full(len(wave), 0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2)
+    def largest(self, wave: Floats, nearest: Floats) -> Floats:
+        """Return the bounds (n, F) of half the largest mean radius of curvature, where it is flattest."""
+        return _over(nearest, np.full(len(wave), 0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2))
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return which places (n, 3) are in the ellipsoid whose semi-axes are longer by a margin, m."""
@@ -155,7 +171,8 @@ class SphereShape:
     radius: float
     kind: ClassVar[str] = "sphere"
     is_complex: ClassVar[bool] = True
-    aspects: ClassVar[int] = 1
+    shadows: ClassVar[bool] = True
+    aspects: ClassVar[int] = sphere.ASPECTS
 
     @property
     def semi_axes(self) -> Floats:
@@ -167,13 +184,15 @@ class SphereShape:
         return ellipsoid_glint(np.full(3, self.radius), source, receiver, near, weight)
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        """Return the strength (n,) that its field is relative to, m, and the cosine (n, 1) of half the angle."""
-        found = glint or self.glint(source, receiver, None, 1.0)
-        strength, cosine = sphere_strength(self.radius, source, receiver, found)
-        return strength, cosine[:, None]
+        """Return the strength (n,) that its field is relative to, m, and what that takes (n, aspects)."""
+        return sphere.sphere_aspects(self.radius, source, receiver, glint or self.glint(source, receiver, None, 1.0))
 
     def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
-        """Return the field of its modes over that of geometrical optics."""
+        """Return the sum of its modes."""
+        self._check(wave)
+        return sphere.sphere_field(self.radius * wave, aspects)
+
+    def _check(self, wave: Floats) -> None:
         most = self.radius * float(wave.max())
         if most > _LARGEST_KA:
             raise InputError(
@@ -181,13 +200,11 @@ class SphereShape:
                 f"must be at most {_LARGEST_KA:g} / wave number for a series, but ka is {most:.6g} for "
                 f'{self.radius:g} m; say model="geometrical"',
             )
-        return sphere_field(self.radius, wave, aspects[..., 0])
 
-    def largest(self, wave: Floats) -> Floats:
-        """Return half the radius times the largest field (F,): what goes on behind a sphere is stronger, m."""
-        field = self.field(wave, np.linspace(0.0, 1.0, 257)[:, None])
-        assert field is not None
-        return np.asarray(0.5 * self.radius * np.abs(field).max(axis=0))
+    def largest(self, wave: Floats, nearest: Floats) -> Floats:
+        """Return bounds (n, F), see `sphere_bound`."""
+        self._check(wave)
+        return sphere.sphere_bound(self.radius, wave, nearest)
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return which places (n, 3) are in the sphere, or nearer to it than a margin, m."""
@@ -202,6 +219,7 @@ class CapsuleShape:
     length: float
     kind: ClassVar[str] = "capsule"
     is_complex: ClassVar[bool] = True
+    shadows: ClassVar[bool] = False
     aspects: ClassVar[int] = ASPECTS
 
     @property
@@ -227,9 +245,10 @@ class CapsuleShape:
         """Return the Fresnel integrals along it."""
         return capsule_field(wave, aspects)
 
-    def largest(self, wave: Floats) -> Floats:
-        """Return a bound (F,) of both ends and the whole of the side in phase, m."""
-        return np.asarray(self.length * np.sqrt(self.cylinder_radius * wave / (4.0 * np.pi)) + self.cylinder_radius)
+    def largest(self, wave: Floats, nearest: Floats) -> Floats:
+        """Return the bounds (n, F) of both ends and the whole of the side in phase."""
+        side = self.length * np.sqrt(self.cylinder_radius * wave / (4.0 * np.pi))
+        return _over(nearest, side + self.cylinder_radius)
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return which places (n, 3) are in it, or nearer to it than a margin, m."""
@@ -242,8 +261,8 @@ class CapsuleShape:
 class Scatterer:
     """A thing that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
-    It is no obstacle: sound goes on behind it as if it were not there, and what one scatterer sends to another is left
-    out.
+    It ends no path: behind a sphere, what it scatters takes the sound away that goes on there. Other shapes cast no
+    shadow, and what one scatterer sends to another is left out.
 
     Parameters
     ----------
@@ -335,7 +354,8 @@ class Scatterer:
         trajectory : Trajectory
             Where its centre is.
         model : {"series", "geometrical"}
-            The series over its modes, exact over frequency at distances of many radii, or geometrical optics.
+            The series over its modes, exact at every frequency, distance and angle, shadow included, or geometrical
+            optics, which cast no shadow.
         fluctuation : TargetFluctuation, optional
             How its strength changes with time.
 

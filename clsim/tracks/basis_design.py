@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from clsim.tracks.sampled import Band, Draw
     from clsim.tracks.tracks import SceneTracks
 
-MOST_FUNCTIONS = 40
+MOST_FUNCTIONS = 96  # a rod of 30 cm over 20 to 60 kHz takes 60
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
 _EMPHASES = 5  # times that instants which are held badly are given more weight
 _HOPELESS = 4.0  # times the bound, from which on another weight does not help
@@ -76,7 +76,7 @@ def scene_basis(
     Raises
     ------
     InputError
-        If responses change too fast over frequency for 1161 points, 40 functions, or filters of 4097 taps, and are not
+        If responses change too fast over frequency for 1161 points, 96 functions, or filters of 4097 taps, and are not
         even held within -40 dB.
 
     Warns
@@ -214,7 +214,8 @@ class _Functions:
     def of(rows: _Rows, count: int, allowed: float) -> _Functions:
         """Return the functions that hold responses best."""
         frequencies, weight, first = len(rows.weight), rows.weight, rows.sample.first
-        nodes = _spread(min(-(-2 * count // 8) * 8, frequencies), frequencies)
+        # Devices take them eight at a time.
+        nodes = _spread(min(-(-2 * count // 8), frequencies // 8) * 8, frequencies)
         # A tone is next to all there is: a node must lie on it.
         loudest = int(np.median(np.flatnonzero(weight >= weight.max())))
         nodes[np.argmin(np.abs(nodes - loudest))] = loudest

@@ -29,6 +29,7 @@ _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
 _TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 _FRAMES = 48  # of all pairs, about
+_MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 4096  # of each
 _QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
@@ -198,9 +199,12 @@ def picked_paths(
     pairs = [i for i, g in enumerate(tracks.pairs) if g.source == source]
     if len(pairs) > _MOST_PAIRS:
         pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
-    instants = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
+    few = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
     for i in pairs:
         paths, start, end = tracks.pair_paths[i], tracks.pairs[i].start, tracks.pairs[i].end
+        instants = few
+        if paths.family.varies:
+            instants = max(few, min(_MOST_TIMES, count // (len(pairs) * max(len(start), 1))))
         if len(start) > _MOST_PATHS:
             some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
             paths, start, end = paths.part(some), start[some], end[some]

@@ -11,7 +11,7 @@ float BUILTIN floor(float);
 float BUILTIN fma(float, float, float);
 float BUILTIN sqrt(float);
 double BUILTIN sqrt(double);
-double BUILTIN asin(double);
+double BUILTIN rint(double);
 double BUILTIN exp(double);
 double BUILTIN sin(double);
 double BUILTIN cos(double);

@@ -44,7 +44,7 @@ static double scattered_length(const edge_tables* tables, __global const view* s
         triples place = along_axes(scale, b->glint), glint;
         choices hidden;
         choose(b->hidden, between_them(&g, &glint, &hidden), &place);
-        strength = sphere_field(tables, &g, place, seen->first_cell, seen->cells, beside, field);
+        strength = sphere_field(tables, &g, place, seen, beside, field);
 #endif
     } else if (seen->shape != POINT) {
         reals cosine;

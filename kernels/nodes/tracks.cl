@@ -37,7 +37,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                      __global const int* following, __global const int* preceding, int cells, double origin,  // in activity.h
                      double max_rate,                      // bound of how fast a delay changes
                      __global int* activity,               // [blocks][slots]: subblocks in which it sounds, see activity.h
-                     __global const bins* transition, __global const bins* faces, __global const bins* waves, double middle)
+                     __global const bins* transition, __global const bins* faces, __global const bins* waves, double middle, __global const double* modes)
                                                            // these in transition_table.h
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1), first = walk * walk_blocks;
@@ -64,7 +64,7 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, views + slot, &things,
                                 rows + (STATIC_RECEIVERS ? 0 : first), start + first * block_time, block_time,
                                 2.0 / walk_blocks, predicted, expected, -1,
-                                {transition, faces, waves, middle}};
+                                {transition, faces, waves, middle, modes}};
 #if STATIC_RECEIVERS
     nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, views + slot, rows);
 #endif

@@ -1,10 +1,12 @@
-// What fields at edges, along capsules and of spheres are made of: tables, and the transition function of acoustics/diffraction.py by one.
+// What fields at edges, along capsules and of spheres are made of: tables, and the transition function of
+// acoustics/diffraction.py by one.
 
 typedef struct {
-    __global const bins* transition;  // [CELLS][4][PARTS][BIN_VECTORS] over middle / (middle + root); behind it spheres' tables
+    __global const bins* transition;  // [CELLS][4][PARTS][BIN_VECTORS] over middle / (middle + root)
     __global const bins* faces;       // [slots][2][PARTS][BIN_VECTORS], of edges: where they are the same at every angle
     __global const bins* waves;       // [BIN_VECTORS], waves in a metre
     double middle;                    // root of a detour, m^(1/2)
+    __global const double* modes;     // of spheres, see sphere_field.h
 } edge_tables;
 
 #if EDGES || SCATTERERS

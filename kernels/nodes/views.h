@@ -6,7 +6,7 @@ typedef struct {
     double semi_axes[3];                     // m
     double strength;                         // of a point, m
     int thing, turned, shape;                // in the table of poses; whether its orientation matters; POINT, CAPSULE, SPHERE or else
-    int first_cell, cells, unused;           // of a sphere's field
+    int first_mode, modes, least;            // of a sphere: where its table begins, modes there, and how many at least are needed
 } scatterer_view;
 
 typedef struct {

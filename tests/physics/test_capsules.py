@@ -153,7 +153,7 @@ def test_bounds_and_what_is_inside(rng: np.random.Generator) -> None:
     ends /= np.linalg.norm(ends, axis=2)[..., None] / rng.uniform(0.3, 50.0, (2, 4000, 1))
     for wave in (200.0, K):
         found = np.abs(strengths(0.03, 0.2, *ends, wave))
-        assert 0.3 < found.max() / shape.largest(np.array([wave]))[0] <= 1.0
+        assert 0.3 < found.max() / shape.largest(np.array([wave]), np.ones(1))[0, 0] <= 1.0
     inside = shape.holds(np.array([[0.0, 0.0, 0.129], [0.0, 0.02, 0.125], [0.029, 0.0, 0.1], [0.0, 0.0, 0.14]]), 0.0)
     assert inside.tolist() == [True, False, True, False]
     assert shape.holds(np.array([[0.0, 0.0, 0.14]]), 0.02).all()

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize
-from scipy.special import jv
+from scipy.special import eval_legendre, jv, spherical_jn, spherical_yn
 
 import clsim
-from clsim.acoustics.scattering import sphere_form
 from clsim.numerics.quaternions import rotate
 from clsim.paths.scattering.search import direct_ways
 
@@ -322,6 +321,35 @@ def test_a_sphere_that_moves_is_heard_as_its_series(device: None, measured: Call
         assert measured(claim, oracle, error_db, -85.0) < -85.0
 
 
+def modes(radius: float, wave: np.ndarray, to: np.ndarray, back: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Return what a rigid sphere scatters (n, F) between ends at distances (n,), by the sum over its modes."""
+    n = np.arange(round(radius * wave.max()) + 30)[:, None]
+
+    def hankel(x: np.ndarray, derivative: bool = False) -> np.ndarray:
+        return spherical_jn(n, x, derivative) - 1j * spherical_yn(n, x, derivative)
+
+    factor = (2 * n + 1) * spherical_jn(n, radius * wave, derivative=True) / hankel(radius * wave, derivative=True)
+    rows = [
+        np.sum(factor * hankel(wave * d1) * hankel(wave * d2) * eval_legendre(n, mu), axis=0)
+        for d1, d2, mu in zip(to, back, cosine, strict=True)
+    ]
+    return 1j * wave * np.array(rows)
+
+
+def nearest(radius: float, front: list[np.ndarray], apart: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return by what angle (T,) from the source the shortest way meets a sphere, by bisection."""
+    low, high = np.zeros(len(apart)), apart
+    for _ in range(60):
+        angle = 0.5 * (low + high)
+        slopes = [
+            d * np.sin(x) / np.sqrt(d**2 + radius**2 - 2.0 * d * radius * np.cos(x))
+            for d, x in zip(front, (angle, apart - angle), strict=True)
+        ]
+        beyond = slopes[0] > weight * slopes[1]
+        low, high = np.where(beyond, low, angle), np.where(beyond, angle, high)
+    return 0.5 * (low + high)
+
+
 def heard_of_a_sphere(scene: clsim.Scene, radius: float, times: np.ndarray) -> np.ndarray:
     """Return what is heard (T,) of a moving sphere, by its nearest points and the series at each frequency."""
     ends = [end.trajectory.position(0.0) for end in (scene.sources[0], scene.receivers[0])]
@@ -334,27 +362,31 @@ def heard_of_a_sphere(scene: clsim.Scene, radius: float, times: np.ndarray) -> n
     delay = fitted(times)
     late = times - delay
     event = late + 0.5 * delay
-    for _ in range(60):  # when it was met, at its centre less what the front is nearer
-        centre = way.position(event)
+    weight = np.ones(len(times))
+    for _ in range(60):  # when it was met, where the way by its surface is the shortest
+        centre, velocity = way.position(event), way.velocity(event)
         front = [np.linalg.norm(x - centre, axis=1) for x in ends]
-        halves = [(x - centre) / d[:, None] for x, d in zip(ends, front, strict=True)]
-        cosine = 0.5 * np.linalg.norm(halves[0] + halves[1], axis=1)
-        normal = (halves[0] + halves[1]) / (2.0 * cosine[:, None])
-        legs = [np.linalg.norm(x - centre - radius * normal, axis=1) for x in ends]
-        event = late + legs[0] / C
-    velocity = way.velocity(event)
-    mach = np.sum(halves[1] * velocity, axis=1) / C
-    strength = 0.5 * radius / (1.0 + 0.5 * radius * cosine * (1.0 / legs[0] + 1.0 / legs[1]))
-    gain = strength / (legs[0] * legs[1] * (1.0 - mach))
+        towards = [(x - centre) / d[:, None] for x, d in zip(ends, front, strict=True)]
+        apart = np.arccos(np.sum(towards[0] * towards[1], axis=1))
+        from_source = nearest(radius, front, apart, weight)
+        across = towards[1] - np.cos(apart)[:, None] * towards[0]
+        across /= np.linalg.norm(across, axis=1)[:, None]
+        place = centre + radius * (np.cos(from_source)[:, None] * towards[0] + np.sin(from_source)[:, None] * across)
+        legs = [x - place for x in ends]
+        lengths = [np.linalg.norm(leg, axis=1) for leg in legs]
+        off, onwards = (np.sum(leg * velocity, axis=1) / d / C for leg, d in zip(legs, lengths, strict=True))
+        event, weight = late + lengths[0] / C, (1.0 + off) / (1.0 - onwards)
+    gain = weight  # as off a mirror that moves
     size = 2**13
     spectrum, out = np.fft.rfft(signal.read(0, signal.count), size), np.zeros(len(times), dtype=complex)
     loud = np.flatnonzero(np.abs(spectrum) > 1e-5 * np.abs(spectrum).max())
-    f = loud * RATE / size
-    wave, angle = 2.0 * np.pi * f / C, np.linspace(cosine.min() - 1e-3, min(cosine.max() + 1e-3, 1.0), 24)
-    field = sphere_form(radius * wave, 1.0 - 2.0 * angle**2) * np.exp(-2j * radius * wave * angle[:, None])
-    powers = [np.vander((x - angle.mean()) / np.ptp(angle), 8) for x in (angle, cosine)]
-    fitted = np.linalg.lstsq(powers[0], field)[0]
-    assert np.abs(powers[0] @ fitted - field).max() < 1e-7
+    wave = 2.0 * np.pi * loud * RATE / size / C
+    some = np.linspace(0, len(times) - 1, 24).round().astype(int)
+    series = modes(radius, wave, *(d[some] for d in front), np.cos(apart)[some])
+    series *= np.exp(1j * np.outer(C * delay[some], wave))
+    powers = [np.vander((event[i] - middle) / half, 12) for i in (some, slice(None))]
+    fitted = np.linalg.lstsq(powers[0], series)[0]
+    assert np.abs(powers[0] @ fitted - series).max() < 1e-7 * np.abs(series).max()
     for k, column in zip(loud, fitted.T, strict=True):
         out += spectrum[k] * (powers[1] @ column) * np.exp(2j * np.pi * k * RATE / size * late)
     return 2.0 / size * (out * gain).real

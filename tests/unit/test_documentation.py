@@ -33,8 +33,8 @@ EQUATION = re.compile(
 SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
 # Functions that no publication holds, and why; what is derived is derived in their Notes.
 OWN = {
-    "sphere_field": "derived: the series of sphere_form without the phase of its front",
-    "sphere_strength": "derived: the strength of ellipsoid_strength without its zero at grazing incidence",
+    "sphere_aspects": "derived: angle and distances of the ends",
+    "sphere_bound": "a maximum",
     "band_filters": "derived: least squares of a filter's real and imaginary part",
     "band_taper": "a product of two functions of scipy",
     "bank_error": "a maximum",

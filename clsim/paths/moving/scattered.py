@@ -14,7 +14,7 @@ from clsim.paths.family import BODY, NONE, SCATTERING, SPECULAR, ends_at
 from clsim.paths.moving.moving_paths import MovingPaths
 from clsim.paths.moving.scattered_way import find_scattered
 from clsim.paths.propagation import UniformAir
-from clsim.paths.scattering.family import ScatteredArrivals, scatter
+from clsim.paths.scattering.family import ScatteredArrivals, largest_scattered, scatter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -82,6 +82,11 @@ class BodyScatteredPaths(MovingPaths):
     def moves(self) -> bool:
         """Whether any body or scatterer moves or turns."""
         return super().moves or not all(scatterer.is_static for scatterer in self.scene.scatterers)
+
+    @property
+    def varies(self) -> bool:
+        """Whether the field of any scatterer has lobes or fringes, which a path passes one after another."""
+        return any(scatterer.shape.is_complex for scatterer in self.scene.scatterers)
 
     @property
     def is_complex(self) -> bool:
@@ -237,12 +242,9 @@ class BodyScatteredPaths(MovingPaths):
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times a bound of what scatterers send back."""
-        index, c, scene = np.arange(len(self))[rows], self.scene.air.speed_of_sound, self.scene
-        wave, sizes = 2.0 * np.pi * at.frequencies / c, []
-        for scatterer in scene.scatterers:
-            most = 1.0 if scatterer.fluctuation is None else scatterer.fluctuation.most
-            sizes.append(scatterer.shape.largest(wave) * most)
-        mach = self.speeds[index] / c
-        bound = np.array(sizes)[self.scatterer[index]] * ((1.0 + mach) / (1.0 - mach) / self.nearest[index])[:, None]
+        index = np.arange(len(self))[rows]
+        mach = self.speeds[index] / self.scene.air.speed_of_sound
+        bound = largest_scattered(self.scene, self.scatterer[index], self.nearest[index], at.frequencies)
+        bound *= ((1.0 + mach) / (1.0 - mach))[:, None]
         surfaces = np.concatenate([self.before[index], self.after[index]], axis=1)
         return np.asarray(bound * at.largest_reflection(surfaces))

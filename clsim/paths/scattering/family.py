@@ -72,6 +72,29 @@ def scatter(
             response[mine] *= scatterer.fluctuation.at(here.event_time[mine])[..., None]
 
 
+def largest_scattered(scene: Scene, which: NDArray[np.int32], nearest: Floats, frequencies: Floats) -> Floats:
+    """Return bounds of what scatterers send back, times the lengths of the paths (P, F).
+
+    Parameters
+    ----------
+    scene : Scene
+        With its scatterers.
+    which : ndarray (P,) int
+        That of each path.
+    nearest : ndarray (P,)
+        Bounds from below of half the harmonic mean of the distances of both ends, m.
+    frequencies : ndarray (F,)
+        Hz.
+    """
+    wave = 2.0 * np.pi * frequencies / scene.air.speed_of_sound
+    bound = np.empty((len(which), len(wave)))
+    for each in np.unique(which):
+        mine, scatterer = which == each, scene.scatterers[each]
+        most = 1.0 if scatterer.fluctuation is None else scatterer.fluctuation.most
+        bound[mine] = most * scatterer.shape.largest(wave, nearest[mine])
+    return bound
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ScatteredPaths(TwoSidedPaths):
     """Paths by one scatterer each.
@@ -100,6 +123,11 @@ class ScatteredPaths(TwoSidedPaths):
         return not all(scatterer.is_static for scatterer in self.scene.scatterers)
 
     @property
+    def varies(self) -> bool:
+        """Whether the field of any scatterer has lobes or fringes, which a path passes one after another."""
+        return any(scatterer.shape.is_complex for scatterer in self.scene.scatterers)
+
+    @property
     def is_complex(self) -> bool:
         """Whether the field or the fluctuation of any scatterer, a wall or a directivity has a phase."""
         things = any(s.shape.is_complex or s.fluctuation is not None for s in self.scene.scatterers)
@@ -125,7 +153,8 @@ class ScatteredPaths(TwoSidedPaths):
         -----
         What a moving thing scatters is received as from a moving source: the pressure is that of two points of the wave
         equation in a row, ``1 / (d1 (1 - M_s)) f / (d2 (1 - M_c))``, with the Mach numbers of the source towards the
-        scatterer at emission, and of what scatters towards the receiver.
+        scatterer at emission, and of what scatters towards the receiver. That of what casts a shadow is raised by
+        ``1 - M_1`` with its Mach number off the source, as by a mirror: behind it this is as strong as the direct sound.
         """
         times, index = np.asarray(times, dtype=np.float64), np.arange(len(self))[rows]
         shape, wide = (len(index), len(times)), {"departure": 3, "arrival": 3, "aspects": self._aspects}
@@ -155,14 +184,16 @@ class ScatteredPaths(TwoSidedPaths):
         """Return the columns (P, T) of arrivals by one scatterer."""
         retarded, ends = motion == "retarded", _PairEnds(self, index, times)
         medium = self.medium(int(self.source[index[0]]))
-        way = scattered_way(medium, self.scene.scatterers[which], ends, times, retarded)
+        scatterer = self.scene.scatterers[which]
+        way = scattered_way(medium, scatterer, ends, times, retarded)
         mach, coming, leaving = way.mach, way.coming, way.leaving
         onwards, departing = self.turned_back("after", index, way.second.direction), ends.leaving(way.first.direction)
         receding = way.second.sound.growth(onwards, self.ends(index)[1].trajectory.velocity(times))
         rate, factor, ratio = receding - leaving + coming - mach, np.ones_like(mach), np.ones_like(mach)
         if retarded:  # not 1 less a number near 1: that would leave fewer digits
             rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) / ((1 - leaving) * (1 - mach))
-            factor = ((1.0 - mach) * (1.0 - leaving)) ** -MACH_EXPONENT[amplitude]
+            raised = 1.0 - coming if scatterer.shape.shadows else 1.0
+            factor = ((1.0 - mach) * (1.0 - leaving) / raised) ** -MACH_EXPONENT[amplitude]
             ratio = 1.0 / (1.0 - mach)
         departure, arrival = way.first.sound.normal(departing), -way.second.sound.normal(onwards)
         first, second, late = way.first.length, way.second.length, way.second.sound.time if retarded else 0.0
@@ -245,11 +276,8 @@ class ScatteredPaths(TwoSidedPaths):
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return the reflection factors' magnitudes (P, F) times a bound of what scatterers send back."""
         index, c = np.arange(len(self))[rows], self.scene.air.speed_of_sound
-        wave, sizes = 2.0 * np.pi * at.frequencies / c, []
-        for scatterer, (_, surface) in zip(self.scene.scatterers, self.fastest, strict=True):
-            most = 1.0 if scatterer.fluctuation is None else scatterer.fluctuation.most
-            sizes.append(scatterer.shape.largest(wave) * most / (1.0 - surface / c) ** 2)
-        bound = np.array(sizes)[self.scatterer[index]] / self.nearest[index][:, None]
+        bound = largest_scattered(self.scene, self.scatterer[index], self.nearest[index], at.frequencies)
+        bound /= (1.0 - self.fastest[self.scatterer[index], 1:] / c) ** 2
         return np.asarray(bound * at.largest_reflection(self.walls[index]))
 
 

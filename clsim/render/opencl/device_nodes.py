@@ -173,7 +173,7 @@ class DeviceTracks:
 
     def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Return what the field of paths (slots,) that are more than reflected is made of: nothing, for images."""
-        return {"transition": None, "faces": None, "waves": None, "middle": 0.0}
+        return {"transition": None, "faces": None, "waves": None, "middle": 0.0, "modes": None}
 
     def _trajectory(self, knots: Floats) -> dict[str, Any]:
         """Return the knots of motion as the program takes them."""

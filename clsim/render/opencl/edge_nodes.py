@@ -47,7 +47,7 @@ class EdgeTracks(DeviceTracks):
         waves = basis.nodes / self._tracks.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
         both = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
-        return self._uploaded(transition=both, waves=waves.astype(np.float32)) | {"middle": middle}
+        return self._uploaded(transition=both, waves=waves.astype(np.float32)) | {"middle": middle, "modes": None}
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         family, around = self._family, self._surroundings[source]

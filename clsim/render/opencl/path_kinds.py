@@ -4,6 +4,7 @@ from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE
 from clsim.acoustics.edge_end import END_TERMS
 from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
+from clsim.acoustics.sphere import LEFT_OUT
 from clsim.paths.moving.events import BEYOND_LEG
 from clsim.paths.moving.face_cubics import FACE_COLUMNS
 from clsim.paths.pose_cubics import POSE_COLUMNS
@@ -17,12 +18,12 @@ KINDS = {
     "EDGES": 0, "SCATTERERS": 0,  # 1 in builds for this kind
     "BODIES": 0,  # most mirrors that move on a path, in builds for paths by bodies
     "MORE": 0,  # numbers that are predicted besides the delay and its rate
-    "POINT": POINT, "CAPSULE": CAPSULE,
+    "POINT": POINT, "CAPSULE": CAPSULE, "SPHERE": SPHERE,
     "LONGEST_STEP": LONGEST_STEP, "GLINT_FAR": FAR, "GLINT_FOUND": FOUND, "SETTLED": _SETTLED, "FLATTEST": FLATTEST,
     "NO_WAY": NO_WAY, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
     "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
 }  # fmt: skip
 OF_GAINS = {
-    "SPHERE": SPHERE, "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION,
+    "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION, "LEFT_OUT": LEFT_OUT,
     "END_CELLS": END_CELLS, "END_TERMS": END_TERMS,
 }  # fmt: skip

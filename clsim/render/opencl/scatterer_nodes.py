@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.scattering import sphere_fields
+from clsim.acoustics.sphere import sphere_modes
 from clsim.errors import InputError
 from clsim.paths.pose_cubics import pose_knots, pose_rate
 from clsim.render.opencl.device_nodes import DeviceTracks
-from clsim.render.opencl.lookup_tables import cubics, transition_table
+from clsim.render.opencl.lookup_tables import transition_table
 from clsim.render.opencl.path_kinds import CAPSULE, ELLIPSOID, NO_WAY, POINT, SPHERE
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
     from clsim.render.opencl.device_nodes import DeviceChunk, DeviceNodes
     from clsim.render.plan import Plan
@@ -30,7 +31,7 @@ _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere":
 SCATTERER_VIEW = np.dtype(
     [("source_turn", "f8", 9), ("source_shift", "f8", 3), ("receiver_turn", "f8", 9), ("receiver_shift", "f8", 3),
      ("semi_axes", "f8", 3), ("strength", "f8"), ("thing", "i4"), ("turned", "i4"), ("shape", "i4"),
-     ("first_cell", "i4"), ("cells", "i4"), ("unused", "i4")]
+     ("first_mode", "i4"), ("modes", "i4"), ("least", "i4")]
 )  # fmt: skip
 
 
@@ -83,19 +84,21 @@ class ScattererTracks(DeviceTracks):
         return made
 
     def _tables_of(self, views: NDArray[Any], basis: Basis) -> dict[str, Any]:
-        """Return the tables of capsules and spheres, as of `_field`; where those of spheres begin is told in views."""
+        """Return the tables of capsules and spheres, as of `_field`; where those of spheres begin stands in views."""
         if views["shape"].max() < CAPSULE:
             return {}
         waves = basis.nodes / self._tracks.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
-        parts, known = [table], 0
+        parts: list[Floats] = [np.zeros((0, len(waves)))]
         for view in np.flatnonzero(views["shape"] == SPHERE):
-            angle, field = sphere_fields(tuple((2.0 * np.pi * waves * views["semi_axes"][view, 0]).tolist()))
-            parts.append(cubics(angle, field, basis.parts))
-            views["first_cell"][view], views["cells"][view] = known, len(angle) - 1
-            known += len(angle) - 1
-        told = self._uploaded(transition=np.concatenate(parts), waves=waves.astype(np.float32))
-        return told | {"middle": middle}
+            modes = sphere_modes(tuple((2.0 * np.pi * waves * views["semi_axes"][view, 0]).tolist()))
+            factors = np.stack([modes.step, modes.back, modes.weight.real, modes.weight.imag], axis=1)
+            views["first_mode"][view] = sum(part.size for part in parts)
+            views["modes"][view], views["least"][view] = len(factors), math.ceil(float(modes.ka.max()))
+            parts += [modes.ka[None], factors.reshape(-1, len(waves))]
+        known = np.concatenate(parts)
+        found = self._uploaded(transition=table, waves=waves.astype(np.float32))
+        return found | {"middle": middle, "modes": self._upload(known) if known.size else None}
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         family = self._family
