@@ -29,6 +29,7 @@ _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
 _TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 _FRAMES = 48  # of all pairs, about
+_BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 4096  # of each
@@ -202,14 +203,15 @@ def picked_paths(
     few = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
     for i in pairs:
         paths, start, end = tracks.pair_paths[i], tracks.pairs[i].start, tracks.pairs[i].end
-        instants = few
+        instants, last = few, until
         if paths.family.varies:
+            last = until + _BEYOND
             instants = max(few, min(_MOST_TIMES, count // (len(pairs) * max(len(start), 1))))
         if len(start) > _MOST_PATHS:
             some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
             paths, start, end = paths.part(some), start[some], end[some]
-        times = np.sort(rng.uniform(0.0, until, instants))
-        times[[0, -1]] = 0.0, until
+        times = np.sort(rng.uniform(0.0, last, instants))
+        times[[0, -1]] = 0.0, last
         found = paths.arrivals(times, tracks.motion, tracks.amplitude)
         heard = (times >= start[:, None]) & (times < end[:, None])
         level = np.where(heard, np.abs(paths.gain(found, times)), 0.0)
