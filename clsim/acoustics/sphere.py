@@ -28,8 +28,8 @@ _LEAST = 1e-300
 class SphereModes:
     """What modes 0 to N - 1 of a rigid sphere are made of at F values of ka.
 
-    With ``g_n = h_n(kd) / |h_n(ka)| * (d / a) exp(jkd)`` of an end at the distance d, from ``g_-1 = 1`` and ``g_0 = j``,
-    ``g_n+1 = step_n (a / d) g_n - back_n g_n-1``. All numbers are bounded, whatever n and ka are.
+    With ``g_n = h_n(kd) / |h_n(ka)| * (d / a) exp(jkd)`` of an end at the distance d, from ``g_-1 = 1`` and
+    ``g_0 = j``, ``g_n+1 = step_n (a / d) g_n - back_n g_n-1``. All numbers are bounded, whatever n and ka are.
 
     Attributes
     ----------
@@ -59,8 +59,8 @@ def sphere_modes(ka: tuple[float, ...]) -> SphereModes:
     Notes
     -----
     Ratios ``h_n+1 / h_n`` come from the upward recurrence, ``j_n+1 / j_n`` from the downward one, each stable that way
-    (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 1964, section 10.1.19 and 10.5), and the product
-    ``j_n h_n`` from their Wronskian, so that nothing overflows.
+    (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 1964, section 10.1.19 and 10.5), and the
+    product ``j_n h_n`` from their Wronskian, so that nothing overflows.
     """
     x = np.array(ka)
     most = float(x.max())
@@ -130,8 +130,9 @@ def sphere_field(ka: Floats, aspects: Floats) -> Complexes:
     Notes
     -----
     ``p = j k sum (2 n + 1) j_n'(ka) / h_n'(ka) h_n(k d1) h_n(k d2) P_n(cos gamma)`` with the spherical Hankel functions
-    of the second kind (P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2). It is exact wherever the
-    ends are: on the lit side it is close to a mirror's, behind the sphere to the direct sound's with the other sign.
+    of the second kind (P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2). It is exact wherever
+    the ends are: on the lit side it is close to a mirror's, behind the sphere to the direct sound's with the other
+    sign.
 
     Examples
     --------

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_glint
 from clsim.acoustics import sphere
+from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_glint
 from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength
 from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError

@@ -80,8 +80,11 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
     a->departure = turned_back(seen->source_turn, 1, 0, leaving1);
     b->arrival = turned_back(seen->receiver_turn, 1, 0, coming2);
     b->spread = squared1 * inverse1 * DOT(leaving1, direction1) * squared2 * inverse2 * DOT(coming2, direction2);
-    // What casts a shadow is a mirror there: as strong as what it takes away.
-    b->leaving = seen->shape == SPHERE ? (leaving - coming) / (1.0 - coming) : leaving;
+    b->leaving = leaving;
+    if (seen->shape == SPHERE) {  // as strong as a mirror: behind it as what it takes away
+        b->leaving = (leaving - coming) / (1.0 - coming);
+        b->spread = to.time / path->slowness * squared2 * inverse2 * DOT(coming2, direction2);
+    }
     const choices unsettled = WIND && first > KNOWN && seen->shape != POINT ? b->weight == b->weight : b->change > SETTLED;
 #if RETARDED
     const reals later = (on.time - b->late) / (1.0 - leaving);

@@ -200,7 +200,9 @@ def test_a_source_that_passes_a_capsule_is_heard_as_its_law(
     tones, phases = np.linspace(*band, 48) + rng.uniform(-100.0, 100.0, 48), rng.uniform(0.0, 2.0 * np.pi, 48)
     t = np.arange(round(duration * rate)) / rate
     fade = np.clip(np.minimum(t, t[::-1]) / 0.02, 0.0, 1.0)
-    samples = 1e-2 * np.sin(0.5 * np.pi * fade) ** 2 * np.cos(2.0 * np.pi * tones[:, None] * t + phases[:, None]).sum(axis=0)
+    samples = (
+        1e-2 * np.sin(0.5 * np.pi * fade) ** 2 * np.cos(2.0 * np.pi * tones[:, None] * t + phases[:, None]).sum(axis=0)
+    )
     turn = np.array([0.3, 0.1, 0.2, 0.9]) / np.sqrt(0.95)
     scene = clsim.Scene(
         clsim.Shoebox((8.0, 6.0, 4.0), clsim.Material.from_reflection(0.0)),

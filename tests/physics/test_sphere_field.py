@@ -38,7 +38,9 @@ def field(wave: float, radius: float, source: np.ndarray, receiver: np.ndarray) 
     return np.exp(-1j * wave * away) / away, 1j * wave * modes[np.isfinite(modes)].sum()
 
 
-def about(radius: float, source: np.ndarray, receiver: clsim.Trajectory, signal: clsim.Signal, **options: str) -> clsim.Scene:
+def about(
+    radius: float, source: np.ndarray, receiver: clsim.Trajectory, signal: clsim.Signal, **options: str
+) -> clsim.Scene:
     """Return a scene with a sphere in the middle of nothing, and a source beside it."""
     ball = clsim.Scatterer.sphere("ball", radius, clsim.Trajectory.fixed(MIDDLE), **options)
     return clsim.Scene(

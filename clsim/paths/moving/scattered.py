@@ -159,10 +159,15 @@ class BodyScatteredPaths(MovingPaths):
         found, retarded = self.events(which, index, times, motion), motion == "retarded"
         first, second, one = found.first, found.second, np.ones_like(found.time)
         delay, rate = first.delay + second.delay, first.rate + second.rate
-        stretch, ratio = one, one
+        stretch, ratio, strength = one, one, found.strength
+        shadows = self.scene.scatterers[which].shape.shadows  # then as in `ScatteredPaths.arrivals`
+        if shadows:
+            strength = strength * first.carried
         if retarded:
             rate = rate - first.rate * second.rate
             stretch = first.stretch * second.stretch / (first.carried * second.carried)
+            if shadows:
+                stretch = stretch / (1.0 - found.coming)
             ratio = 1.0 / (1.0 - first.mach)
         lengths = [leg.distance * leg.carried for leg in (first, second)]
         none = np.zeros((*delay.shape, self._aspects - found.aspects.shape[-1]))
@@ -171,7 +176,7 @@ class BodyScatteredPaths(MovingPaths):
             "length": lengths[0] + lengths[1], "through": first.distance + second.distance,
             "emission_time": times - delay if retarded else np.broadcast_to(times, delay.shape),
             "mach_factor": stretch ** -MACH_EXPONENT[amplitude], "frequency_ratio": ratio,
-            "second_length": lengths[1], "strength": found.strength,
+            "second_length": lengths[1], "strength": strength,
             "aspects": np.concatenate([found.aspects, none], axis=-1), "event_time": found.time,
             "cosine": np.concatenate([first.cosine, second.cosine], axis=-1),
         }  # fmt: skip

@@ -40,6 +40,8 @@ class ScatteredEvents:
         Of the leg to the scatterer, with times counted from when it is met there, and of that from it.
     time : ndarray (P, T)
         When it is scattered, s.
+    coming : ndarray (P, T)
+        Mach number of the scatterer off the source.
     strength, aspects : ndarray (P, T), (P, T, aspects)
         See `Shape`.
     """
@@ -47,6 +49,7 @@ class ScatteredEvents:
     first: Events
     second: Events
     time: Floats
+    coming: Floats
     strength: Floats
     aspects: Floats
 
@@ -151,4 +154,4 @@ def find_scattered(
             f"{times[-1]:.6g} s",
         )
     strength, aspects = body.strength(shape)
-    return ScatteredEvents(first, second, event, strength, aspects)
+    return ScatteredEvents(first, second, event, mach[0], strength, aspects)

@@ -153,8 +153,8 @@ class ScatteredPaths(TwoSidedPaths):
         -----
         What a moving thing scatters is received as from a moving source: the pressure is that of two points of the wave
         equation in a row, ``1 / (d1 (1 - M_s)) f / (d2 (1 - M_c))``, with the Mach numbers of the source towards the
-        scatterer at emission, and of what scatters towards the receiver. That of what casts a shadow is raised by
-        ``1 - M_1`` with its Mach number off the source, as by a mirror: behind it this is as strong as the direct sound.
+        scatterer at emission, and of what scatters towards the receiver. What casts a shadow is raised by
+        ``1 - M_1`` with its Mach number off the source, as by a mirror: behind it that is the direct sound's strength.
         """
         times, index = np.asarray(times, dtype=np.float64), np.arange(len(self))[rows]
         shape, wide = (len(index), len(times)), {"departure": 3, "arrival": 3, "aspects": self._aspects}
@@ -197,16 +197,19 @@ class ScatteredPaths(TwoSidedPaths):
             ratio = 1.0 / (1.0 - mach)
         departure, arrival = way.first.sound.normal(departing), -way.second.sound.normal(onwards)
         first, second, late = way.first.length, way.second.length, way.second.sound.time if retarded else 0.0
+        strength = way.strength
         none = np.zeros((*way.delay.shape, self._aspects - way.aspects.shape[-1]))
         if way.first.sound.carried is not None:  # as of paths by walls in wind
             first = first * np.sum(departure * departing, axis=-1)
             second = second * -np.sum(arrival * onwards, axis=-1)
+            if scatterer.shape.shadows:  # rest in wind is motion through still air
+                strength = strength * first / way.first.sound.through
         return {
             "delay": way.delay, "delay_rate": rate, "departure": departure, "arrival": arrival,
             "length": first + second, "through": way.first.sound.through + way.second.sound.through,
             "emission_time": times - way.delay if retarded else np.broadcast_to(times, way.delay.shape),
             "mach_factor": factor, "frequency_ratio": ratio, "second_length": second,
-            "strength": way.strength, "aspects": np.concatenate([way.aspects, none], axis=-1),
+            "strength": strength, "aspects": np.concatenate([way.aspects, none], axis=-1),
             "event_time": np.broadcast_to(times - late, way.delay.shape),
         }  # fmt: skip
 
