@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
-_MOST_ROWS = 64  # paths by small faces of a pair that are looked at
+_MOST_ROWS = 16  # paths by small faces of a pair that are looked at
+_MOST_FACES = 4  # of which it is found out whether they have edges that diffract
 _MOST_EVENTS = 64  # beginnings and ends of paths of a pair that are looked at
 _SOFTEST_DB = -40.0  # re the free direct sound
 _LEAST_JUMP_DB = -60.0  # re the strongest path
@@ -45,13 +46,16 @@ def warn_of_small_faces(paths: PathSet) -> None:
     """
     widths = _widths(paths.scene)
     reports = [report for _, pair in paths.pairs() for report in _small_faces(pair, widths)] if len(widths) else []
-    if reports:
-        level, name, width, zone = max(reports)
+    loudest = {report[-1]: report for report in sorted(reports)}  # of each face the last one
+    for level, name, width, zone, wall in sorted(loudest.values(), reverse=True)[:_MOST_FACES]:
+        if not _diffracts(paths.scene, wall):
+            continue
         warn(
             f"{name!r} is {1e3 * width:.3g} mm wide, the Fresnel zone of a path over it {1e3 * zone:.3g} mm: its "
             f"reflection, {level:.0f} dB re the free direct sound, is wrong by several dB without edges "
             "(diffraction=1)"
         )
+        return
 
 
 def largest_jump_db(paths: PathSet) -> float | None:
@@ -71,11 +75,8 @@ def _widths(scene: Scene) -> Floats:
     if not scene.room.is_convex:
         parts = [_least_widths(scene.room.as_mesh().walls)]
     parts += [_least_widths(body.mesh.walls) for body in scene.bodies]
-    zone = _zone(_longest_wave(scene), _FARTHEST)
-    if np.any(parts[0] < zone):  # without an edge that diffracts the images of a face make it whole
-        parts[0][~np.isin(np.arange(len(parts[0])), scene.room.edges().faces)] = np.inf
     found = np.concatenate(parts)
-    return found if np.any(found < zone) else found[:0]
+    return found if np.any(found < _zone(_longest_wave(scene), _FARTHEST)) else found[:0]
 
 
 def _least_widths(walls: Walls) -> Floats:
@@ -88,6 +89,13 @@ def _least_widths(walls: Walls) -> Floats:
     return found
 
 
+def _diffracts(scene: Scene, wall: int) -> bool:
+    """Tell whether a face has an edge that diffracts: without one its images make it whole."""
+    if wall >= len(scene.room.faces.names):
+        return True
+    return bool(np.any(scene.room.as_mesh().edges(wall).faces == wall))
+
+
 def _longest_wave(scene: Scene) -> float:
     return float(scene.air.speed_of_sound / min(source.emitted.centre_frequency for source in scene.sources))
 
@@ -97,8 +105,8 @@ def _zone(wave: float, length: float) -> float:
     return float(np.sqrt(wave * length))
 
 
-def _small_faces(pair: PairPaths, widths: Floats) -> Iterator[tuple[float, str, float, float]]:
-    """Yield level, name of the face, its width and the Fresnel zone's of paths of a pair over small faces."""
+def _small_faces(pair: PairPaths, widths: Floats) -> Iterator[tuple[float, str, float, float, int]]:
+    """Yield level, name of the face, widths of the face and of the Fresnel zone, and the face."""
     family, rows = pair.family, pair.index
     kinds, objects = family.interactions[rows], family.objects[rows]
     face = np.where(kinds == SPECULAR, objects, objects + len(family.scene.room.faces.names))
@@ -117,7 +125,7 @@ def _small_faces(pair: PairPaths, widths: Floats) -> Iterator[tuple[float, str, 
                 level = _level_db(pair.part(np.array([row])), time)
                 name = _name(pair, int(kinds[row, k]), int(objects[row, k]))
                 if level > _SOFTEST_DB:
-                    yield level, name, float(width[row, k]), float(zone)
+                    yield level, name, float(width[row, k]), float(zone), int(face[row, k])
 
 
 def _name(pair: PairPaths, kind: int, thing: int) -> str:

@@ -63,6 +63,18 @@ def test_others_are_not(side: float, diffraction: int) -> None:
         clsim.find_paths(plate(side), 1, diffraction=diffraction)
 
 
+def test_small_faces_that_images_make_whole_are_not() -> None:
+    """The back of a recess 10 cm wide has two corners of 90 degrees; its two sides have edges that diffract."""
+    plan = [(0, 0), (6, 0), (6, 2), (6.1, 2), (6.1, 2.1), (6, 2.1), (6, 4), (0, 4)]
+    room = clsim.MeshRoom.from_plan(plan, 3.0, clsim.Material.from_reflection(0.9))
+    tone = clsim.Signal.tone(40e3, 0.01, 192e3)
+    near, far = (clsim.Trajectory.fixed((x, 2.05, 1.5)) for x in (4.0, 2.0))
+    scene = clsim.Scene(room, clsim.Air(), [clsim.Source("s", tone, near)], [clsim.Receiver("r", far)])
+    paths = clsim.find_paths(scene, 1)
+    narrow = {"wall 3", "wall 4", "wall 5"} & {paths.object_names[w] for w in np.unique(paths.walls) if w >= 0}
+    assert len(narrow) == 1  # the back, of 10 cm in a zone of 22 cm
+
+
 def test_check_reports_jumps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A lossy double reflection of 0.9² that ends at an edge is as loud as the direct sound over its length, at most."""
     path = tmp_path / "scene.toml"

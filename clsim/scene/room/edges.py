@@ -172,7 +172,7 @@ class _Piece:
         return np.asarray(np.cos(0.5 * np.pi * self.n) * self.across + np.sin(0.5 * np.pi * self.n) * self.out)
 
 
-def find_edges(walls: Walls, faces: Faces, inside: Inside | None) -> Edges:
+def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | None = None) -> Edges:
     """Return the edges of walls at which sound is diffracted.
 
     Parameters
@@ -183,6 +183,8 @@ def find_edges(walls: Walls, faces: Faces, inside: Inside | None) -> Edges:
         Their names and materials.
     inside : callable, optional
         Tells which places (n, 3) are in the air of a room, (n,); everywhere when left out.
+    wall : int, optional
+        On whose lines alone edges are looked for.
 
     Returns
     -------
@@ -192,6 +194,8 @@ def find_edges(walls: Walls, faces: Faces, inside: Inside | None) -> Edges:
     """
     found: list[_Piece] = []
     for line in _lines(walls):
+        if wall is not None and wall not in line.walls:
+            continue
         here = [p for p in _pieces(walls, line) if _diffracts(p, faces)]
         found += _joined(here)
     if inside is not None and found:

@@ -476,8 +476,13 @@ class MeshRoom:
         found = walls_at(self.walls, position)
         return found[np.unique(self.walls.plane[found], return_index=True)[1]]
 
-    def edges(self) -> Edges:
-        """Return the edges at which sound turns round corners: of screens, of what stands in the room, of its corners.
+    def edges(self, wall: int | None = None) -> Edges:
+        """Find the edges at which sound turns round corners: of screens, of what stands in the room, of its corners.
+
+        Parameters
+        ----------
+        wall : int, optional
+            On whose lines alone edges are looked for; of all walls when left out.
 
         Returns
         -------
@@ -492,7 +497,7 @@ class MeshRoom:
         >>> edges.names, edges.n.round(9).tolist(), edges.length.tolist()
         (('edge wall 3 | wall 2',), [1.5], [3.0])
         """
-        return find_edges(self.walls, self.faces, self.contains if self.is_closed else None)
+        return find_edges(self.walls, self.faces, self.contains if self.is_closed else None, wall)
 
     def as_mesh(self) -> MeshRoom:
         """Return the room itself.
