@@ -98,7 +98,7 @@ def test_device_and_host_make_the_same(layout: Layout) -> None:
     assert difference_db(layout) < TOLERANCE_DB
 
 
-@pytest.mark.parametrize("degrees", [120.0, 70.0])
+@pytest.mark.parametrize("degrees", few([70.0, 120.0]))
 def test_inner_corners(degrees: float) -> None:
     """Partners of their terms meet both faces, up to three times: a porous one and a curtain."""
     found, samples = inner_corner(np.radians(degrees)), 3072
