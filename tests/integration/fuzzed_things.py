@@ -5,10 +5,28 @@ from typing import Any
 
 import numpy as np
 
+_PLACES = ("position", "start", "end", "center", "positions", "translate")
+
 
 def pick(random: np.random.Generator, values: list[Any], weights: list[int] | None = None) -> Any:
     share = None if weights is None else np.array(weights) / sum(weights)
     return copy.deepcopy(values[int(random.choice(len(values), p=share))])
+
+
+def align(random: np.random.Generator, content: dict[str, Any]) -> None:
+    """Move sources, receivers and scatterers to round places, most of them in one plane, at one height or in one line."""
+    shared = random.choice([0.5, 1.0, 1.5], 3)
+    same = random.random(3) < (0.0, 0.7, 0.7)
+    for kind in ("sources", "receivers", "scatterers"):
+        for thing in content.get(kind, []):
+            motion = thing.get("trajectory")
+            found = [] if motion is None else [motion[key] for key in _PLACES if key in motion]
+            places = [place for part in found for place in (part if isinstance(part[0], list) else [part])]
+            for axis in range(3 if places else 0):
+                old = places[0][axis]
+                new = shared[axis] if same[axis] and random.random() < 0.9 else round(2.0 * old) / 2.0
+                for place in places:
+                    place[axis] = float(place[axis] - old + new)
 
 
 def scatterer(random: np.random.Generator, name: str) -> dict[str, Any]:
@@ -40,5 +58,5 @@ def body(random: np.random.Generator, name: str, materials: list[Any]) -> dict[s
         {"kind": "box", "size": [0.3, 0.0, 0.4], "centre": [0.15, 0.0, 0.0], "material": wall, "trajectory": swing},
         {"kind": "faces", "vertices": [[0.0, -0.2, -0.2], [0.0, 0.2, -0.2], [0.0, 0.2, 0.2], [0.0, -0.2, 0.2]],
          "triangles": [[0, 1, 2], [0, 2, 3]], "material": wall, "trajectory": swing},
-        {"kind": "mesh", "mesh": {"path": "thing.off", "translate": [-2.1, -2.6, -1.1], "materials": wall}, "trajectory": slide},
+        {"kind": "mesh", "mesh": {"path": "thing.off", "materials": wall}, "trajectory": slide | {"start": [0.0, -2.1, -0.4], "end": [0.2, -2.1, -0.4]}},
     ])  # fmt: skip

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from fuzzed_things import body, pick, scatterer
+from fuzzed_things import align, body, pick, scatterer
 
 NUMBERS: list[Any] = [
     math.nan, math.inf, -math.inf, -0.0, 0.0, 0, 1, -1, 2, 0.5, -0.5, 1e300, -1e300, 1e308, 1e-300, 5e-324, 1e200, 1e20,
@@ -289,11 +289,21 @@ def tame(content: Any, path: tuple[str, ...] = ()) -> Any:
     return type(content)(MODERATE) if COUNTED & set(path) and content < ABSURD else content
 
 
+def is_round(number: int) -> bool:
+    """Whether all stands at round places in a scene, of which something is wrong with fewer."""
+    return number % 2 == 1
+
+
 def scene_text(seed: int, number: int) -> bytes:
     """Return a scene file."""
     random = np.random.default_rng([seed, number])
-    content = scene(random)
-    for _ in range(int(random.choice(4, p=[0.1, 0.7, 0.15, 0.05]))):
+    content, wrong = scene(random), [0.1, 0.7, 0.15, 0.05]
+    if is_round(number):
+        align(random, content)
+        if random.random() < 0.2:
+            content["paths"]["diffraction"] = 1
+        wrong = [0.7, 0.2, 0.08, 0.02]
+    for _ in range(int(random.choice(4, p=wrong))):
         spoil(random, content)
     return _spoilt_text(random, tame(content))
 

@@ -77,6 +77,7 @@ def test_a_store_without_checksums_is_read(tmp_path: Path, monkeypatch: pytest.M
     assert not refused(made(tmp_path, "zarr"), verify=True)
 
 
+@pytest.mark.exhaustive
 def test_a_flipped_bit_in_a_study(tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "scene.toml").write_text(tomli_w.dumps(SCENE), "utf-8")
     study = {
