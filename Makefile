@@ -7,14 +7,14 @@ SITE := out/site
 # Tests start some hundred processes: with bytecode on disk each of them is there in half the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo docs test test-exhaustive test-all drivers study-kills fuzz kills clean
+.PHONY: demo docs test test-exhaustive test-all measured drivers study-kills fuzz kills clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
 	@echo "The spectrogram is in out/demo/ceiling_spectrogram.png, the sound in out/demo/ceiling.wav, the path table in out/demo/paths.npz"
 
 # Tests run several at a time: threads of linear algebra would only wait for each other.
-test test-exhaustive test-all: export OPENBLAS_NUM_THREADS = 1
+test test-exhaustive test-all measured: export OPENBLAS_NUM_THREADS = 1
 
 # What runs at every change. What is long and seldom fails is in `test-exhaustive`, of which this has a few of each kind.
 test: .venv/tested
@@ -27,6 +27,11 @@ test-exhaustive: .venv/tested
 # Both at once, each test once: what the gate runs. Three at a time were not quicker here.
 test-all: .venv/tested
 	$(BIN)/python -m pytest -m ""
+
+# The figures in docs/validation.md, by all tests that note one: some minutes.
+measured: .venv/tested
+	CLSIM_MEASURED=$(CURDIR)/out/measured $(BIN)/python -m pytest -m "" --measuring
+	$(BIN)/python docs/site/figures.py out/measured
 
 # All scenes in both layouts on Intel's CPU runtime and in Oclgrind, where they are installed: some minutes.
 drivers: .venv/tested

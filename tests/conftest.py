@@ -44,8 +44,18 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     return report
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--measuring", action="store_true", help="only the tests that note a figure for the page of validation"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Run the longest tests first: then no process waits for another at the end."""
+    if config.getoption("--measuring"):
+        others = [item for item in items if "measured" not in getattr(item, "fixturenames", ())]
+        config.hook.pytest_deselected(items=others)
+        items[:] = [item for item in items if item not in others]
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
@@ -83,22 +93,20 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[]
 
 @pytest.fixture
 def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
-    """Return what passes a figure on, and notes it in the folder CLSIM_MEASURED for the site's page of validation."""
+    """Pass a figure on, and note it in the folder CLSIM_MEASURED: `make measured` writes the page of validation from it."""
     folder = os.environ.get("CLSIM_MEASURED")
 
     def note(claim: str, oracle: str, value: float, allowed: float, unit: str = "dB") -> float:
         if folder:
-            test = f"{request.node.path.parent.name}/{request.node.path.name}: {request.node.name}"
+            file = f"{request.node.path.parent.relative_to(Path(__file__).parent).as_posix()}/{request.node.path.name}"
             row = {
-                "test": test,
-                "claim": claim,
-                "oracle": oracle,
-                "allowed": f"{allowed:g} {unit}",
-                "measured": f"{value:.4g} {unit}",
-            }
-            file = Path(folder) / f"{hashlib.sha256(f'{test} {claim}'.encode()).hexdigest()[:24]}.json"
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(json.dumps(row), "utf-8")
+                "test": file, "case": request.node.name, "claim": claim, "oracle": oracle,
+                "allowed": float(allowed), "measured": float(value), "unit": unit,
+            }  # fmt: skip
+            digest = hashlib.sha256(f"{file} {request.node.name} {claim}".encode()).hexdigest()[:24]
+            path = Path(folder) / f"{digest}.json"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(row), "utf-8")
         return value
 
     return note

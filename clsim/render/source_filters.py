@@ -15,7 +15,7 @@ from clsim.numerics.convolution import convolved
 from clsim.numerics.kaiser import low_pass_between
 from clsim.paths.coverage import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
-from clsim.scene.signal.occupied_bandwidth import CELLS, share_above, shares
+from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares
 from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import band_of
@@ -149,7 +149,7 @@ class SourceFilters:
     oversampling : int
         Samples of the branch signals in one of the recording, 1 or 2.
     removed_db : float
-        Share of the signal's energy above the band, dB; -inf for none.
+        Share of the signal's energy that is removed, above the band and where the band limit falls, dB; -inf for none.
     """
 
     signal: Signal
@@ -325,7 +325,9 @@ def _band(emission: Emission, times: int) -> tuple[float, float, Floats]:
     if band <= widest:
         return band, -math.inf, np.ones(1)
     spectrum = emission.spectrum()
-    removed_db = share_above(spectrum, widest)
+    limit = _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate) if times == 1 else np.ones(1)
+    low_pass = limit if times == 1 else _doubling(rate)
+    removed_db = share_removed(spectrum, low_pass, times * rate)
     unmoved = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
     _check_received(emission, spectrum, widest, unmoved)
     if removed_db > _LOUD_SHARE_DB:
@@ -333,7 +335,6 @@ def _band(emission: Emission, times: int) -> tuple[float, float, Floats]:
             f"{emission.field}: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
             "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
         )
-    limit = _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate) if times == 1 else np.ones(1)
     return widest, removed_db, limit
 
 

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 WORST_DB = -40.0  # error up to which a shortfall is a warning; beyond it must be asked for
 _NEAR_ZERO = 8.0  # in sampling rates over taps: up to there it is 0 Hz that asks for long filters
+# Added to errors about 0 Hz: they fill a part of one bin of the short-time spectra, in which a signal may have several
+# times the energy of the bin's mean.
+_UNSURE_DB = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +70,8 @@ class Held:
         if reached <= asked_db:
             return reached
         cause, remedy = self._cause(reached, filters)
+        if filters is not None and reached == filters.error_db and self._near_zero(filters):
+            reached += _UNSURE_DB
         where = f"from {self.low:.0f} to {self.high:.0f} Hz"
         if reached > WORST_DB and not self.at_centre:
             raise InputError(
@@ -96,7 +101,7 @@ class Held:
             ), smooth
         if filters is None or reached == self.functions_db:
             return f"walls and directivities ask for more than {self.functions} functions of frequency", smooth
-        if filters.worst <= _NEAR_ZERO * self.sampling_rate / LONGEST:
+        if self._near_zero(filters):
             return (
                 f"walls or directivities have a phase at {filters.worst:.0f} Hz, so near to 0 Hz that no filter of up "
                 f"to {LONGEST} taps has it, and the signal sounds there, as one does that begins or ends abruptly"
@@ -106,3 +111,7 @@ class Held:
             f"no filter of up to {LONGEST} taps ({longest:.0f} ms) does what walls and directivities do at "
             f"{filters.worst:.0f} Hz"
         ), smooth
+
+    def _near_zero(self, filters: BandFilters) -> bool:
+        """Whether filters are worst so near to 0 Hz that only longer ones would do."""
+        return filters.worst <= _NEAR_ZERO * self.sampling_rate / LONGEST

@@ -1,10 +1,10 @@
 """Pages that are made: the reference of all public names, and what tests measured."""
 
 import inspect
-import json
-import re
 from collections.abc import Iterator
 from pathlib import Path
+
+import figures
 
 import clsim
 
@@ -51,18 +51,11 @@ def _write(path: Path, text: str) -> None:
 
 
 def write_validation(docs: Path, measured: str | None) -> None:
-    """Write the page of what the last run of the tests measured, as its fixture ``measured`` wrote it."""
+    """Write the page of the figures of the last run of the tests, as the fixture ``measured`` noted them."""
     lines = [
         "# Measured in this run", "",
-        "What the tests of the run that this site was built from measured, each with what is allowed;",
-        "[validation](validation.md) names the oracles.", "",
+        "The figures of the run of the tests that this site was built from; [validation](validation.md) names the oracles.", "",
     ]  # fmt: skip
-    found = sorted(Path(measured).glob("*.json")) if measured else []
-    if not found:
-        lines += ["This site was built without a run of the tests: there is nothing to tell.", ""]
-    else:
-        lines += ["| test | claim | oracle | allowed | measured |", "|---|---|---|---|---|"]
-        rows = [json.loads(path.read_text("utf-8")) for path in found]
-        keys = ("test", "claim", "oracle", "allowed", "measured")
-        lines += ["| " + " | ".join(re.sub(r"[|\n]", " ", str(row[key])) for key in keys) + " |" for row in rows]
+    found = figures.noted(Path(measured)) if measured else {}
+    lines += figures.table(found) if found else ["This site was built without a run of the tests."]
     _write(docs / "validation_run.md", "\n".join(lines) + "\n")

@@ -120,7 +120,7 @@ def rounding_of_gains(least: float) -> float:
     return ORDER * (1.0 / least**2 + 3.0) * ROUNDED
 
 
-def test_images_of_a_shoebox_and_their_gains() -> None:
+def test_images_of_a_shoebox_and_their_gains(measured) -> None:
     """Tolerances are those of float32, of places and of gains."""
     paths, room = shoebox_paths(), their_shoebox()
     room.image_source_model()
@@ -128,7 +128,11 @@ def test_images_of_a_shoebox_and_their_gains() -> None:
     mine = image_places(paths, SOURCE)
     far, row = cKDTree(theirs.images.T.astype(float)).query(mine)
     assert theirs.images.shape[1] == len(paths) == len(set(row))
-    assert far.max() <= rounding_of_images(1, float(np.abs(mine).max()))  # in closed form, not image by image
+    allowed = rounding_of_images(1, float(np.abs(mine).max()))  # in closed form, not image by image
+    assert (
+        measured("images of a shoebox", "pyroomacoustics, float32", 1e6 * far.max(), 1e6 * allowed, "µm")
+        <= 1e6 * allowed
+    )
     np.testing.assert_array_equal(theirs.orders[row], paths.order)
     table = paths.table(np.array([0.0]))
     distances = np.linalg.norm(mine - RECEIVER, axis=1)
@@ -138,7 +142,7 @@ def test_images_of_a_shoebox_and_their_gains() -> None:
 
 
 @pytest.mark.parametrize("taken", [AS_IT_COMES, FINE], ids=["as it comes", "fine"])
-def test_impulse_response_of_a_shoebox(constants: Any, taken: Filter) -> None:
+def test_impulse_response_of_a_shoebox(constants: Any, taken: Filter, measured) -> None:
     """Spectra over a band agree as far as its filter is no pure delay and its times are float32.
 
     Each path is wrong by up to its gain times (the filter's error + the phase of two roundings of its time, in
@@ -166,7 +170,11 @@ def test_impulse_response_of_a_shoebox(constants: Any, taken: Filter) -> None:
     rounded = 2.0 * np.pi * BAND[1] * 2.0 * ROUNDED * samples
     allowed = np.linalg.norm(gains * (taken.error(frequencies[band][::16]) + rounded))
     assert rms(found) == pytest.approx(np.linalg.norm(gains), rel=0.1)
-    assert rms(found - wanted) <= allowed
+    found_db, allowed_db = (20 * np.log10(x / rms(wanted)) for x in (rms(found - wanted), allowed))
+    assert (
+        measured(f"impulse response, filter of {taken.taps} taps", "pyroomacoustics", found_db, allowed_db)
+        <= allowed_db
+    )
     assert allowed <= {AS_IT_COMES: 4e-3, FINE: 2.5e-4}[taken] * rms(wanted)  # -48 and -72 dB
 
 

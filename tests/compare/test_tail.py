@@ -36,7 +36,7 @@ def ours(room: Any, source: np.ndarray, ear: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("which", few(range(3), kept=(1,)))
-def test_t30_is_pyroomacoustics(which: int) -> None:
+def test_t30_is_pyroomacoustics(which: int, measured) -> None:
     pra = pytest.importorskip("pyroomacoustics", reason="pyroomacoustics is not installed")
     options = {"fs": int(RATE), "max_order": 3, "ray_tracing": True, "air_absorption": False}
     wall = clsim.Material.from_reflection(np.sqrt(1.0 - (absorption := [0.26, 0.2, 0.2][which])))
@@ -53,4 +53,5 @@ def test_t30_is_pyroomacoustics(which: int) -> None:
         their_room.extrude(2.0, materials=pra.Material(absorption))
         our_room = clsim.MeshRoom.from_plan(L_SHAPE, 2.0, wall)
     wanted, found = theirs(their_room, source, ear), ours(our_room, source, ear)
-    assert found == pytest.approx(wanted, rel=0.05)
+    off = 100.0 * abs(found / wanted - 1.0)
+    assert measured("T30 with a tail", "rays of pyroomacoustics", off, 5.0, "%") < 5.0

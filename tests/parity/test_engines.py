@@ -80,14 +80,16 @@ CASES = {
 
 @pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")
 @pytest.mark.parametrize("case", CASES)
-def test_engines_agree(case: str) -> None:
+def test_engines_agree(case: str, measured) -> None:
     world, options = CASES[case]
     # Groups hold on to a whole delay a little beyond mu = 1/2, where Lagrange errs more; by less than its own error.
     tolerance = -60.0 if "lagrange" in case or case == "truncated" else TOLERANCE_DB
     made = plan(world, **options)
     heard, wanted = pressure(made), windows(ReferenceEngine(made).render)
     assert np.abs(wanted[:, :1200]).max() > 0.1 * np.abs(wanted).max()
-    assert difference_db(windows(lambda first, last: heard[:, first:last]), wanted) < tolerance
+    found = difference_db(windows(lambda first, last: heard[:, first:last]), wanted)
+    kind = "Lagrange filters" if tolerance > TOLERANCE_DB else "delay filters"
+    assert measured(f"OpenCL engine, {kind}", "reference engine", found, tolerance) < tolerance
 
 
 @pytest.mark.slow
@@ -235,9 +237,9 @@ def test_what_nothing_holds_is_told_of_all_paths_beside_what_sounds_about_it() -
 
 
 @pytest.mark.parametrize("chunk", [1, SEGMENT + 1, 50_001])
-def test_chunks_change_nothing(chunk: int) -> None:
+def test_chunks_change_nothing(chunk: int, measured) -> None:
     world = scene(clsim.Piston(0.006), clsim.FirstOrder(0.4))
     paths = clsim.find_paths(world, 3)
     whole = clsim.render(paths, RATE, duration=0.4, chunk=10**9).pressure
     parts = clsim.render(paths, RATE, duration=0.4, chunk=chunk).pressure
-    assert difference_db(parts, whole) < -120.0
+    assert measured("chunks change nothing", "one chunk", difference_db(parts, whole), -120.0) < -120.0

@@ -8,7 +8,8 @@ from typing import Any
 import default_oracle as oracle
 import numpy as np
 import pytest
-from default_cases import Case, abrupt_tones, circles, measured
+from default_cases import Case, abrupt_tones, circles
+from default_cases import measured as figures_of
 from exhaustive import few
 from test_double_edges import prism
 
@@ -45,7 +46,7 @@ CASES = [
 def test_the_sum_is_what_the_oracle_hears(case: Case) -> None:
     case = replace(case, options=NARROW | {"duration": min(case.duration, 0.1)}, samples=500)
     assert case.plan().allocation.narrow
-    assert measured(case).error_db <= PROMISED_DB
+    assert figures_of(case).error_db <= PROMISED_DB
 
 
 def scene(*signals: clsim.Signal, duration: float = 0.25, start: float = 0.0, **receiver: Any) -> clsim.Scene:
@@ -111,11 +112,12 @@ ELECTRONICS = clsim.Electronics(clock_ppm=40.0, clock_offset=1e-3, high_cut=70e3
     ],
 )  # fmt: skip
 def test_it_is_what_the_plain_way_gives(
-    one: clsim.Scene, options: dict[str, Any], parts: list[tuple[int, ...]]
+    one: clsim.Scene, options: dict[str, Any], parts: list[tuple[int, ...]], measured
 ) -> None:
     plan = planned(one, **options)
     assert [part.sources for part in plan.allocation.narrow] == parts
-    assert apart_db(sound(plan), sound(planned(one, narrowband=False, **options))) <= PROMISED_DB
+    found = apart_db(sound(plan), sound(planned(one, narrowband=False, **options)))
+    assert measured("narrow parts", "the plain way", found, PROMISED_DB) <= PROMISED_DB
 
 
 def test_pairs_at_rest_are_convolved_with_all_of_the_signal() -> None:
@@ -300,7 +302,7 @@ def test_tracks_from_elsewhere_take_the_plain_way() -> None:
 def test_the_oracle_sees_a_wrong_carrier(monkeypatch: pytest.MonkeyPatch) -> None:
     """What comes out a tenth of a turn late is far from what is right: the bounds above can fail."""
     case = replace(CASES[0], options=NARROW | {"duration": 0.08}, samples=400)
-    late = measured(case, lambda pressure: np.roll(pressure, 1, axis=1))
+    late = figures_of(case, lambda pressure: np.roll(pressure, 1, axis=1))
     assert late.error_db > -20.0
     assert oracle.QUIET_DB < 0.0
 

@@ -256,9 +256,41 @@ def test_validation_names_files_that_there_are() -> None:
     none(name for name in named if not (ROOT / "tests" / name).exists())
 
 
+def test_figures_of_validation_are_written_by_their_tests() -> None:
+    page = (ROOT / "docs" / "validation.md").read_text("utf-8")
+    figures = loaded("../docs/site/figures")
+    rows, stated, found = figures.written(page)
+    assert stated == found, "edited by hand: run make measured"
+    assert len(rows) > 20
+    for test, claim in rows:
+        assert "measured(" in (ROOT / "tests" / test).read_text("utf-8"), f"{test}: {claim}: notes no figure"
+    by_hand = page[: figures.BEGIN.search(page).start()]
+    none(re.findall(r".*\d (?:dB|mm|µm|µs|ns)\b.*|.*\de-\d.*", by_hand.partition("| claim |")[0]))
+    none(
+        row
+        for row in by_hand.splitlines()
+        if row.startswith("| ") and (row.count(" |") > 3 or re.search(r"\d dB|\de-\d", row))
+    )
+
+
+def test_a_figure_typed_by_hand_is_found() -> None:
+    figures = loaded("../docs/site/figures")
+    rows = {
+        (
+            "unit/test_version.py",
+            "a claim",
+        ): "| `unit/test_version.py` | a claim | an oracle | -85 dB | -101 to -98 dB |"
+    }
+    page = figures.update(f"# A page\n\n<!-- written by make measured:  -->\n{figures.END}\n", rows, ROOT / "tests")
+    assert figures.written(page)[0] == rows
+    assert len({*figures.written(page)[1:]}) == 1
+    assert len({*figures.written(page.replace("-98", "-99"))[1:]}) == 2
+    assert figures.update(page, {}, ROOT / "tests") == page  # of tests that did not run, rows stay
+
+
 def loaded(name: str) -> types.ModuleType:
     """Return a file of tests as a module."""
-    spec = importlib.util.spec_from_file_location(name.replace("/", "_"), ROOT / "tests" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(Path(name).name, ROOT / "tests" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

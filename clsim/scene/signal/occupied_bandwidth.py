@@ -41,13 +41,13 @@ class ShortTimeSpectra:
     weights: Floats
 
     def near(self, points: Floats, low: float, high: float) -> Floats:
-        """Return the energy (W, n) near rising frequencies (n,), Hz, those of bins within `low` and `high`.
+        """Return the energy (W, n) near rising frequencies (n,), Hz, those of bins that reach between `low` and `high`.
 
         A bin stands for all frequencies that are nearest to it: it is spread evenly over the points among these, lest
         errors at points between bins count for nothing.
         """
-        bins = np.flatnonzero((self.frequencies >= low) & (self.frequencies <= high))
         last, half = len(points) - 1, 0.5 * float(self.frequencies[1])
+        bins = np.flatnonzero((self.frequencies + half > low) & (self.frequencies - half < high))
         place = partial(np.interp, xp=points, fp=np.arange(last + 1, dtype=np.float64))
         begin, end = (np.clip(self.frequencies[bins] + side, low, high) for side in (-half, half))
         parts = np.ceil(place(end) - place(begin)).astype(np.int64) + 1
@@ -116,9 +116,11 @@ def shares(spectrum: tuple[Floats, Floats], share: float) -> tuple[float, float]
     return float(frequencies[low]), float(frequencies[high])
 
 
-def share_above(spectrum: tuple[Floats, Floats], frequency: float) -> float:
-    """Return the share of a spectrum's energy above a frequency in Hz, dB; -inf for none."""
+def share_removed(spectrum: tuple[Floats, Floats], low_pass: Floats, rate: float) -> float:
+    """Share of a spectrum's energy that a low-pass (taps at a rate, Hz) takes away, dB; -inf for none."""
     frequencies, energy = spectrum
-    total = float(energy.sum())
-    share = float(energy[frequencies > frequency].sum()) / total if total > 0.0 else 0.0
+    total, size = float(energy.sum()), 1 << max(12, 3 + len(low_pass).bit_length())
+    passed = np.abs(np.fft.rfft(low_pass, size)) / abs(float(low_pass.sum()))
+    lost = 1.0 - np.interp(frequencies, np.fft.rfftfreq(size, 1.0 / rate), passed)
+    share = float(energy @ lost**2) / total if total > 0.0 else 0.0
     return 10.0 * math.log10(share) if share > 0.0 else -math.inf

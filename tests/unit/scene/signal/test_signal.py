@@ -177,6 +177,14 @@ def test_both_spectra_of_a_signal_are_those_of_either(rate: float) -> None:
     assert (len(sound.frequencies) == len(spectrum()[0])) == (rate == RATE)
 
 
+def test_a_band_from_next_to_0_hz_on_has_the_energy_at_0_hz() -> None:
+    """The bin at 0 Hz stands for all frequencies up to half a bin: filters would be free there without it."""
+    hum, _ = spectra(Signal.from_array(np.hanning(800), 16e3))
+    points = np.linspace(0.02, 8e3, 2000)
+    assert hum.energy[:, 0].max() > 0.1
+    np.testing.assert_allclose(hum.near(points, 0.02, 8e3).sum(axis=1), hum.energy.sum(axis=1), rtol=1e-9)
+
+
 def test_centre_frequency() -> None:
     assert SIGNALS["tone"].centre_frequency == 40e3
     assert SIGNALS["linear"].centre_frequency == 50e3
