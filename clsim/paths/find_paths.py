@@ -70,7 +70,8 @@ def find_paths(
         wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two edges are those of
         "utd".
     scattering_order : int
-        Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3.
+        Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3. An echo of N
+        walls has the shadow of a sphere if it is at least N.
     body_order : int, optional
         Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
     body_step : float
