@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 END_TERMS = 4  # Chebyshev polynomials of the angle's square: within 5e-7 (three: 1e-5)
+AT_CORNER = 1e-9  # root of a phase, below which angle and sides are lost: 1/4 then, as much of either edge at a corner
 _CELLS = 256
 _POINTS = 120  # of the half-way rule: within 1e-11, however near the corner
 _FIRST, _FADED = -3.4, 36.0  # of the points, exp(u - exp(-u)), and exponent of the fall at which they end
@@ -54,11 +55,12 @@ def end_transition(end: Floats, root: Floats) -> Complexes:
     end, root = np.broadcast_arrays(np.asarray(end, dtype=np.float64), np.asarray(root, dtype=np.float64))
     a, b = np.abs(end), np.abs(root)
     low, high = np.minimum(a, b), np.maximum(a, b)
-    found = _of_octant(np.hypot(a, b), np.arctan2(low, high))
+    off = high > AT_CORNER
+    found = _of_octant(np.hypot(a, b), np.where(off, np.arctan2(low, high), 0.25 * np.pi))
     beside = b > a
     found[beside] = 0.5 * transition(a[beside]) * transition(b[beside]) - found[beside]
-    found *= np.where(root < 0.0, -1.0, 1.0)
-    beyond = end < 0.0
+    found *= np.where((root < 0.0) & off, -1.0, 1.0)
+    beyond = (end < 0.0) & off
     if beyond.any():  # the edge itself is added
         found[beyond] = np.exp(1j * a[beyond] ** 2) * transition(root[beyond]) - found[beyond]
     return found
@@ -69,8 +71,8 @@ def end_coefficients(radius: Floats) -> Complexes:
 
     Notes
     -----
-    Our own derivation: with ``t² = a² - js`` the integral falls as exp(-s); half-way rule in u of ``s = f exp(u - exp(-u))`` at the
-    Chebyshev nodes of φ².
+    Our own derivation: with ``t² = a² - js`` the integral falls as exp(-s); half-way rule in u of
+    ``s = f exp(u - exp(-u))`` at the Chebyshev nodes of φ².
     """
     nodes = np.cos(np.pi * (np.arange(END_TERMS) + 0.5) / END_TERMS)
     phi = 0.25 * np.pi * np.sqrt(0.5 * (nodes + 1.0))

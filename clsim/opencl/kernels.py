@@ -93,6 +93,7 @@ _KINDS = {
 }  # fmt: skip
 _OF_GAINS = {
     "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION", "LEFT_OUT", "END_CELLS", "END_TERMS",
+    "BOTH", "AT_CORNER",
 }  # fmt: skip
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays

@@ -42,13 +42,14 @@ def heard(times: Floats, start: Floats, end: Floats, transition: float) -> Float
 
     Notes
     -----
-    A gate splatters: a 40 kHz tone that is switched leaves -49 dB at 5 kHz off, over 1 ms -90 dB.
+    A gate splatters: a 40 kHz tone that is switched leaves -49 dB at 5 kHz off, over 1 ms -90 dB. Weights of paths that
+    follow each other add up to 1, however short each is.
     """
     if transition == 0.0:
         return ((times >= start[:, None]) & (times < end[:, None])).astype(np.float64)
     rise = np.clip((times - start[:, None]) / transition + 0.5, 0.0, 1.0)
-    fall = np.clip((end[:, None] - times) / transition + 0.5, 0.0, 1.0)
-    return np.asarray((0.5 - 0.5 * np.cos(np.pi * rise)) * (0.5 - 0.5 * np.cos(np.pi * fall)))
+    fall = np.clip((times - end[:, None]) / transition + 0.5, 0.0, 1.0)
+    return np.asarray(0.5 * (np.cos(np.pi * fall) - np.cos(np.pi * rise)))
 
 
 def heard_samples(

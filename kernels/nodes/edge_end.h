@@ -53,15 +53,26 @@ static void transition_of_both(const edge_tables* t, double end, const response*
 }
 
 // The same for roots that are negative beyond their boundaries; `of_end` is the transition function of the end's alone.
-static void transition_at_end(const edge_tables* t, double end, const response* of_end, double root, float weight, response* r)
+static void transition_at_end(const edge_tables* t, double end, const response* of_end, double root, float weight, int lit, response* r)
 {
     const double beyond = end < 0.0 ? -end : end;
+    if (end * end + root * root < AT_CORNER * AT_CORNER) {
+        transition_of_both(t, AT_CORNER, of_end, AT_CORNER, weight, r);
+        return;
+    }
     transition_of_both(t, beyond, of_end, root < 0.0 ? -root : root, root < 0.0 ? -weight : weight, r);
 #if PARTS == 2
     if (end >= 0.0) return;
     response edge;
     transition_of(t, root, weight, &edge);
     for (int b = 0; b < BIN_VECTORS; b++) {
+        if (lit == BOTH || lit == -BOTH) {  // half of either way round the boundary
+            response once;
+            once.part[0][b] = weight;
+            once.part[1][b] = 0.0f;
+            turn(&once, b, t->waves[b] * (float)(root * root));
+            for (int part = 0; part < PARTS; part++) edge.part[part][b] -= once.part[part][b];
+        }
         turn(&edge, b, t->waves[b] * (float)(end * end));
         for (int part = 0; part < PARTS; part++) r->part[part][b] = edge.part[part][b] - r->part[part][b];
     }

@@ -110,14 +110,14 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
         if (!edge->lit[term]) continue;
         const double turns = (angles[term] * per_turn + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
         const double angle = angles[term] - turn * turns, near = angle < 0.0 ? -angle : angle;
-        const double side = turns == 0.0 ? edge->lit[term] : angle < 0.0 ? -1.0 : 1.0;
+        const double side = turns == 0.0 ? (edge->lit[term] < 0 ? -1.0 : 1.0) : angle < 0.0 ? -1.0 : 1.0;
         __global const double* off = term < 2 ? edge->even : edge->odd;
         const double here_s = sine[term] * off[1] - cosine[term] * off[0], here_c = cosine[term] * off[1] + sine[term] * off[0];
         const double rise = turns == 0.0 ? here_s : here_s * wide_c - here_c * turns * wide_s;
         const double steep = near < ON_BOUNDARY ? 1.0 : rise * high[term] / low[term] * inverse;
         response one;
         const double root = side * rise * breadth, weight = -0.5 * side * steep;
-        if (edge->end_side) transition_at_end(t, end, &of_end, root, (float)(-edge->end_side * weight), &one);
+        if (edge->end_side) transition_at_end(t, end, &of_end, root, (float)(-edge->end_side * weight), edge->lit[term], &one);
         else transition_of(t, root, (float)weight, &one);
         by_faces(around, t, edge, slot, term < 2 ? 0 : term, edge->bounces[term / 2], 0.5 * (term < 2 ? together : -between),
                  across / length, &one);

@@ -21,8 +21,7 @@ __kernel void baseband_fades(
         if (activity[node * (long)slots + slot] == 0) continue;
 #endif
         __global const float* c = polynomials + place_of(node, slot, FUNCTIONS, slots);
-        float both = weight((float)n - start[fade], per_ramp);
-        both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[fade], 0.0f) : weight(end[fade] - (float)n, per_ramp);
+        const float both = weight((float)n - start[fade], per_ramp) - weight((float)n - end[fade], per_ramp);
         if (both == 0.0f) continue;
         float delayed = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
         for (int i = DELAY_TERMS - 1; i >= 0; i--) delayed = delayed * t + c[i];

@@ -29,8 +29,7 @@ __kernel void fades(__global const float* branches,  // [rows][stride]
         if (activity[node * (long)slots + slot] == 0) continue;
 #endif
         __global const float* c = polynomials + place_of(node, slot, functions, slots);
-        float both = weight((float)n - start[fade], per_ramp);
-        both *= per_ramp == 0.0f ? 1.0f - weight((float)n - end[fade], 0.0f) : weight(end[fade] - (float)n, per_ramp);
+        const float both = weight((float)n - start[fade], per_ramp) - weight((float)n - end[fade], per_ramp);
         if (both == 0.0f) continue;
         const float delayed = CUBIC(c[0], c[apart], c[2 * apart], c[3 * apart], t);
         const float rest = floor(delayed + 0.5f), mu = delayed - rest;

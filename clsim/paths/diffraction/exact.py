@@ -44,13 +44,15 @@ def exact_field(
     Over an end each term is less by as much as it is in the uniform theory.
     """
     field = np.zeros(wave.shape, dtype=np.complex128)
-    _, root = wedge_terms(n[:, None], angles, lit[:, None])
-    terms = exact_wedge_terms(n[:, None], angles, np.where(lit, lit, 1)[:, None], *distances, way, wave)
+    within = ((ends.side != 0)[:, None] & (ends.root >= 0.0))[..., None]
+    sides = np.where(within, np.where(angles >= 0.0, 1, -1), np.where(lit < 0, -1, 1)[:, None])
+    _, root = wedge_terms(n[:, None], angles, sides)
+    terms = exact_wedge_terms(n[:, None], angles, sides, *distances, way, wave)
     for term, each in enumerate(terms):
         kept = np.flatnonzero(lit[:, term])
         over = np.flatnonzero(lit[:, term] * ends.side)
         if len(over):
             phase = root[over, :, term, None] * np.sqrt(wave[over] * way.breadth[over, :, None])
-            each[over] *= ends.transition(over, wave[over], phase) / transition(phase)
+            each[over] *= ends.transition(over, lit[over, term], wave[over], phase) / transition(phase)
         field[kept] += each[kept] if factors[term] is None else (each * factors[term])[kept]
     return field

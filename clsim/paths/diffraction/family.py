@@ -19,8 +19,9 @@ from clsim.acoustics.diffraction import (
     transition,
     wedge_terms,
 )
-from clsim.acoustics.edge_end import end_transition
+from clsim.acoustics.edge_end import AT_CORNER, end_transition
 from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
+from clsim.paths.diffraction.end_pieces import BOTH
 from clsim.paths.diffraction.ways import EdgeView, RolledOut, edge_ways
 from clsim.paths.diffraction.ways_over import WaysOver
 from clsim.paths.propagation import UniformAir, arrivals_by
@@ -51,7 +52,8 @@ class EdgePaths(TwoSidedPaths):
     faces : ndarray (paths, 2) int
         Walls of the 0-face and the n-face.
     lit : ndarray (paths, 4) int8
-        1 for terms whose partner is seen, -1 for those whose partner is not, 0 for terms that are left out.
+        1 for terms whose partner is seen, -1 for those whose partner is not, 0 for terms that are left out. Over ends
+        of edges, as the end changes sides, and 2 or -2 where both do at once, see `joined_over_ends`.
     end_place : ndarray (paths,)
         How far along the edge the end is that a path runs over, m; NaN for those over the edge itself.
     end_side : ndarray (paths,) int8
@@ -263,17 +265,22 @@ class EndsOfEdges:
             root[over] = signed[over] * np.sqrt(detour)
         return EndsOfEdges(side, root)
 
-    def transition(self, rows: NDArray[np.int64], wave: Floats, root: Floats) -> Complexes:
+    def transition(self, rows: NDArray[np.int64], lit: NDArray[np.int8], wave: Floats, root: Floats) -> Complexes:
         """Compute the transition function of some rows' edges or ends (n, T, F), without the phase of the detour.
 
-        By wave numbers (n, T, F), and by the roots of the phases of one term of the edge (n, T, F).
+        By the sides of one term of the edge (n,), wave numbers (n, T, F), and roots of the phases of the term
+        (n, T, F).
         """
         over = self.side[rows] != 0
         if not over.any():
             return transition(root)
         found, ends = np.empty(root.shape, dtype=np.complex128), rows[over]
         found[~over] = transition(root[~over])
-        at_end = end_transition(self.root[ends, :, None] * np.sqrt(wave[over]), root[over])
+        end, both = self.root[ends, :, None] * np.sqrt(wave[over]), np.abs(lit[over]) == BOTH
+        at_end = end_transition(end, root[over])
+        if both.any():  # half of either way round the boundary
+            twice = np.exp(1j * (end[both] ** 2 + root[over][both] ** 2))
+            at_end[both] -= np.where(end[both] < -AT_CORNER, twice, 0.0)
         found[over] = -1.0 * self.side[ends, None, None] * at_end
         return found
 
@@ -287,11 +294,11 @@ def utd_field(
     By the angles (P, T, 4) of the partners, the distances from the edges (P, T), wave numbers (P, T, F) and the faces'
     factors.
     """
-    weight, root = wedge_terms(n[:, None], angles, lit[:, None])
+    weight, root = wedge_terms(n[:, None], angles, np.sign(lit)[:, None])
     scale, field = np.sqrt(wave * way.breadth[..., None]), np.zeros(wave.shape, dtype=np.complex128)
     for term in range(lit.shape[1]):
         kept = np.flatnonzero(lit[:, term])
-        both = ends.transition(kept, wave[kept], root[kept, :, term, None] * scale[kept])
+        both = ends.transition(kept, lit[kept, term], wave[kept], root[kept, :, term, None] * scale[kept])
         both *= 0.5 * weight[kept, :, term, None]
         field[kept] += both if factors[term] is None else both * factors[term][kept]
     return field

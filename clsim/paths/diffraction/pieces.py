@@ -9,7 +9,8 @@ import numpy as np
 
 from clsim.acoustics.diffraction import TERMS, partner_reflections
 from clsim.errors import InputError
-from clsim.paths.diffraction.visibility import SIDES, EdgeVisibility
+from clsim.paths.diffraction.end_pieces import joined_over_ends
+from clsim.paths.diffraction.visibility import ENDS_BESIDE, SIDES, EdgeVisibility
 from clsim.paths.specular.intervals import GRAZE_TIME, MOST_EVALUATIONS
 
 if TYPE_CHECKING:
@@ -135,4 +136,19 @@ def _joined(
     first = np.append(True, (row[1:] != row[:-1]) | (begin[1:] != end[:-1]) | np.any(sides[1:] != sides[:-1], axis=1))
     starts = np.flatnonzero(first[: len(row)])
     stops = np.append(starts[1:], len(row))[: len(starts)] - 1
-    return Pieces(candidates, row[starts], begin[starts], end[stops], sides[starts])
+    return _over_ends(Pieces(candidates, row[starts], begin[starts], end[stops], sides[starts]))
+
+
+def _over_ends(pieces: Pieces) -> Pieces:
+    """Join the pieces of paths over ends of edges, see `joined_over_ends`."""
+    row, begin, end, sides = pieces.row, pieces.begin, pieces.end, pieces.sides
+    over = pieces.candidates.end[row] >= 0
+    some, others = np.flatnonzero(over), np.flatnonzero(~over)
+    of_ends = sides[some, :TERMS], sides[some, TERMS], sides[some][:, ENDS_BESIDE]
+    kept, starting, ending, lit = joined_over_ends(row[some], begin[some], end[some], *of_ends)
+    joined = np.array(sides[some[kept]])
+    joined[:, :TERMS] = lit
+    columns = ((row, row[some[kept]]), (begin, starting), (end, ending), (sides, joined))
+    row, begin, end, sides = (np.concatenate([column[others], more]) for column, more in columns)
+    rank = np.lexsort((begin, row))
+    return Pieces(pieces.candidates, row[rank], begin[rank], end[rank], sides[rank])

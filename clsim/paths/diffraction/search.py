@@ -297,8 +297,8 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, partners: _Partn
     begin, end = pieces.begin.copy(), pieces.end.copy()
     for i in range(1, len(pieces.row)):
         row = pieces.row[i]
-        if row != pieces.row[i - 1] or begin[i] != end[i - 1]:
-            continue
+        if row != pieces.row[i - 1] or begin[i] != end[i - 1] or asked.end[row] >= 0:
+            continue  # paths over ends go on smoothly where a partner begins
         before, after = asked.before[row].tolist(), asked.after[row][::-1].tolist()
         time = float(begin[i])
         for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():

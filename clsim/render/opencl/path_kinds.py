@@ -2,9 +2,10 @@
 
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE
-from clsim.acoustics.edge_end import END_TERMS
+from clsim.acoustics.edge_end import AT_CORNER, END_TERMS
 from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT
+from clsim.paths.diffraction.end_pieces import BOTH
 from clsim.paths.moving.events import BEYOND_LEG
 from clsim.paths.moving.face_cubics import FACE_COLUMNS
 from clsim.paths.pose_cubics import POSE_COLUMNS
@@ -25,5 +26,5 @@ KINDS = {
 }  # fmt: skip
 OF_GAINS = {
     "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION, "LEFT_OUT": LEFT_OUT,
-    "END_CELLS": END_CELLS, "END_TERMS": END_TERMS,
+    "END_CELLS": END_CELLS, "END_TERMS": END_TERMS, "BOTH": BOTH, "AT_CORNER": AT_CORNER,
 }  # fmt: skip
