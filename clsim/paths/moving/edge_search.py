@@ -11,6 +11,7 @@ import numpy as np
 from clsim.acoustics.diffraction import TERMS, edge_way, lit_angles, partner_reflections
 from clsim.arrays import read_only
 from clsim.errors import InputError
+from clsim.paths.diffraction.end_pieces import joined_over_ends
 from clsim.paths.moving.edge_events import Chains, EdgeSolver
 from clsim.paths.moving.edge_family import MovingEdgePaths
 from clsim.paths.moving.edge_lines import EdgeLines
@@ -99,13 +100,14 @@ class _EdgeFinder:
         lit = np.where(code[:, None] & (1 << np.arange(TERMS)), 1, -1)
         lit[met[:, None] + partner_reflections(self._lines.n[chains.edge]) > self._order] = 0
         side = np.where(chains.end < 0, 0, np.where(code & _END, 1, -1))
-        return {
+        columns = {
             "source": np.full(count, ends[0], dtype=np.int32), "receiver": np.full(count, ends[1], dtype=np.int32),
             "order": (met + 1).astype(np.int32), "start": heard[0], "end": heard[1], "before": chains.before,
             "after": chains.after, "edge": chains.edge, "over_end": chains.end.astype(np.int8),
             "lit": lit.astype(np.int8), "end_side": side.astype(np.int8),
             "beside": np.column_stack([np.where(code & bit, 1, -1) for bit in _HALVES]).astype(np.int8),
         }  # fmt: skip
+        return _with_joined_ends(columns)
 
     def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> Chains:
         """Return what paths may meet within a stretch of time."""
@@ -211,6 +213,22 @@ def _free(search: BodySearch, mirrors: NDArray[np.int32], legs: Events, when: Fl
     there = search.obstacles.there(mirrors, some, when[p, t][:, None])[:, 0]
     share = some.share[:, 0]
     return there & np.all((mirrors < 0) | (share > _INNER) & (share < 1.0 - _INNER), axis=1)
+
+
+def _with_joined_ends(columns: dict[str, Any]) -> dict[str, Any]:
+    """Join the rows over ends of edges, see `joined_over_ends`, in sorted columns."""
+    keys = np.column_stack([columns[name] for name in ("edge", "over_end", "before", "after")])
+    path = np.cumsum(np.append(True, np.any(keys[1:] != keys[:-1], axis=1))[: len(keys)])
+    over = columns["over_end"] >= 0
+    some, others = np.flatnonzero(over), np.flatnonzero(~over)
+    pieces = path[some], *(columns[name][some] for name in ("start", "end", "lit", "end_side", "beside"))
+    kept, *changed = joined_over_ends(*pieces)
+    rows = np.concatenate([others, some[kept]])
+    found = {name: column[rows] for name, column in columns.items()}
+    for name, column in zip(("start", "end", "lit"), changed, strict=True):
+        found[name] = np.concatenate([columns[name][others], column])
+    rank = np.lexsort((found["start"], path[rows]))
+    return {name: column[rank] for name, column in found.items()}
 
 
 def _joined(chains: Chains, begin: Floats, end: Floats, code: Codes) -> tuple[Chains, Floats, Floats, Codes]:
