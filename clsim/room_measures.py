@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.decay import clarity, decay_curve, definition, eyring_time, reverberation_time, sabine_time
+from clsim.acoustics.decay import (
+    clarity,
+    decay_curve,
+    definition,
+    eyring_time,
+    has_decay_range,
+    reverberation_time,
+    sabine_time,
+)
 from clsim.arrays import Floats, as_choice, read_only, short_repr, texts
-from clsim.errors import InputError
+from clsim.errors import InputError, warn
 from clsim.impulse_responses import ImpulseResponses
 from clsim.paths.labelled import labelled_dataset
 
@@ -19,6 +27,7 @@ if TYPE_CHECKING:
 
 BANDS = {"octave": 1, "third-octave": 3}
 _DIRECT = 2.5e-3  # s, after the first arrival, that count as direct sound
+_FIRST_DB, _DECAYS = -5.0, {"t20": -25.0, "t30": -35.0}  # between which decays are looked at
 _ORDER = 3  # of the band filters, of each edge
 _ANGLES = 32  # over which absorption is averaged
 _OF_PAIRS = {"t20": "s", "t30": "s", "c50": "dB", "c80": "dB", "d50": "1", "drr": "dB"}
@@ -34,7 +43,7 @@ class RoomMeasures:
         Centres of the bands, Hz.
     t20, t30 : ndarray (sources, receivers, bands)
         Reverberation times from the decay between -5 and -25 dB, and -5 and -35 dB, s; NaN where a response ends
-        before.
+        before, or where noise or its end hides the decay.
     c50, c80 : ndarray (sources, receivers, bands)
         Clarity, dB.
     d50 : ndarray (sources, receivers, bands)
@@ -108,10 +117,17 @@ def room_measures(responses: ImpulseResponses, bands: str | None = "octave") -> 
     InputError
         If the responses are none, the word is not known, or no such band lies within that of the responses.
 
+    Warns
+    -----
+    ClsimWarning
+        If noise or the end of a response hides the decay in a band.
+
     Notes
     -----
     ISO 3382-1:2009, section 5.3.3 and annex A.2; T30 is ``-60 dB`` over the slope of a line through the decay. Band
     filters have the magnitude of Butterworth filters of order 3 at either edge, without phase.
+    Noise is not cut off: where a response ends in noise that would change a reverberation time by some 5 %, or is too
+    short for it, that time is NaN, and a warning names the bands.
     Early sound is what comes within 50 or 80 ms of the first arrival. Sabine's and Eyring's times take the walls'
     absorption averaged over angles of incidence of a diffuse field, and the air's.
     """
@@ -121,7 +137,7 @@ def room_measures(responses: ImpulseResponses, bands: str | None = "octave") -> 
     share = None if bands is None else 2.0 ** (0.5 / BANDS[bands])
     shape = (*responses.samples.shape[:2], len(centres))
     found = {name: np.full(shape, math.nan) for name in _OF_PAIRS}
-    rate = responses.sampling_rate
+    rate, hidden = responses.sampling_rate, np.zeros(len(centres), np.bool_)
     for s, r in np.ndindex(*shape[:2]):
         if not math.isfinite(responses.first_arrivals[s, r]):
             continue
@@ -130,6 +146,16 @@ def room_measures(responses: ImpulseResponses, bands: str | None = "octave") -> 
             taps = _cut(responses.samples[s, r], rate, centre, share)
             for name, value in _measures(taps, begin, rate).items():
                 found[name][s, r, b] = value
+            for name, last_db in _DECAYS.items():
+                time = found[name][s, r, b]
+                if not (math.isnan(time) or has_decay_range(taps[begin:], rate, last_db, time)):
+                    found[name][s, r, b], hidden[b] = math.nan, True
+    if hidden.any():
+        named = ", ".join(f"{centre:.4g}" for centre in centres[hidden])
+        warn(
+            f"noise or the end of responses hides the decay at {named} Hz: T30, or T20 as well, is NaN there; give "
+            "longer responses, or with less noise"
+        )
     sabine, eyring = _diffuse(responses.scene, centres)
     return RoomMeasures(
         read_only(centres), **{name: read_only(values) for name, values in found.items()}, sabine=read_only(sabine),
@@ -170,8 +196,7 @@ def _measures(taps: Floats, begin: int, rate: float) -> dict[str, float]:
     curve = decay_curve(taps[begin:])
     early = begin + round(0.05 * rate)
     return {
-        "t20": reverberation_time(curve, rate, -5.0, -25.0),
-        "t30": reverberation_time(curve, rate, -5.0, -35.0),
+        **{name: reverberation_time(curve, rate, _FIRST_DB, last_db) for name, last_db in _DECAYS.items()},
         "c50": clarity(taps, early),
         "c80": clarity(taps, begin + round(0.08 * rate)),
         "d50": definition(taps, early),

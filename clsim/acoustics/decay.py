@@ -10,6 +10,9 @@ import numpy as np
 if TYPE_CHECKING:
     from clsim.arrays import Floats
 
+_NOISE_SHARE = 0.25  # of the energy at the end of a decay, up to which a reverberation time is right within 5 %
+_OWN_FALL = 0.75  # of how far a decay falls in a fifth of a response: what falls less is noise
+
 
 def decay_curve(samples: Floats) -> Floats:
     """Return the level of the energy that is still to come (n,), dB re all of it.
@@ -73,6 +76,49 @@ def reverberation_time(curve: Floats, sampling_rate: float, first_db: float, las
         return math.nan
     slope = float(np.polyfit(part / sampling_rate, curve[part], 1)[0])
     return -60.0 / slope if slope < 0.0 else math.nan
+
+
+def has_decay_range(samples: Floats, sampling_rate: float, last_db: float, found: float) -> bool:
+    """Tell a decay from noise: whether a reverberation time can be that of a response.
+
+    Parameters
+    ----------
+    samples : ndarray (n,)
+        An impulse response from the arrival of the direct sound on, in any unit.
+    sampling_rate : float
+        Hz.
+    last_db : float
+        Where the part of the decay ends from which the time was found, below 0.
+    found : float
+        That time, s.
+
+    Returns
+    -------
+    bool
+        False where a decay of that time does not fall to `last_db` within the response, or where the response ends in
+        steady noise that makes up a quarter of the energy that is still to come at `last_db`.
+
+    Notes
+    -----
+    Our own test, for ISO 3382-1:2009, section 5.3.3, which asks for noise at least 10 dB below `last_db`. The last
+    tenth is taken for noise where it is below a fifth of the response earlier by less than 3/4 of such a decay's fall.
+
+    Examples
+    --------
+    >>> decay = 10.0 ** (-3.0 * np.arange(2000) / 1e3)  # 60 dB in a second
+    >>> has_decay_range(decay, 1e3, -35.0, 1.0), has_decay_range(decay + 0.02, 1e3, -35.0, 1.5)
+    (True, False)
+    """
+    power, duration = np.square(samples), len(samples) / sampling_rate
+    if -last_db / 60.0 * found > duration:
+        return False
+    tenth = max(len(power) // 10, 1)
+    noise, before = float(np.mean(power[-tenth:])), float(np.mean(power[-3 * tenth : -2 * tenth]))
+    if noise < before * 10.0 ** (-_OWN_FALL * 6.0 * 0.2 * duration / found):
+        return True
+    energy = np.cumsum(power[::-1])[::-1]
+    there = int(np.argmax(energy <= energy[0] * 10.0 ** (last_db / 10.0)))
+    return noise * (len(power) - there) <= _NOISE_SHARE * float(energy[there])
 
 
 def clarity(samples: Floats, split: int) -> float:

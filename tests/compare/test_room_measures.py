@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -81,6 +82,7 @@ def test_what_has_no_measures_is_refused(responses: clsim.ImpulseResponses) -> N
         clsim.room_measures(responses.samples)  # type: ignore[arg-type]
 
 
+@pytest.mark.filterwarnings("ignore:noise or the end of responses hides the decay")
 @pytest.mark.parametrize(("bands", "lowest"), [("octave", 2000.0), ("third-octave", 4000.0)])
 def test_measures_by_band_of_three_impulses(responses: clsim.ImpulseResponses, bands: str, lowest: float) -> None:
     """Of 1, 1/2 after 60 ms and 1/4 after 200 ms, which are the same in every band wide enough to have rung out in 2.5 ms.
@@ -99,3 +101,40 @@ def test_measures_by_band_of_three_impulses(responses: clsim.ImpulseResponses, b
         (found.drr, 10.0 * math.log10(1.0 / 0.3125)), (found.d50, 1.0 / 1.3125),
     ):  # fmt: skip
         np.testing.assert_allclose(measure[0, 0, wide], exact, rtol=0.0, atol=0.02)
+
+
+@pytest.mark.parametrize("noise_db", [-20.0, -30.0, -40.0, -50.0, -60.0, -75.0])
+def test_noise_that_hides_a_decay_gives_no_time(
+    responses: clsim.ImpulseResponses, noise_db: float, rng: np.random.Generator
+) -> None:
+    """White noise that decays by 60 dB in a second, and steady noise: what is reported is right within 5 %, by bands.
+
+    Twice the time's own deviation is added, ``0.9 sqrt(1 / (B T))`` (ISO 3382-2:2008, equation A.1, without its filter).
+    """
+    times = np.arange(round(2.0 * RATE)) / RATE
+    decay = rng.standard_normal(len(times)) * 10.0 ** (-3.0 * times)
+    made = decay + 10.0 ** (noise_db / 20.0) * rng.standard_normal(len(times))
+    noisy = dataclasses.replace(responses, samples=made[None, None], first_arrivals=np.zeros((1, 1)), lead=0)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", clsim.ClsimWarning)
+        found = clsim.room_measures(noisy)
+    high = found.frequencies > 100.0
+    allowed = 0.05 + 2.0 * 0.9 / np.sqrt(found.frequencies / np.sqrt(2.0))
+    for name, needed_db in (("t20", 35.0), ("t30", 45.0)):
+        given = getattr(found, name)[0, 0]
+        right = np.isnan(given) | (np.abs(given - 1.0) <= allowed)
+        assert right[high].all(), (name, given)
+        if -noise_db > needed_db + 12.0:
+            assert np.isfinite(given[high]).all()
+        if -noise_db < needed_db - 10.0:
+            assert np.isnan(given[high]).all()
+            assert any("noise or the end of responses hides the decay at" in str(w.message) for w in caught)
+    if noise_db < -70.0:
+        assert not caught
+
+
+@pytest.mark.parametrize("seconds", [0.7, 0.8, 1.0])
+def test_a_decay_that_is_cut_off_is_not_taken_for_noise(responses: clsim.ImpulseResponses, seconds: float) -> None:
+    taps = 10.0 ** (-3.0 * np.arange(round(seconds * RATE)) / RATE) * np.random.default_rng(1).standard_normal(round(seconds * RATE))  # fmt: skip
+    cut = dataclasses.replace(responses, samples=taps[None, None], first_arrivals=np.zeros((1, 1)), lead=0)
+    assert clsim.room_measures(cut, None).t30[0, 0, 0] == pytest.approx(1.0, rel=0.08)

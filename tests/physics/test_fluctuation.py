@@ -36,6 +36,16 @@ def test_it_is_gaussian_and_correlated_as_told() -> None:
     assert np.abs(found).max() <= NOISE.most
 
 
+def test_correlations_within_a_run_deviate_as_documented() -> None:
+    """64 waves stand for all paths: ``1/sqrt(2K)`` however long the run; 60 pairs tell that within three deviations."""
+    times, places = np.arange(0.0, 400.0 * TIME, 0.5 * TIME), np.random.default_rng(5).uniform(0.0, 30.0, (120, 3))
+    still = np.zeros((len(times), 3))
+    made = np.array([NOISE.at(times, still + place, still)[0] for place in places])
+    pairs = [np.corrcoef(made[2 * i], made[2 * i + 1])[0, 1] for i in range(60)]
+    expected = np.sqrt(1.0 / 128.0 + 1.25 / 400.0)
+    assert np.sqrt(np.mean(np.square(pairs))) == pytest.approx(expected, rel=3.0 / np.sqrt(2.0 * 60))
+
+
 def ends(moving: bool) -> tuple[list[clsim.Source], list[clsim.Receiver]]:
     tone = clsim.Signal.tone(40e3, 0.45, 192e3, fade=0.01)
     a, b = (2.0, 2.0, 1.5), (2.5, 2.2, 1.5)
