@@ -1,5 +1,6 @@
 """Scatterers whose strength fluctuates: statistics of the noise, and what is heard of it against its law."""
 
+import time
 from typing import Any
 
 import numpy as np
@@ -72,3 +73,23 @@ def test_what_is_refused(given: dict[str, Any], message: str) -> None:
         clsim.TargetFluctuation(**given)
     with pytest.raises(clsim.InputError, match="fluctuation: must be a TargetFluctuation, but is 3"):
         clsim.Scatterer.point("p", 0.0, clsim.Trajectory.fixed((1.0, 1.0, 1.0)), fluctuation=3)
+
+
+def test_motion_after_the_sound_takes_no_time() -> None:
+    """A sphere that moves for six days beside 10 ms of sound; every instant of it would take over a minute."""
+    tone = clsim.Signal.tone(40e3, 0.01, 192e3, fade=0.002)
+
+    def found(seconds: float) -> tuple[clsim.PathSet, float]:
+        way = clsim.Trajectory.circle((3.0, 2.0, 1.2), 0.5, 1.0, seconds)
+        ball = clsim.Scatterer.sphere("ball", 0.1, way, fluctuation=clsim.TargetFluctuation(0.2, 0.5, 1))
+        scene = clsim.Scene(
+            clsim.Shoebox((6, 5, 3), clsim.Material.from_reflection(0.9)), clsim.Air(),
+            [clsim.Source("s", tone, clsim.Trajectory.fixed((1.0, 1.0, 1.0)))],
+            [clsim.Receiver("r", clsim.Trajectory.fixed((5.0, 4.0, 1.5)))], scatterers=[ball],
+        )  # fmt: skip
+        begun = time.process_time()
+        return clsim.find_paths(scene, 1, scattering_order=1), time.process_time() - begun
+
+    (short, _), (long, spent) = found(120.0), found(5e5)
+    assert spent < 15.0
+    np.testing.assert_allclose(long.families[1].nearest, short.families[1].nearest, rtol=1e-3)

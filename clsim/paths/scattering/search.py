@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 LARGEST_SCATTERING_ORDER = 3
 _PROBES = 10.0  # Hz, at which distances from scatterers are looked at
+_TOGETHER = 1000  # instants at which they are
+_RINGING = 10.0  # s for which transducers and filters may sound on
 _STEPS = 100
 _FOUND = 1e-13  # s
 
@@ -211,31 +214,41 @@ def _family(scene: Scene, rows: list[dict[str, Any]]) -> ScatteredPaths:
 
 
 def _nearest(family: ScatteredPaths) -> Floats:
-    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m."""
+    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m.
+
+    They hold for all that is emitted: motions that go on for days after the sound ended take no time.
+    """
     found, scene = np.empty(len(family)), family.scene
     for pair in family.pairs():
         source, receiver = scene.sources[pair.source], scene.receivers[pair.receiver]
         for which in np.unique(family.scatterer[pair.rows]):
             mine, scatterer = pair.index[family.scatterer[pair.rows] == which], scene.scatterers[which]
-            sides = []
+            sides, until = [], source.end + _RINGING
             for side, end in (("before", source), ("after", receiver)):
-                apart = _apart(family, side, mine, end, which)
+                apart, until = _apart(family, side, mine, (end, which), until)
                 sides.append(np.maximum(apart - scatterer.shape.radius, scene.min_distance))
             found[mine] = 1.0 / (1.0 / sides[0] + 1.0 / sides[1])
     return found
 
 
-def _apart(family: ScatteredPaths, side: str, rows: NDArray[np.int64], end: Source | Receiver, which: int) -> Floats:
-    """Return bounds (P,) from below of the distances of images of an end from a scatterer at any two near times, m."""
-    scatterer, c = family.scene.scatterers[which], family.speed_range.slowest
+def _apart(
+    family: ScatteredPaths, side: str, rows: NDArray[np.int64], ends: tuple[Source | Receiver, int], until: float
+) -> tuple[Floats, float]:
+    """Return bounds (P,) from below of the distances of images of an end from a scatterer at any two near times, m.
+
+    They hold for sound that sets out until a time, s; the time by which the last of it has arrived is returned as well.
+    """
+    end, scatterer, c = ends[0], family.scene.scatterers[ends[1]], family.speed_range.slowest
     moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
     last = max((t.end for t in moving), default=0.0)
-    times = np.arange(0.0, last + 1.0 / _PROBES, 1.0 / _PROBES)
     speed = sum(1.02 * t.peak_speed(0.0, t.end)[0] for t in moving)
-    least = np.full(len(rows), np.inf)
-    for some in np.array_split(times, -(-len(times) // 1000)):
-        places = family.image(side, rows, end.trajectory.position(some)[None])
-        apart = np.linalg.norm(places - scatterer.trajectory.position(some), axis=2)
-        least = np.minimum(least, apart.min(axis=1))
+    least, first, under_way = np.full(len(rows), np.inf), 0, True
+    while under_way and first <= last * _PROBES + 1.0:
+        times = np.arange(first, min(first + _TOGETHER, math.floor(last * _PROBES) + 2)) / _PROBES
+        places = family.image(side, rows, end.trajectory.position(times)[None])
+        apart = np.linalg.norm(places - scatterer.trajectory.position(times), axis=2)
+        least, first = np.minimum(least, apart.min(axis=1)), first + len(times)
+        flight = float(apart[:, -1].max(initial=0.0)) / max(c - speed, 1e-9)
+        under_way = float(times[-1]) < until + flight
     # Sound takes d / c from one to the other, in which either moves on.
-    return (least - 0.5 * speed / _PROBES) / (1.0 + speed / c)
+    return (least - 0.5 * speed / _PROBES) / (1.0 + speed / c), max(float(times[-1]), until + flight)
