@@ -134,7 +134,7 @@ MUTANTS = {
     "the end's side": ("edge->end_side * (inside < 0.0 ? -root : root)", "edge->end_side * (inside > 0.0 ? -root : root)"),
     "the end without the edge": ("multiply(r, of_end);", ""),
     "polynomials of the angle": ("x * angle[m - 1] - angle[m - 2]", "x * angle[m - 1] + angle[m - 2]"),
-    "continued as before the end": ("edge.part[part][b] - r->part[part][b]", "r->part[part][b]"),
+    "the other side of a boundary, over an end": ("root < 0.0 ? -weight : weight", "weight"),
     "the end's detour": ("off * (off + 2.0 * along) / (near + far)", "off * (off - 2.0 * along) / (near + far)"),
     "Mach number at the source": ("rising * velocity.z - inward", "rising * velocity.z + inward"),
     "the receiver's speed": ("leaving * heading.z + outward", "leaving * heading.z - outward"),

@@ -46,7 +46,9 @@ def with_swaps(family: Family, within: float) -> Family:
     mine, theirs = _same_events(family, (starts, start[starts]), (ends, end[ends]), within)
     longer = end[theirs] < end[mine]  # nothing ends as it begins
     start[mine[longer][::-1]] = end[theirs[longer][::-1]]
-    return replace(family, start=read_only(start), end=read_only(end))
+    family = replace(family, start=read_only(start), end=read_only(end))
+    kept = np.flatnonzero(start < end)
+    return family if len(kept) == len(start) else family.part(kept)
 
 
 def _with_ends(family: EdgePaths, within: float) -> tuple[Floats, Floats]:
@@ -55,17 +57,21 @@ def _with_ends(family: EdgePaths, within: float) -> tuple[Floats, Floats]:
     edges = (family.interactions == DIFFRACTION) & (family.objects >= count)
     over = np.where(edges, (family.objects - count) // 2, family.objects)
     way = [tuple(row) for row in np.column_stack([family.source, family.receiver, over]).tolist()]
-    same = np.append(False, np.all(family.objects[1:] == family.objects[:-1], axis=1) & (start[1:] == end[:-1]))
-    same[1:] &= family.end_side[1:] != family.end_side[:-1]
+    follows = np.append(False, np.all(family.objects[1:] == family.objects[:-1], axis=1) & (start[1:] == end[:-1]))
+    turns = follows & np.append(False, family.end_side[1:] != family.end_side[:-1])
     passing: dict[tuple[int, ...], list[float]] = {}
-    for row in np.flatnonzero(same).tolist():
+    for row in np.flatnonzero(turns[: len(start)]).tolist():
         passing.setdefault(way[row], []).append(float(start[row]))
-    for row in np.flatnonzero(family.end_side == 0).tolist() if passing else ():
-        for time in passing.get(way[row], []):
-            if abs(end[row] - time) <= within and time > start[row]:
-                end[row] = time
-            elif abs(start[row] - time) <= within and time < end[row]:
-                start[row] = time
+    first = np.flatnonzero(~follows[: len(start)])
+    for one, after in zip(first.tolist(), [*first[1:].tolist(), len(start)], strict=True) if passing else ():
+        rows = slice(one, after)
+        for time in passing.get(way[one], []) if family.end_side[one] == 0 else ():
+            if abs(start[one] - time) <= within:
+                start[one] = time
+                start[rows] = np.maximum(start[rows], time)
+            elif abs(end[after - 1] - time) <= within:
+                end[after - 1] = time
+                end[rows] = np.minimum(end[rows], time)
     return start, end
 
 
