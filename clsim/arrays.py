@@ -48,23 +48,7 @@ def firsts(count: NDArray[np.int64]) -> NDArray[np.int64]:
 def spread(first: NDArray[np.int64], which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return what things have several of, where that of thing w stands from ``first[w]`` to ``first[w + 1]``.
 
-    Parameters
-    ----------
-    first : ndarray (n + 1,) int
-        Where each thing's begin.
-    which : ndarray (k,) int
-        Things.
-
-    Returns
-    -------
-    of, index : ndarray (m,) int
-        A place in `which`, and an index of what this thing has, in order.
-
-    Examples
-    --------
-    >>> of, index = spread(np.array([0, 2, 3]), np.array([1, 0]))
-    >>> of.tolist(), index.tolist()
-    ([0, 1, 1], [2, 0, 1])
+    Shapes: first (n + 1,); which (k,); result (m,).
     """
     count = first[which + 1] - first[which]
     of = np.repeat(np.arange(len(which)), count)
@@ -74,19 +58,7 @@ def spread(first: NDArray[np.int64], which: NDArray[np.int64]) -> tuple[NDArray[
 def unique_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
     """Return the different rows of a table, much faster than NumPy does.
 
-    Parameters
-    ----------
-    rows : ndarray (n, k)
-        Numbers.
-
-    Returns
-    -------
-    unique : ndarray (m, k)
-        Sorted by the first column, then by the next.
-    first : ndarray (m,) int
-        Where each is met first.
-    which : ndarray (n,) int
-        Which one each row is.
+    Shapes: rows (n, k); result (m, k), (m,), (n,).
     """
     order = np.lexsort(rows.T[::-1])
     ordered = rows[order]
@@ -100,31 +72,7 @@ def unique_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], ND
 def as_floats(
     field: str, value: Any, shape: tuple[int | None, ...], *, within: float = math.inf, unit: str = ""
 ) -> Floats:
-    """Convert to a read-only float64 array of finite values.
-
-    Parameters
-    ----------
-    field : str
-        Name used in the error.
-    value : array_like
-        What the user gave.
-    shape : tuple of int or None
-        Wanted shape; ``None`` stands for any positive length.
-    within : float
-        Largest magnitude.
-    unit : str
-        Named with it in the error.
-
-    Returns
-    -------
-    ndarray
-        A read-only copy, float64.
-
-    Raises
-    ------
-    InputError
-        If the value is not numeric, has another shape, is empty or holds NaN, infinity or more than `within`.
-    """
+    """Convert to a read-only float64 array of finite values."""
     if isinstance(value, np.ndarray) and np.iscomplexobj(value):  # whose imaginary parts NumPy would drop
         raise InputError(field, f"must be real, but is {value.dtype}")
     try:
@@ -166,13 +114,7 @@ def as_number(
     at_most: float = math.inf,
     unit: str = "",
 ) -> float:
-    """Convert to a finite float inside the stated bounds (``above`` and ``below`` exclude their end).
-
-    Raises
-    ------
-    InputError
-        If it is no number (a bool is none), not finite or out of bounds; the message names bound and value.
-    """
+    """Convert to a finite float inside the stated bounds (``above`` and ``below`` exclude their end)."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         raise InputError(field, f"must be a number, but is {_told(value)}")
     try:
@@ -193,13 +135,7 @@ def as_number(
 
 
 def as_count(field: str, value: Any, *, at_least: int = 0, at_most: int | None = None) -> int:
-    """Convert to an int inside the stated bounds; floats and bools are refused.
-
-    Raises
-    ------
-    InputError
-        If it is no whole number or out of bounds.
-    """
+    """Convert to an int inside the stated bounds; floats and bools are refused."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise InputError(field, f"must be a whole number, but is {_told(value)}")
     if value < at_least or (at_most is not None and value > at_most):
@@ -209,39 +145,21 @@ def as_count(field: str, value: Any, *, at_least: int = 0, at_most: int | None =
 
 
 def as_flag(field: str, value: Any) -> bool:
-    """Return a bool; numbers and words are refused.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Return a bool; numbers and words are refused."""
     if not isinstance(value, bool | np.bool_):
         raise InputError(field, f"must be True or False, but is {value!r:.80}")
     return bool(value)
 
 
 def as_choice(field: str, value: Any, choices: tuple[str, ...]) -> str:
-    """Return the value if it is one of the choices.
-
-    Raises
-    ------
-    InputError
-        If it is not; the message lists the choices.
-    """
+    """Return the value if it is one of the choices."""
     if not isinstance(value, str) or value not in choices:
         raise InputError(field, not_one_of(value, choices))
     return value
 
 
 def as_index(field: str, value: Any, names: Sequence[str]) -> int:
-    """Return the index of one of several that have names, by index or name.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Return the index of one of several that have names, by index or name."""
     if not isinstance(value, str):
         return as_count(field, value, at_most=len(names) - 1)
     if value not in names:
@@ -252,15 +170,8 @@ def as_index(field: str, value: Any, names: Sequence[str]) -> int:
 def short_repr(value: Any) -> str:
     """Return a dataclass's fields in a line, however much they hold: the ``__repr__`` of classes that hold arrays.
 
-    Parameters
-    ----------
-    value : object
-        Of a dataclass.
-
-    Returns
-    -------
-    str
-        Arrays of more than four numbers by type and shape, several things by their number, other values by their names.
+    result: arrays of more than four numbers by type and shape, several things by their number, other values by their
+    names.
 
     Examples
     --------

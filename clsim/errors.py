@@ -71,17 +71,7 @@ class InputError(ClsimError, ValueError):
 def not_one_of(value: Any, names: Iterable[str]) -> str:
     """Return the problem of a value that is none of some names; what is close to it is asked for.
 
-    Parameters
-    ----------
-    value : object
-        What was given.
-    names : iterable of str
-        What it could be.
-
-    Returns
-    -------
-    str
-        The rule, the value, and the name that was perhaps meant; of many names then that one alone.
+    result: the rule, the value, and the name that was perhaps meant; of many names then that one alone.
 
     Examples
     --------

@@ -247,13 +247,7 @@ def _on_one_axis(pairs: tuple[int, int], found: dict[tuple[int, int], ImpulseRes
 
 
 def as_response_band(sampling_rate: float, band: Any) -> ResponseBand:
-    """Return a band with its edges.
-
-    Raises
-    ------
-    InputError
-        If it does not fit the sampling rate, or is so narrow or low that arrivals would ring for too long.
-    """
+    """Return a band with its edges."""
     most = 0.5 * _WIDEST * sampling_rate
     low, high = (0.0, most) if band is None else map(float, as_floats("band", band, (2,)))
     least = _LOWEST * sampling_rate

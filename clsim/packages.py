@@ -10,22 +10,6 @@ from clsim.errors import InputError
 def check_packages(field: str, what: str, extra: str, *packages: str) -> None:
     """See that packages are installed that a use needs.
 
-    Parameters
-    ----------
-    field : str
-        What asks for it.
-    what : str
-        What needs them: stands at the beginning of the message.
-    extra : str
-        Under which they are installed: ``clsim[extra]``.
-    *packages : str
-        Their names as they are imported.
-
-    Raises
-    ------
-    InputError
-        If one is missing; the message ends with the line that installs it.
-
     Examples
     --------
     >>> check_packages("path", "a table", "tables", "pandas_of_nobody")
@@ -39,11 +23,5 @@ def check_packages(field: str, what: str, extra: str, *packages: str) -> None:
 
 
 def check_pictures(field: str) -> None:
-    """See that what draws pictures is installed; `field` asks for one.
-
-    Raises
-    ------
-    InputError
-        If it is not.
-    """
+    """See that what draws pictures is installed; `field` asks for one."""
     check_packages(field, "a picture", "pictures", "matplotlib")

@@ -314,13 +314,7 @@ def sound_coordinates(names: Sequence[str], units: Sequence[str], positions: Flo
 
 
 def as_recording(value: object) -> Recording:
-    """Return a recording.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Return a recording."""
     if not isinstance(value, Recording):
         raise InputError("recording", f"must be a Recording, but is {value!r:.80}")
     return value

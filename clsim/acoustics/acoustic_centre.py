@@ -21,38 +21,17 @@ def fit_delay(
 ) -> Floats:
     """Return the delay, linear in the direction, without which complex responses turn the least.
 
-    Parameters
-    ----------
-    points : ndarray (n, k)
-        Directions: unit vectors (k = 3), or cosines of the angle from the axis (k = 1).
-    frequencies : ndarray (F,)
-        Increasing, Hz.
-    values : ndarray (n, F)
-        Responses; the time convention is ``exp(+j 2 pi f t)``.
-    neighbours : ndarray (m, 2)
-        Pairs of points that lie beside each other.
+    Shapes: points (n, k); frequencies (F,) Hz; values (n, F); neighbours (m, 2).
 
-    Returns
-    -------
-    ndarray (1 + k,)
-        ``t``, s: ``values * exp(+2j pi f (t[0] + points @ t[1:]))`` has the slowest phase. A point source that stands
-        at p (3,) m of the transducer's own frame has ``t[1:] = -p / c``.
+    points: directions: unit vectors (k = 3), or cosines of the angle from the axis (k = 1).
 
-    Notes
-    -----
+    result: ``t``, s: ``values * exp(+2j pi f (t[0] + points @ t[1:]))`` has the slowest phase. A point source that
+    stands at p (3,) m of the transducer's own frame has ``t[1:] = -p / c``.
+
     Our own derivation: with ``conj(a) b = |a b| exp(-2j pi scale (step @ t))`` for each pair of neighbours, t is linear
     in their phases. Weighted least squares on the phases of products of neighbours, ``conj(a) b``, in frequency and in
     direction, with the products' magnitudes as weights: what is loud decides, and a zero between two lobes does not
     count. Neighbours must differ by less than half a turn.
-
-    Examples
-    --------
-    >>> cosine = np.cos(np.radians(np.arange(0.0, 181.0, 5.0)))[:, None]
-    >>> f = np.array([30e3, 40e3, 50e3])
-    >>> pairs = np.column_stack([np.arange(36), np.arange(1, 37)])
-    >>> values = np.exp(2j * np.pi * f / 343.0 * 0.01 * cosine)  # a centre 10 mm in front
-    >>> (343.0 * fit_delay(cosine, f, values, pairs)).round(6).tolist()
-    [0.0, -0.01]
     """
     some = slice(None, None, -(-values.size // _ENOUGH))
     a, b = neighbours[:: -(-len(neighbours) * len(frequencies) // _ENOUGH)].T

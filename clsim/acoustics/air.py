@@ -35,20 +35,8 @@ _PER_NEPER = DECIBEL_PER_NEPER * math.log(10.0) / 20.0  # nepers of these decibe
 def saturation_pressure_giacomo(temperature_celsius: float) -> float:
     """Return the pressure of saturated water vapour, Pa.
 
-    Parameters
-    ----------
-    temperature_celsius : float
-        Temperature, °C.
-
-    Returns
-    -------
-    float
-        Pressure over a plane of water, Pa.
-
-    Notes
-    -----
-    ``exp(1.2811805e-5 T² - 1.9509874e-2 T + 34.04926034 - 6353.6311/T)``, T in K: [Giacomo]_, as
-    [Cramer]_ uses it in his appendix. Valid from 0 to 30 °C.
+    ``exp(1.2811805e-5 T² - 1.9509874e-2 T + 34.04926034 - 6353.6311/T)``, T in K: [Giacomo]_, as [Cramer]_ uses it in
+    his appendix. Valid from 0 to 30 °C.
 
     Examples
     --------
@@ -62,24 +50,8 @@ def saturation_pressure_giacomo(temperature_celsius: float) -> float:
 def vapour_fraction_giacomo(temperature_celsius: float, relative_humidity: float, pressure: float) -> float:
     """Return the molar fraction of water vapour.
 
-    Parameters
-    ----------
-    temperature_celsius : float
-        Temperature, °C.
-    relative_humidity : float
-        From 0 to 1.
-    pressure : float
-        Static pressure, Pa.
-
-    Returns
-    -------
-    float
-        Molar fraction, 1.
-
-    Notes
-    -----
-    ``h f p_sv / p`` with the enhancement factor ``f = 1.00062 + 3.14e-8 p + 5.6e-7 t²``: [Giacomo]_, as
-    [Cramer]_ uses it in his appendix.
+    ``h f p_sv / p`` with the enhancement factor ``f = 1.00062 + 3.14e-8 p + 5.6e-7 t²``: [Giacomo]_, as [Cramer]_ uses
+    it in his appendix.
 
     Examples
     --------
@@ -99,32 +71,11 @@ def speed_of_sound_cramer(
 ) -> float:
     """Return the speed of sound at zero frequency in moist air, m/s.
 
-    Parameters
-    ----------
-    temperature_celsius : float
-        Temperature, °C.
-    relative_humidity : float
-        From 0 to 1.
-    pressure : float
-        Static pressure, Pa.
-    co2_fraction : float
-        Molar fraction of carbon dioxide, by default 314 ppm: standard air, for which the formula gives
-        343.994 m/s at 20 °C and 50 %. Air of 415 ppm (2020) is 0.009 m/s slower.
+    co2_fraction: molar fraction of carbon dioxide, by default 314 ppm: standard air, for which the formula gives
+    343.994 m/s at 20 °C and 50 %. Air of 415 ppm (2020) is 0.009 m/s slower.
 
-    Returns
-    -------
-    float
-        Speed, m/s.
-
-    Notes
-    -----
-    [Cramer]_, equation 15 with its coefficients for the speed of sound; valid from 0 to 30 °C, 75 to 102 kPa,
-    vapour fractions to 0.06 and CO2 fractions to 0.01, with an uncertainty of 300 ppm.
-
-    Examples
-    --------
-    >>> round(speed_of_sound_cramer(20.0, 0.5, 101_325.0), 3)
-    343.994
+    [Cramer]_, equation 15 with its coefficients for the speed of sound; valid from 0 to 30 °C, 75 to 102 kPa, vapour
+    fractions to 0.06 and CO2 fractions to 0.01, with an uncertainty of 300 ppm.
     """
     t, p, c = temperature_celsius, pressure, co2_fraction
     w = vapour_fraction_giacomo(temperature_celsius, relative_humidity, pressure)
@@ -145,24 +96,7 @@ def speed_of_sound_cramer(
 def speed_of_sound_iso9613(temperature_celsius: float) -> float:
     """Return the speed of sound in air by temperature alone, m/s.
 
-    Parameters
-    ----------
-    temperature_celsius : float
-        Temperature, °C.
-
-    Returns
-    -------
-    float
-        Speed, m/s.
-
-    Notes
-    -----
     ``343.2 sqrt(T / 293.15 K)``: [ISO]_ annex A, equation A.5; from -20 to 50 °C.
-
-    Examples
-    --------
-    >>> speed_of_sound_iso9613(20.0)
-    343.2
     """
     return 343.2 * math.sqrt((temperature_celsius + KELVIN) / REFERENCE_TEMPERATURE)
 
@@ -170,24 +104,8 @@ def speed_of_sound_iso9613(temperature_celsius: float) -> float:
 def vapour_percent_iso9613(temperature_celsius: float, relative_humidity: float, pressure: float) -> float:
     """Return the molar concentration of water vapour, per cent.
 
-    Parameters
-    ----------
-    temperature_celsius : float
-        Temperature, °C.
-    relative_humidity : float
-        From 0 to 1.
-    pressure : float
-        Static pressure, Pa.
-
-    Returns
-    -------
-    float
-        Molar concentration, %.
-
-    Notes
-    -----
-    ``h = h_r (p_sat / p_r) / (p_a / p_r)`` with
-    ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ annex B.
+    ``h = h_r (p_sat / p_r) / (p_a / p_r)`` with ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ annex
+    B.
 
     Examples
     --------
@@ -204,31 +122,8 @@ def absorption_iso9613(
 ) -> Floats:
     """Return the absorption of pure tones by air, dB/m.
 
-    Parameters
-    ----------
-    frequency : array_like
-        Frequencies of any shape, Hz.
-    temperature_celsius : float
-        Temperature, °C.
-    relative_humidity : float
-        From 0 to 1.
-    pressure : float
-        Static pressure, Pa.
-
-    Returns
-    -------
-    ndarray
-        Absorption of the shape of `frequency`, dB/m.
-
-    Notes
-    -----
-    [ISO]_ equations 3 to 5: classical and rotational absorption and the vibrational relaxation of oxygen and
-    nitrogen. Within 10 % from -20 to 50 °C, below 200 kPa, for vapour from 0.05 to 5 % and 4e-4 to 10 Hz/Pa.
-
-    Examples
-    --------
-    >>> float(absorption_iso9613(40e3, 20.0, 0.5, 101_325.0).round(3))
-    1.318
+    [ISO]_ equations 3 to 5: classical and rotational absorption and the vibrational relaxation of oxygen and nitrogen.
+    Within 10 % from -20 to 50 °C, below 200 kPa, for vapour from 0.05 to 5 % and 4e-4 to 10 Hz/Pa.
     """
     f2 = np.square(np.asarray(frequency, dtype=np.float64))
     theta = (temperature_celsius + KELVIN) / REFERENCE_TEMPERATURE
@@ -244,24 +139,6 @@ def absorption_iso9613(
 def lead_iso9613(frequency: ArrayLike, temperature_celsius: float, relative_humidity: float, pressure: float) -> Floats:
     """Return by how much the phase of pure tones leads that of sound at zero frequency, for each metre of air, rad/m.
 
-    Parameters
-    ----------
-    frequency : array_like
-        Frequencies of any shape, Hz.
-    temperature_celsius : float
-        Temperature, °C.
-    relative_humidity : float
-        From 0 to 1.
-    pressure : float
-        Static pressure, Pa.
-
-    Returns
-    -------
-    ndarray
-        Lead of the shape of `frequency`, rad/m.
-
-    Notes
-    -----
     A relaxation that absorbs ``S f x / (1 + x²)``, with ``x = f / f_r`` and the strength S of [ISO]_ equation 3, lets
     sound lead by ``S f x² / (1 + x²)``: both are parts of ``j S f x / (1 + j x)``, by which one internal degree of
     freedom changes the wavenumber (A. D. Pierce, Acoustics, 1981, section 10-8), and which is causal. Classical
@@ -285,26 +162,8 @@ def lead_slope_iso9613(
 ) -> Floats:
     """Return the derivative of `lead_iso9613` by the angular frequency: the lead of envelopes for each metre, s/m.
 
-    Parameters
-    ----------
-    frequency : array_like
-        Frequencies of any shape, Hz.
-    temperature_celsius : float
-        Temperature, °C.
-    relative_humidity : float
-        From 0 to 1.
-    pressure : float
-        Static pressure, Pa.
-
-    Returns
-    -------
-    ndarray
-        Lead of the shape of `frequency`, s/m.
-
-    Notes
-    -----
-    The sum of ``S (y / (1 + y) + 2 y / (1 + y)²) / 2 pi``, ``y = x²``, over both relaxations of `lead_iso9613`
-    ([ISO]_ equation 3).
+    The sum of ``S (y / (1 + y) + 2 y / (1 + y)²) / 2 pi``, ``y = x²``, over both relaxations of `lead_iso9613` ([ISO]_
+    equation 3).
 
     Examples
     --------

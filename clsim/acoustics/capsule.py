@@ -29,29 +29,14 @@ def capsule_glint(
 ) -> Glint:
     """Return where a rigid capsule reflects, by geometrical optics.
 
-    Parameters
-    ----------
-    radius, length : float
-        Of the cylinder about z, m; both ends are half spheres beyond it.
-    source, receiver : ndarray (3, n)
-        Both ends in the frame of the capsule, outside of it, m.
-    near : Glint, optional
-        That of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
-    weight : float or ndarray (n,)
-        As of `ellipsoid_glint`.
+    Shapes: source, receiver (3, n) m; weight (n,).
 
-    Notes
-    -----
+    near: that of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
+
     The capsule is all spheres about points of its axis, so that the specular point is that of the sphere by which the
     way ``d1 + w d2`` is shortest: Newton's method over the point and the direction from it, with the point held to the
     axis; our own derivation from Fermat's principle (M. Born and E. Wolf, Principles of Optics, 1999, section 3.3.2).
     The way is convex in it. What finds a glint nearby is its place.
-
-    Examples
-    --------
-    >>> far = np.array([[5.0], [0.0], [0.1]])
-    >>> capsule_glint(0.04, 0.4, far, far, None, 1.0).place.round(6).ravel().tolist()
-    [0.04, 0.0, 0.1]
     """
     half = 0.5 * length
     between, at, hidden = _between(radius, half, source, receiver)
@@ -70,22 +55,13 @@ def capsule_aspects(
 ) -> tuple[Floats, Floats]:
     """Return the strength (n,) that `capsule_field` is relative to, m, and what that takes (n, 11).
 
-    Parameters
-    ----------
-    radius, length, source, receiver
-        As in `capsule_glint`.
-    glint : Glint
-        Of these ends.
-
-    Notes
-    -----
     Our own derivation, by physical optics (G. T. Ruck et al., Radar Cross Section Handbook, 1970, section 2.2.2).
-    Around the capsule the principle of stationary phase holds; along it the way is a parabola on
-    the side and a steeper one on either end, with one slope where they meet, so that the integral along a line of it
-    (Kirchhoff's) is a sum of Fresnel integrals: on the side all of it, ``1 / sqrt(h)`` with the bend h, less what is
-    missing beyond its ends, and more what the round ends add. At a distance of many lengths that is the finite
-    cylinder, near by geometrical optics ``sqrt(R1 R2) / 2``, and on the round ends those of a sphere, without a jump
-    between them. Either leg counts alike, and towards grazing incidence all goes to 0 as for ellipsoids.
+    Around the capsule the principle of stationary phase holds; along it the way is a parabola on the side and a steeper
+    one on either end, with one slope where they meet, so that the integral along a line of it (Kirchhoff's) is a sum of
+    Fresnel integrals: on the side all of it, ``1 / sqrt(h)`` with the bend h, less what is missing beyond its ends, and
+    more what the round ends add. At a distance of many lengths that is the finite cylinder, near by geometrical optics
+    ``sqrt(R1 R2) / 2``, and on the round ends those of a sphere, without a jump between them. Either leg counts alike,
+    and towards grazing incidence all goes to 0 as for ellipsoids.
     """
     half, ends = 0.5 * length, (source, receiver)
     at, normal = _split(half, glint.place)
@@ -120,23 +96,11 @@ def capsule_aspects(
 def capsule_field(wave: Floats, aspects: Floats) -> Complexes:
     """Return the field of a rigid capsule over its strength.
 
-    Parameters
-    ----------
-    wave : ndarray (F,)
-        Wave numbers, 1/m.
-    aspects : ndarray (..., 11)
-        Of `capsule_aspects`.
+    Shapes: wave (F,) 1/m; aspects (..., 11); result (... F).
 
-    Returns
-    -------
-    ndarray (..., F)
-        Relative to the phase of the specular point.
-
-    Notes
-    -----
-    ``m + sum exp(-j k t) (A E(a sqrt k) - B E(b sqrt k))`` over both ends of the side, with the Fresnel integral
-    ``E(x) = exp(j x^2) erfc(exp(j pi / 4) x)`` (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions,
-    1964, eq. 7.1.3).
+    ``m + sum exp(-j k t) (A E(a sqrt k) - B E(b sqrt k))`` over both ends of the side, with the Fresnel integral ``E(x)
+    = exp(j x^2) erfc(exp(j pi / 4) x)`` (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 1964, eq.
+    7.1.3).
     """
     from scipy.special import wofz
 

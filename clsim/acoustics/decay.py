@@ -17,25 +17,10 @@ _OWN_FALL = 0.75  # of how far a decay falls in a fifth of a response: what fall
 def decay_curve(samples: Floats) -> Floats:
     """Return the level of the energy that is still to come (n,), dB re all of it.
 
-    Parameters
-    ----------
-    samples : ndarray (n,)
-        An impulse response, in any unit.
+    Shapes: samples (n,).
 
-    Returns
-    -------
-    ndarray (n,)
-        dB; -inf where nothing is to come.
-
-    Notes
-    -----
     The backward integral of the squared response (ISO 3382-1:2009, section 5.3.3; M. R. Schroeder, "New method of
     measuring reverberation time", J. Acoust. Soc. Am. 37, 1965, eq. 2).
-
-    Examples
-    --------
-    >>> decay_curve(np.array([1.0, 0.0, 1.0])).round(2).tolist()
-    [0.0, -3.01, -3.01]
     """
     energy = np.cumsum(np.square(samples)[::-1])[::-1]
     with np.errstate(divide="ignore"):
@@ -45,28 +30,11 @@ def decay_curve(samples: Floats) -> Floats:
 def reverberation_time(curve: Floats, sampling_rate: float, first_db: float, last_db: float) -> float:
     """Return the time in which a decay falls by 60 dB, from a part of it.
 
-    Parameters
-    ----------
-    curve : ndarray (n,)
-        As `decay_curve` returns it, dB.
-    sampling_rate : float
-        Hz.
-    first_db, last_db : float
-        Where the part begins and ends, below 0: -5 and -25 dB for T20, -5 and -35 dB for T30.
+    Shapes: curve (n,) dB.
 
-    Returns
-    -------
-    float
-        s; NaN where the curve does not reach so far.
+    first_db, last_db: where the part begins and ends, below 0: -5 and -25 dB for T20, -5 and -35 dB for T30.
 
-    Notes
-    -----
     By a line of least squares through the part (ISO 3382-1:2009, section 5.3.3).
-
-    Examples
-    --------
-    >>> round(reverberation_time(-30.0 * np.arange(2000) / 1e3, 1e3, -5.0, -35.0), 9)
-    2.0
     """
     reached = np.flatnonzero(curve <= last_db)
     if not len(reached):
@@ -81,25 +49,11 @@ def reverberation_time(curve: Floats, sampling_rate: float, first_db: float, las
 def has_decay_range(samples: Floats, sampling_rate: float, last_db: float, found: float) -> bool:
     """Tell a decay from noise: whether a reverberation time can be that of a response.
 
-    Parameters
-    ----------
-    samples : ndarray (n,)
-        An impulse response from the arrival of the direct sound on, in any unit.
-    sampling_rate : float
-        Hz.
-    last_db : float
-        Where the part of the decay ends from which the time was found, below 0.
-    found : float
-        That time, s.
+    Shapes: samples (n,).
 
-    Returns
-    -------
-    bool
-        False where a decay of that time does not fall to `last_db` within the response, or where the response ends in
-        steady noise that makes up a quarter of the energy that is still to come at `last_db`.
+    result: false where a decay of that time does not fall to `last_db` within the response, or where the response ends
+    in steady noise that makes up a quarter of the energy that is still to come at `last_db`.
 
-    Notes
-    -----
     Our own test, for ISO 3382-1:2009, section 5.3.3, which asks for noise at least 10 dB below `last_db`. The last
     tenth is taken for noise where it is below a fifth of the response earlier by less than 3/4 of such a decay's fall.
 
@@ -124,20 +78,8 @@ def has_decay_range(samples: Floats, sampling_rate: float, last_db: float, found
 def clarity(samples: Floats, split: int) -> float:
     """Return the level of early energy over late energy, dB.
 
-    Parameters
-    ----------
-    samples : ndarray (n,)
-        An impulse response from the arrival of the direct sound on, in any unit.
-    split : int
-        Sample at which late begins: after 50 ms for C50, 80 ms for C80.
+    Shapes: samples (n,).
 
-    Returns
-    -------
-    float
-        dB; inf without late energy.
-
-    Notes
-    -----
     ISO 3382-1:2009, annex A.2.3.
     """
     early, late = float(np.sum(np.square(samples[:split]))), float(np.sum(np.square(samples[split:])))
@@ -149,20 +91,8 @@ def clarity(samples: Floats, split: int) -> float:
 def definition(samples: Floats, split: int) -> float:
     """Return the share of early energy in all energy.
 
-    Parameters
-    ----------
-    samples : ndarray (n,)
-        As in `clarity`.
-    split : int
-        Sample at which late begins: after 50 ms for D50.
+    Shapes: samples (n,).
 
-    Returns
-    -------
-    float
-        From 0 to 1.
-
-    Notes
-    -----
     ISO 3382-1:2009, annex A.2.3.
     """
     whole = float(np.sum(np.square(samples)))
@@ -172,24 +102,8 @@ def definition(samples: Floats, split: int) -> float:
 def sabine_time(volume: float, absorption_area: Floats, air: Floats, speed_of_sound: float) -> Floats:
     """Return the reverberation time of a diffuse field by Sabine, s.
 
-    Parameters
-    ----------
-    volume : float
-        m³.
-    absorption_area : ndarray (F,)
-        Sum over the walls of area times absorption coefficient, m².
-    air : ndarray (F,)
-        Absorption of energy by the air, ratio per m.
-    speed_of_sound : float
-        m/s.
+    Shapes: absorption_area (F,) m²; air (F,).
 
-    Returns
-    -------
-    ndarray (F,)
-        s.
-
-    Notes
-    -----
     ``24 ln(10) V / (c (A + 4 m V))`` (H. Kuttruff, "Room Acoustics", 6th edition, 2016, eq. 5.25).
     """
     loss = speed_of_sound * (absorption_area + 4.0 * air * volume)
@@ -200,26 +114,8 @@ def sabine_time(volume: float, absorption_area: Floats, air: Floats, speed_of_so
 def eyring_time(volume: float, surface: float, absorption_area: Floats, air: Floats, speed_of_sound: float) -> Floats:
     """Return the reverberation time of a diffuse field by Eyring, s.
 
-    Parameters
-    ----------
-    volume : float
-        m³.
-    surface : float
-        Of all walls, m².
-    absorption_area : ndarray (F,)
-        As in `sabine_time`, m².
-    air : ndarray (F,)
-        As in `sabine_time`, ratio per m.
-    speed_of_sound : float
-        m/s.
+    Shapes: absorption_area (F,) m²; air (F,).
 
-    Returns
-    -------
-    ndarray (F,)
-        s.
-
-    Notes
-    -----
     Sabine's with ``-S ln(1 - A / S)`` in place of A (H. Kuttruff, "Room Acoustics", 6th edition, 2016, eq. 5.24).
     """
     with np.errstate(divide="ignore"):

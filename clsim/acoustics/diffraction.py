@@ -40,32 +40,21 @@ class EdgeWay:
 
     Attributes
     ----------
-    length : ndarray (...)
-        Of the whole way, m.
-    apex : ndarray (...)
-        z at which it meets the edge, m.
     breadth : ndarray (...)
-        ``2 (s s' / L) sin² β``, m, with the distances s' and s of both ends from the apex and the angle β to the edge.
+        ``2 (s s' / L) sin² β``, m, with the distances s' and s of both ends from the apex and the angle β to the
+        edge.
     """
 
-    length: Floats
-    apex: Floats
+    length: Floats  # (...) of the whole way, m
+    apex: Floats  # (...) z at which it meets the edge, m
     breadth: Floats
 
 
 def edge_way(source_r: Floats, source_z: Floats, receiver_r: Floats, receiver_z: Floats) -> EdgeWay:
     """Return the shortest ways over edges between places at distances r and heights z (...), m.
 
-    Notes
-    -----
     Rolled out, the ends are at (-r_s, z_s) and (r_r, z_r) of a plane, and the edge is its z-axis (J. B. Keller,
     "Geometrical theory of diffraction", J. Opt. Soc. Am. 52(2), 1962, section 2: the cone of diffracted rays).
-
-    Examples
-    --------
-    >>> way = edge_way(np.array(1.0), np.array(0.0), np.array(2.0), np.array(4.0))
-    >>> float(way.length), round(float(way.apex), 12), round(float(way.breadth), 12)
-    (5.0, 1.333333333333, 0.8)
     """
     across = source_r + receiver_r
     length = np.hypot(across, source_z - receiver_z)
@@ -77,14 +66,8 @@ def edge_way(source_r: Floats, source_z: Floats, receiver_r: Floats, receiver_z:
 def off_line(n: ArrayLike, x: Floats, y: Floats, low: ArrayLike) -> tuple[Floats, Floats]:
     """Return distances r and angles θ (...) of places at x along the 0-face and y off it, from angles `low` on.
 
-    Within `ON_LINE` of the line, such as on the straight extension of an edge, the angle is lost in rounding: there
-    r is `ON_LINE` and θ that of the middle of the air. The field has this limit whatever is done to the last digits.
-
-    Examples
-    --------
-    >>> r, angle = off_line(1.5, np.array([0.0, 1.0]), np.array([0.0, -1.0]), 0.0)
-    >>> r.round(3).tolist(), np.degrees(angle).tolist()
-    ([0.0, 1.414], [135.0, 315.0])
+    Within `ON_LINE` of the line, such as on the straight extension of an edge, the angle is lost in rounding: there r
+    is `ON_LINE` and θ that of the middle of the air. The field has this limit whatever is done to the last digits.
     """
     r, angle = np.hypot(x, y), np.arctan2(y, x)
     angle = np.where(angle < low, angle + 2.0 * np.pi, angle)
@@ -94,27 +77,14 @@ def off_line(n: ArrayLike, x: Floats, y: Floats, low: ArrayLike) -> tuple[Floats
 def partner_reflections(n: ArrayLike) -> NDArray[np.int64]:
     """Count the reflections by the two faces of each term's partner.
 
-    Parameters
-    ----------
-    n : array_like (...)
-        Exterior angle over π.
+    Shapes: result (... 4).
 
-    Returns
-    -------
-    ndarray (..., 4)
-        An even number for the first two terms, which begin at the 0-face and at the n-face, and an odd one for the last
-        two, which do so as well; they are the two neighbours of 1/n.
+    result: an even number for the first two terms, which begin at the 0-face and at the n-face, and an odd one for the
+    last two, which do so as well; they are the two neighbours of 1/n.
 
-    Notes
-    -----
-    Our own derivation: by so many faces in turn the source at θ_s has its images at ``θ_s ± 2nπN``, and at
-    ``-θ_s - 2nπN`` and ``2nπ - θ_s + 2nπN``. Of the boundaries of these, half a turn from an image, each kind has one
-    between the faces. Where n = 1/m two terms each have the same boundary, and cancel each other.
-
-    Examples
-    --------
-    >>> partner_reflections([2.0, 1.5, 2.0 / 3.0, 0.4]).tolist()
-    [[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 1, 1], [2, 2, 3, 3]]
+    Our own derivation: by so many faces in turn the source at θ_s has its images at ``θ_s ± 2nπN``, and at ``-θ_s -
+    2nπN`` and ``2nπ - θ_s + 2nπN``. Of the boundaries of these, half a turn from an image, each kind has one between
+    the faces. Where n = 1/m two terms each have the same boundary, and cancel each other.
     """
     half = 0.5 / np.asarray(n, dtype=np.float64)
     even, odd = 2.0 * np.round(half), 2.0 * np.floor(half) + 1.0
@@ -124,27 +94,12 @@ def partner_reflections(n: ArrayLike) -> NDArray[np.int64]:
 def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:
     """Return how far inside the region in which it is seen each partner is.
 
-    Parameters
-    ----------
-    n : array_like (...)
-        Exterior angle over π.
-    source, receiver : array_like (...)
-        Angles θ about the edge, 0 to nπ.
+    Shapes: result (... 4).
 
-    Returns
-    -------
-    ndarray (..., 4)
-        Angles to the four boundaries, positive where the partner is seen, in radians.
+    result: angles to the four boundaries, positive where the partner is seen, in radians.
 
-    Notes
-    -----
     The boundaries are the zeros of ``a±`` of Kouyoumjian and Pathak (1974), eq. 27, that lie between the faces, with
     ``N±`` not 0 alone but as of `partner_reflections`.
-
-    Examples
-    --------
-    >>> np.degrees(lit_angles(1.5, np.radians(30.0), np.radians(240.0))).round(9).tolist()
-    [390.0, -30.0, -90.0, -90.0]
     """
     n, source, receiver = (np.asarray(x, dtype=np.float64) for x in (n, source, receiver))
     between, together = receiver - source, receiver + source
@@ -156,36 +111,20 @@ def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:
 def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> tuple[Floats, Floats]:
     """Return the weights and roots of the four terms of the field at a wedge.
 
-    Parameters
-    ----------
-    n : array_like (...)
-        Exterior angle over π.
-    angles : ndarray (..., 4)
-        From `lit_angles`.
-    lit : array_like (..., 4), optional
-        1 for partners that are taken as seen, -1 for others, also shortly beyond the boundary; by the angles when left
-        out.
+    Shapes: angles (..., 4); lit (..., 4); result (..., 4), (..., 4).
 
-    Returns
-    -------
-    weight : ndarray (..., 4)
-        κ of each term, -1 to 1; on its boundary -1 where the partner is seen and 1 where it is not.
-    root : ndarray (..., 4)
-        Root of the detour by the edge against the partner over the breadth of the way, beyond a boundary negative.
+    lit: 1 for partners that are taken as seen, -1 for others, also shortly beyond the boundary; by the angles when left
+    out.
 
-    Notes
-    -----
+    weight: κ of each term, -1 to 1; on its boundary -1 where the partner is seen and 1 where it is not.
+
+    root: root of the detour by the edge against the partner over the breadth of the way, beyond a boundary negative.
+
     The field over ``exp(-jkL) / L`` is the sum of ``ρ κ E(√(k breadth) root) / 2`` over the terms, with the reflection
     factors ρ of the partners (1 for the first two where n ≥ 1). This is the coefficient of R. G. Kouyoumjian and P. H.
     Pathak, "A uniform geometrical theory of diffraction for an edge in a perfectly conducting surface", Proc. IEEE
     62(11), 1974, eq. 25, for hard faces; factors as of R. J. Luebbers, IEEE Trans. Antennas Propag. 32(1), 1984. With a
     fixed `lit` weights and roots are smooth functions of the ends' places across the boundary.
-
-    Examples
-    --------
-    >>> weight, root = wedge_terms(2.0, lit_angles(2.0, np.radians(90.0), np.radians(240.0)))
-    >>> weight.round(3).tolist(), root.round(3).tolist()
-    ([-0.017, -0.983, 0.629, 0.371], [0.259, 0.259, 0.966, 0.966])
     """
     n = np.asarray(n, dtype=np.float64)[..., None]
     turns = np.round(angles / (2.0 * n * np.pi))
@@ -202,26 +141,11 @@ def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> t
 def transition(root: Floats) -> Complexes:
     """Return the transition function ``E(x) = exp(jx) erfc(√(jx))`` of roots √x (...) of phases x.
 
-    Parameters
-    ----------
-    root : ndarray (...)
-        √x; negative ones are those of the continuation beyond x = 0, where E is larger than 1.
+    root: √x; negative ones are those of the continuation beyond x = 0, where E is larger than 1.
 
-    Returns
-    -------
-    ndarray (...)
-        1 at 0, about ``1 / √(jπx)`` far out.
-
-    Notes
-    -----
     It is ``F(x)`` of Kouyoumjian and Pathak (1974), eq. 26, over ``√(πx) exp(jπ/4)``, and Faddeeva's ``w(j √(jx))``. As
     a function of ``1 / (2 + √x)`` it is smooth up to x = ∞: cubics in cells of that hold it to 2e-12 of itself. Of
     negative roots it is ``2 exp(jx)`` less that of positive ones.
-
-    Examples
-    --------
-    >>> (transition(np.array([0.0, 100.0])).round(6) + 0).tolist()
-    [(1+0j), (0.00399-0.003989j)]
     """
     root = np.asarray(root, dtype=np.float64)
     beyond = np.flatnonzero(root < _LEAST_ROOT)
@@ -269,17 +193,6 @@ def _transition(root: Floats) -> Complexes:
 def end_detour(way: EdgeWay, source: tuple[Floats, Floats], receiver: tuple[Floats, Floats], end: ArrayLike) -> Floats:
     """Return by how much the way over a point of the edge is longer than the shortest one, (...) m.
 
-    Parameters
-    ----------
-    way : EdgeWay
-        Of the same ends.
-    source, receiver : tuple of ndarray (...)
-        Distances r and heights z, m.
-    end : array_like (...)
-        z of the point, m.
-
-    Notes
-    -----
     Our own derivation: each leg's ``far - near`` is ``(far² - near²) / (far + near)``. The parts linear in the offset
     of the point from the apex cancel over both legs, by Fermat's principle, and are left out before they round.
     """

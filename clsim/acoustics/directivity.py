@@ -15,33 +15,9 @@ if TYPE_CHECKING:
 def piston_gain(cosine: ArrayLike, frequency: ArrayLike, radius: float, speed_of_sound: float) -> Floats:
     """Return the far-field gain of a round piston in a baffle, 1 on the axis.
 
-    Parameters
-    ----------
-    cosine : array_like (...)
-        Cosine of the angle between axis and direction, -1 to 1.
-    frequency : array_like (...)
-        Frequency, Hz; broadcasts against `cosine`.
-    radius : float
-        Radius of the piston, m.
-    speed_of_sound : float
-        Speed of sound, m/s.
-
-    Returns
-    -------
-    ndarray (...)
-        Gain, 1; negative in every other side lobe.
-
-    Notes
-    -----
-    ``2 J1(k a sin θ) / (k a sin θ)``: P. M. Morse and K. U. Ingard, "Theoretical Acoustics", 1968,
-    section 7.4. The formula holds in front of the baffle, well beyond ``a² / λ``. Behind it (negative cosine) the value
-    at 90° is kept, so that the gain has no step where a path crosses the plane of the baffle.
-
-    Examples
-    --------
-    >>> angle = np.radians([0.0, 40.0])  # on the axis, and at -6 dB of a piston of 4.7 mm at 40 kHz
-    >>> (20 * np.log10(piston_gain(np.cos(angle), 40e3, 0.0047, 344.0))).round(1).tolist()
-    [0.0, -6.0]
+    ``2 J1(k a sin θ) / (k a sin θ)``: P. M. Morse and K. U. Ingard, "Theoretical Acoustics", 1968, section 7.4. The
+    formula holds in front of the baffle, well beyond ``a² / λ``. Behind it (negative cosine) the value at 90° is kept,
+    so that the gain has no step where a path crosses the plane of the baffle.
     """
     from scipy.special import j1
 
@@ -57,23 +33,12 @@ def piston_gain(cosine: ArrayLike, frequency: ArrayLike, radius: float, speed_of
 def first_order_gain(cosine: ArrayLike, weight: float) -> Floats:
     """Return the gain of a first-order transducer, 1 on the axis.
 
-    Parameters
-    ----------
-    cosine : array_like (...)
-        Cosine of the angle between axis and direction, -1 to 1.
-    weight : float
-        Share of the omnidirectional part: 1 omnidirectional, 0.5 cardioid, 0.25 hypercardioid, 0 figure
-        of eight.
+    weight: share of the omnidirectional part: 1 omnidirectional, 0.5 cardioid, 0.25 hypercardioid, 0 figure of eight.
 
-    Returns
-    -------
-    ndarray (...)
-        Gain, 1; negative where the pressure-gradient part outweighs the other from behind.
+    result: gain, 1; negative where the pressure-gradient part outweighs the other from behind.
 
-    Notes
-    -----
-    ``w + (1 - w) cos θ``: J. Eargle, "The Microphone Book", 2nd ed. 2005, chapter 5,
-    "First-order directional microphones". For plane waves on capsules much smaller than the wavelength.
+    ``w + (1 - w) cos θ``: J. Eargle, "The Microphone Book", 2nd ed. 2005, chapter 5, "First-order directional
+    microphones". For plane waves on capsules much smaller than the wavelength.
 
     Examples
     --------

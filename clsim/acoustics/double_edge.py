@@ -21,15 +21,6 @@ _LEAST = 2e-5  # the same where both edges are on their boundaries: the function
 def double_tie(way: EdgeWay, first: Floats, last: Floats) -> Floats:
     """Return how much the transitions at two edges depend on each other (...), 0 of edges far apart, 1 of one edge.
 
-    Parameters
-    ----------
-    way : EdgeWay
-        Of the whole way, length (...) m.
-    first, last : ndarray (...)
-        The parts of it before the first edge and behind the last, m.
-
-    Notes
-    -----
     Our own derivation: ``w² = s1 s2 / ((s1 + s) (s + s2))`` with the part s between the edges is the square of the
     mixed second derivative of the way's length by both angles over the product of the others; what is left, 1 - w², is
     the ratio by which the breadth is less where the other edge itself is the receiver.
@@ -41,18 +32,11 @@ def double_tie(way: EdgeWay, first: Floats, last: Floats) -> Floats:
 def double_transition(first: Floats, last: Floats, tie: Floats, wave: Floats) -> Complexes:
     """Return the transition function of two edges (..., F), which of edges far apart is that of one times the other's.
 
-    Parameters
-    ----------
-    first, last : ndarray (...)
-        Root of the detour of a term at each edge, with the breadth of the way as that edge sees it, √m; negative beyond
-        a boundary, as of `transition`.
-    tie : ndarray (...)
-        w, from `double_tie`.
-    wave : ndarray (..., F)
-        Wave numbers, 1/m.
+    Shapes: wave (..., F) 1/m.
 
-    Notes
-    -----
+    first, last: root of the detour of a term at each edge, with the breadth of the way as that edge sees it, √m;
+    negative beyond a boundary, as of `transition`.
+
     With a and b, first and last times the root of the wave number, it is
 
         E(a, b) = jab / π² ∬ exp(-(α² + β² + 2wαβ)) / ((α² + ja²) (β² + jb²)) dα dβ,
@@ -65,12 +49,6 @@ def double_transition(first: Floats, last: Floats, tie: Floats, wave: Floats) ->
     of coplanar skew edges", IEEE Trans. Antennas Propag. 45(8), 1997, have them; these are taken along ``t² = (1 - w²)
     a² - js``, by a half-way rule in u of ``s = f exp(u - exp(-u))``, within 1e-6 (but 1e-3 within roots of 1e-4 from
     both boundaries).
-
-    Examples
-    --------
-    >>> wave, a, b = np.array([[1.0, 4.0]]), np.array([0.5]), np.array([0.8])
-    >>> double_transition(a, b, np.array([0.3]), wave).round(6).tolist()
-    [[(0.271251-0.252001j), (0.071068-0.145613j)]]
     """
     a, b = np.abs(first), np.abs(last)
     found = _along_the_contour(a, b, tie, wave)

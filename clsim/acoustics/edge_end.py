@@ -22,21 +22,13 @@ _FIRST, _FADED = -3.4, 36.0  # of the points, exp(u - exp(-u)), and exponent of 
 def end_transition(end: Floats, root: Floats) -> Complexes:
     """Compute the transition function of an edge and of its end, the field at the end over that of the partner.
 
-    Parameters
-    ----------
-    end : ndarray (...)
-        Root a of the phase by which the way over the end is longer than the shortest one; negative beyond the boundary
-        at which the shortest way passes the end.
-    root : ndarray (...)
-        Root b of the phase of a term of the edge, as of `transition`; negative beyond the term's boundary.
+    end: root a of the phase by which the way over the end is longer than the shortest one; negative beyond the boundary
+    at which the shortest way passes the end.
 
-    Returns
-    -------
-    ndarray (...)
-        ``E(b) / 2`` for a = 0; 0 for b = 0 and a > 0; about ``E(a) E(b) b² / (a² + b²) / 2`` far out.
+    root: root b of the phase of a term of the edge, as of `transition`; negative beyond the term's boundary.
 
-    Notes
-    -----
+    result: ``E(b) / 2`` for a = 0; 0 for b = 0 and a > 0; about ``E(a) E(b) b² / (a² + b²) / 2`` far out.
+
     Along the edge a term is ``b / π ∫ exp(-jt²) / (t² + b²) dt`` with t² the phase of the way's detour: that of an
     infinite edge is E(b) (`exact_wedge` has the integral). What is beyond the end, over the phase of the way by the
     end, is the generalised Fresnel integral
@@ -46,11 +38,6 @@ def end_transition(end: Floats, root: Floats) -> Complexes:
     of P. C. Clemmow and T. B. A. Senior, Proc. Camb. Phil. Soc. 49(3), 1953. Owen's relation (Ann. Math. Stat. 27(4),
     1956, eq. 2.5, with a complex argument) is ``C(a, b) + C(b, a) = E(a) E(b) / 2``, so that only a ≥ b is needed: φ
     times a polynomial of φ², with ``a + jb = ρ exp(jφ)``, whose coefficients depend on ρ alone.
-
-    Examples
-    --------
-    >>> end_transition(np.array([1e-9, 1.0, 30.0]), np.array([1e-9, 2.0, 0.5])).round(4).tolist()
-    [(0.25-0j), (0.0208-0.0462j), (0-3e-06j)]
     """
     end, root = np.broadcast_arrays(np.asarray(end, dtype=np.float64), np.asarray(root, dtype=np.float64))
     a, b = np.abs(end), np.abs(root)
@@ -69,10 +56,8 @@ def end_transition(end: Floats, root: Floats) -> Complexes:
 def end_coefficients(radius: Floats) -> Complexes:
     """Compute the coefficients (..., END_TERMS) of `angle_polynomials` that give C at radii ρ (...).
 
-    Notes
-    -----
-    Our own derivation: with ``t² = a² - js`` the integral falls as exp(-s); half-way rule in u of
-    ``s = f exp(u - exp(-u))`` at the Chebyshev nodes of φ².
+    Our own derivation: with ``t² = a² - js`` the integral falls as exp(-s); half-way rule in u of ``s = f exp(u -
+    exp(-u))`` at the Chebyshev nodes of φ².
     """
     nodes = np.cos(np.pi * (np.arange(END_TERMS) + 0.5) / END_TERMS)
     phi = 0.25 * np.pi * np.sqrt(0.5 * (nodes + 1.0))

@@ -29,38 +29,16 @@ def exact_wedge_terms(
 ) -> list[Complexes]:
     """Return the four terms of the exact field at a hard wedge, each (..., F), over ``exp(-jkL) / L``.
 
-    Parameters
-    ----------
-    n : array_like (...)
-        Exterior angle over π.
-    angles : ndarray (..., 4)
-        From `lit_angles`.
-    lit : array_like (..., 4)
-        1 for partners that are taken as seen, also shortly beyond the boundary, -1 for others.
-    source_r, receiver_r : ndarray (...)
-        Distances of both ends from the line of the edge, m.
-    way : EdgeWay
-        Between them.
-    wave : ndarray (..., F)
-        Wave numbers, 1/m.
+    Shapes: angles (..., 4); lit (..., 4); wave (..., F) 1/m.
 
-    Notes
-    -----
+    lit: 1 for partners that are taken as seen, also shortly beyond the boundary, -1 for others.
+
     The integral along an infinite edge of U. P. Svensson, R. I. Fred and J. Vanderkooy, "An analytic secondary source
-    model of edge diffraction impulse responses", J. Acoust. Soc. Am. 106(5), 1999, eq. 27 and 30, over the length
-    ``L - jv²`` in place of the place on the edge: there ``exp(-jkp)`` falls as ``exp(-kv²)`` and does not turn.
-    What a term has as its pole, where that length is the partner's R, is integrated in closed form,
-    ``E(√(k (L - R))) L / 2R``; the rest is smooth, also on the boundary. Half-way rule in u of ``v = a sinh u``, with
-    a fine enough for the highest wave number and the wedge, and an end where the lowest has fallen.
-
-    Examples
-    --------
-    >>> from clsim.acoustics.diffraction import edge_way, lit_angles
-    >>> r, k = np.array(0.5), np.array([20.0, 700.0])
-    >>> angles = lit_angles(1.5, 0.4, 4.0)
-    >>> terms = exact_wedge_terms(1.5, angles, np.sign(angles), r, r, edge_way(r, 0.0 * r, r, 0.0 * r), k)
-    >>> np.abs(np.sum(terms, axis=0)).round(4).tolist()
-    [0.5327, 0.1096]
+    model of edge diffraction impulse responses", J. Acoust. Soc. Am. 106(5), 1999, eq. 27 and 30, over the length ``L -
+    jv²`` in place of the place on the edge: there ``exp(-jkp)`` falls as ``exp(-kv²)`` and does not turn. What a term
+    has as its pole, where that length is the partner's R, is integrated in closed form, ``E(√(k (L - R))) L / 2R``; the
+    rest is smooth, also on the boundary. Half-way rule in u of ``v = a sinh u``, with a fine enough for the highest
+    wave number and the wedge, and an end where the lowest has fallen.
     """
     n = np.asarray(n, dtype=np.float64)[..., None]
     angle = angles - 2.0 * n * np.pi * np.round(angles / (2.0 * n * np.pi))

@@ -20,25 +20,8 @@ _HEAT_RATIO = 1.40  # of air
 def reflection_from_absorption(alpha: ArrayLike) -> Floats:
     """Return the reflection factor of sound pressure of a wall that absorbs a share of the energy.
 
-    Parameters
-    ----------
-    alpha : array_like (...)
-        Absorption coefficients, 0 to 1.
-
-    Returns
-    -------
-    ndarray (...)
-        Factors, 0 to 1: the phase is unknown, and taken as that of a rigid wall.
-
-    Notes
-    -----
     ``R = sqrt(1 - α)``: H. Kuttruff, "Room Acoustics", 5th ed. 2009, section 2.1. It holds for a plane wave at the
     angle for which α is given; tabulated values are mostly means over all angles.
-
-    Examples
-    --------
-    >>> reflection_from_absorption([0.0, 0.36, 1.0]).tolist()
-    [1.0, 0.8, 0.0]
     """
     factor: Floats = np.sqrt(1.0 - np.asarray(alpha, dtype=np.float64))
     return factor
@@ -47,22 +30,10 @@ def reflection_from_absorption(alpha: ArrayLike) -> Floats:
 def reflection_from_impedance(impedance: ArrayLike, cosine: ArrayLike = 1.0) -> NDArray[np.complex128]:
     """Return the reflection factor of plane waves on a locally reacting wall.
 
-    Parameters
-    ----------
-    impedance : array_like (...)
-        Specific impedance at normal incidence over that of air, ``ζ = Z / (ρ c)``; its real part is at least 0.
-    cosine : array_like (...)
-        Cosine of the angle of incidence, to the wall's normal, above 0.
+    impedance: specific impedance at normal incidence over that of air, ``ζ = Z / (ρ c)``; its real part is at least 0.
 
-    Returns
-    -------
-    ndarray (...)
-        Complex factors, of magnitude 1 at most.
-
-    Notes
-    -----
-    ``R = (ζ cos θ - 1) / (ζ cos θ + 1)``: H. Kuttruff, "Room Acoustics", 5th ed. 2009, section 2.3. For plane
-    waves, and walls in which sound does not travel along the surface.
+    ``R = (ζ cos θ - 1) / (ζ cos θ + 1)``: H. Kuttruff, "Room Acoustics", 5th ed. 2009, section 2.3. For plane waves,
+    and walls in which sound does not travel along the surface.
 
     Examples
     --------
@@ -76,22 +47,6 @@ def reflection_from_impedance(impedance: ArrayLike, cosine: ArrayLike = 1.0) -> 
 def mismatch_reflection(density: float, sound_speed: float, speed_of_sound: float) -> float:
     """Return the reflection factor of a thick solid at normal incidence.
 
-    Parameters
-    ----------
-    density : float
-        Of the solid, kg/m³.
-    sound_speed : float
-        Of longitudinal waves in it, m/s.
-    speed_of_sound : float
-        In air, m/s.
-
-    Returns
-    -------
-    float
-        Factor, -1 to 1.
-
-    Notes
-    -----
     ``R = (Z - ρ c) / (Z + ρ c)`` with ``Z`` the product of the solid's density and sound speed: L. E. Kinsler, A. R.
     Frey, A. B. Coppens and J. V. Sanders, "Fundamentals of Acoustics", 4th ed. 2000, section 6.2 (one fluid on another;
     section 6.6 for solids). Normal incidence on a half-space: no layers, no plate resonances, no coincidence.
@@ -108,32 +63,11 @@ def mismatch_reflection(density: float, sound_speed: float, speed_of_sound: floa
 def boundary_layer_admittance(frequency: ArrayLike, cosine: ArrayLike, speed_of_sound: float) -> NDArray[np.complex128]:
     """Return the specific admittance, times ``ρ c``, that a smooth rigid wall has by viscosity and heat conduction.
 
-    Parameters
-    ----------
-    frequency : array_like (...)
-        Hz.
-    cosine : array_like (...)
-        Cosine of the angle of incidence.
-    speed_of_sound : float
-        In air, m/s.
-
-    Returns
-    -------
-    ndarray (...)
-        Complex admittance β; the wall reflects ``(cos θ - β) / (cos θ + β)``.
-
-    Notes
-    -----
     ``β = (1 + j) / 2 · k δ (sin² θ + (γ - 1) / sqrt(Pr))`` with the viscous depth ``δ = sqrt(2 ν / ω)``: the boundary
     condition of M. Berggren, A. Bernland and D. Noreland, "Acoustic boundary layers as boundary conditions", J. Comput.
     Phys. 371, 633-650, 2018, for a plane wave on a plane wall that stays at its temperature; also A. D. Pierce,
     "Acoustics", 1981, section 10-4, "Acoustic boundary-layer theory". Air of 20 °C. It holds while ``k δ`` is far below
     1 (0.008 at 40 kHz) and below cos θ.
-
-    Examples
-    --------
-    >>> boundary_layer_admittance(40e3, 1.0, 343.2).round(4).item()
-    (0.0019+0.0019j)
     """
     f, cosine = np.asarray(frequency, dtype=np.float64), np.asarray(cosine, dtype=np.float64)
     depth = np.sqrt(_VISCOSITY / (np.pi * f))
@@ -144,26 +78,8 @@ def boundary_layer_admittance(frequency: ArrayLike, cosine: ArrayLike, speed_of_
 def coherent_share(rms: float, frequency: ArrayLike, cosine: ArrayLike, speed_of_sound: float) -> Floats:
     """Return what roughness leaves of the specular reflection: a factor of sound pressure.
 
-    Parameters
-    ----------
-    rms : float
-        Root mean square of the wall's heights about its mean plane, m.
-    frequency : array_like (...)
-        Hz.
-    cosine : array_like (...)
-        Cosine of the angle of incidence.
-    speed_of_sound : float
-        In air, m/s.
-
-    Returns
-    -------
-    ndarray (...)
-        From 0 to 1.
-
-    Notes
-    -----
-    ``exp(-2 (k σ cos θ)²)``: J. A. Ogilvy, "Theory of Wave Scattering from Random Rough Surfaces", 1991, chapter 4,
-    for heights with a normal distribution, slopes below 1 and roughness without shadows (Kirchhoff's approximation:
+    ``exp(-2 (k σ cos θ)²)``: J. A. Ogilvy, "Theory of Wave Scattering from Random Rough Surfaces", 1991, chapter 4, for
+    heights with a normal distribution, slopes below 1 and roughness without shadows (Kirchhoff's approximation:
     features at least about a wavelength long; finer ones take away less). What is lost is scattered to other
     directions: half of the energy where ``k σ cos θ`` is 0.42, 98 % where it is 1.
 
@@ -181,30 +97,12 @@ def porous_medium(
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return what a fibrous absorber is as a fluid.
 
-    Parameters
-    ----------
-    frequency : array_like (...)
-        Hz.
-    flow_resistivity : float
-        Pa s/m².
+    impedance, index: complex characteristic impedance over that of air, and wavenumber over that of air.
 
-    Returns
-    -------
-    impedance, index : ndarray (...)
-        Complex characteristic impedance over that of air, and wavenumber over that of air.
-
-    Notes
-    -----
     With ``X = f / σ`` in m³/kg, ``1 + 0.070 X^-0.632 - 0.107j X^-0.632`` and ``1 + 0.109 X^-0.618 - 0.160j X^-0.618``:
     Y. Miki, "Acoustical properties of porous materials - modifications of Delany-Bazley models", J. Acoust. Soc. Jpn.
     (E) 11 (1), 19-24, 1990; both are equation 1 of the page "Delany-Bazley-Miki model" in L. Jaouen, "Acoustical Porous
     Material Recipes", apmr.matelys.com, there by 1000 X. Fitted to fibres of high porosity with X from 0.01 to 1.
-
-    Examples
-    --------
-    >>> impedance, index = porous_medium(10e3, 10e3)
-    >>> impedance.item(), index.item()
-    ((1.07-0.107j), (1.109-0.16j))
     """
     X = np.asarray(frequency, dtype=np.float64) / flow_resistivity
     return np.asarray(1.0 + (0.070 - 0.107j) * X**-0.632), np.asarray(1.0 + (0.109 - 0.160j) * X**-0.618)
@@ -215,31 +113,12 @@ def backed_layer_reflection(
 ) -> NDArray[np.complex128]:
     """Return the reflection factor of a fluid layer on a rigid wall.
 
-    Parameters
-    ----------
-    impedance, index : array_like (...)
-        Complex characteristic impedance and wavenumber of the layer, over those of air.
-    phase : array_like (...)
-        Wavenumber in air times thickness, 1.
-    cosine : array_like (...)
-        Cosine of the angle of incidence.
+    impedance, index: complex characteristic impedance and wavenumber of the layer, over those of air.
 
-    Returns
-    -------
-    ndarray (...)
-        Complex factors.
-
-    Notes
-    -----
-    Plane waves are refracted into the layer (it reacts laterally too): ``q = sqrt(n² - sin² θ)``, seen impedance
-    ``Z n / q``, ``R = (Γ + e) / (1 + Γ e)`` with ``Γ = (Z n cos θ / q - 1) / (Z n cos θ / q + 1)`` and
-    ``e = exp(-2j k d q)``: the closed form of J. F. Allard and N. Atalla, "Propagation of Sound in Porous Media", 2nd
-    ed. 2009, chapter 3 (there by cotangents). For plane waves, and a frame that does not move.
-
-    Examples
-    --------
-    >>> backed_layer_reflection(1.0, 1.0, np.pi / 2, 1.0).round(12).item()  # a quarter wavelength of air there and back
-    (-1-0j)
+    Plane waves are refracted into the layer (it reacts laterally too): ``q = sqrt(n² - sin² θ)``, seen impedance ``Z n
+    / q``, ``R = (Γ + e) / (1 + Γ e)`` with ``Γ = (Z n cos θ / q - 1) / (Z n cos θ / q + 1)`` and ``e = exp(-2j k d
+    q)``: the closed form of J. F. Allard and N. Atalla, "Propagation of Sound in Porous Media", 2nd ed. 2009, chapter 3
+    (there by cotangents). For plane waves, and a frame that does not move.
     """
     n, cosine = np.asarray(index, dtype=np.complex128), np.asarray(cosine, dtype=np.float64)
     q = np.sqrt(n**2 - (1.0 - cosine**2))

@@ -28,27 +28,13 @@ _SMALL = 1e-100  # in divisors: what is divided by it is squared, too
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Glint:
-    """Where a body reflects, n times.
+    """Where a body reflects, n times."""
 
-    Attributes
-    ----------
-    place : ndarray (3, n)
-        The specular point, m; where the body hides the ends from each other, a point between them.
-    normal : ndarray (3, n)
-        What finds a glint nearby by one step: the unit vector u of `ellipsoid_glint`.
-    hidden : ndarray (n,) bool
-        Whether the body is between the ends.
-    change : float
-        Largest change of u by the last step, rad; infinity for what is guessed.
-    stays : bool
-        Whether from here on what is hidden stays so.
-    """
-
-    place: Floats
-    normal: Floats
-    hidden: NDArray[np.bool_]
-    change: float
-    stays: bool = False
+    place: Floats  # (3, n) the specular point, m; where the body hides the ends from each other, a point between them
+    normal: Floats  # (3, n) what finds a glint nearby by one step: the unit vector u of `ellipsoid_glint`
+    hidden: NDArray[np.bool_]  # (n,) whether the body is between the ends
+    change: float  # largest change of u by the last step, rad; infinity for what is guessed
+    stays: bool = False  # whether from here on what is hidden stays so
 
     def staying(self, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return which ends are hidden from each other at the next step, of those (n,) that it finds to be."""
@@ -64,31 +50,18 @@ def ellipsoid_glint(
 ) -> Glint:
     """Return where a rigid ellipsoid reflects, by geometrical optics.
 
-    Parameters
-    ----------
-    semi_axes : ndarray (3,)
-        m.
-    source, receiver : ndarray (3, n)
-        Both ends in the frame of the ellipsoid, outside of it, m.
-    near : Glint, optional
-        That of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
-    weight : float or ndarray (n,)
-        w, of the way to the receiver: ``(1 - M1) / (1 - M2)`` for a surface that moves at Mach numbers M1 off the
-        source and M2 towards the receiver.
+    Shapes: semi_axes (3,) m; source, receiver (3, n) m; weight (n,).
 
-    Notes
-    -----
+    near: that of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
+
+    weight: w, of the way to the receiver: ``(1 - M1) / (1 - M2)`` for a surface that moves at Mach numbers M1 off the
+    source and M2 towards the receiver.
+
     The specular point makes the way ``L = d1 + w d2`` by the surface shortest (Fermat): at rest its normal is the
     bisector of the directions to both ends. On ``x = A u`` with a unit vector u, Newton's method finds it in the plane
     across u; what is seen from far away, ``u = A b / |A b|`` with the bisector b, is where it begins (G. T. Ruck et
     al., Radar Cross Section Handbook, 1970, section 2.2.3). The weight is our own derivation: of the times of both
     legs, that the scattered sound is received is stationary.
-
-    Examples
-    --------
-    >>> far = np.array([[0.0], [0.0], [1e6]])
-    >>> ellipsoid_glint(np.array([0.3, 0.2, 0.1]), far, far).place.round(6).ravel().tolist()
-    [0.0, 0.0, 0.1]
     """
     scale = semi_axes[:, None]
     between, hidden = _between(source / scale, receiver / scale)
@@ -107,28 +80,13 @@ def ellipsoid_glint(
 def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glint: Glint) -> Floats:
     """Return the strength (n,) of a rigid ellipsoid, m, by geometrical optics.
 
-    Parameters
-    ----------
-    semi_axes, source, receiver
-        As in `ellipsoid_glint`.
-    glint : Glint
-        Of these ends.
-
-    Notes
-    -----
-    With H the second derivatives of L along the surface, the principle of stationary phase gives
-    ``cos(theta) / sqrt(det H)``: ``1 / (1 / d1 + 1 / d2)`` of a plane, and far from the body ``abc / (2 h^2)``, half
-    the root of the product of both radii of curvature, with the support ``h = sqrt(b A^2 b)`` (G. T. Ruck et al.,
-    Radar Cross Section Handbook, 1970, section 2.2.3).
+    With H the second derivatives of L along the surface, the principle of stationary phase gives ``cos(theta) /
+    sqrt(det H)``: ``1 / (1 / d1 + 1 / d2)`` of a plane, and far from the body ``abc / (2 h^2)``, half the root of the
+    product of both radii of curvature, with the support ``h = sqrt(b A^2 b)`` (G. T. Ruck et al., Radar Cross Section
+    Handbook, 1970, section 2.2.3).
 
     Towards grazing incidence it is let go to 0 by ``1 - exp(-(cos(theta) / 0.25)^3)``, our own choice: 3 % off at an
     angle of 68°, where for k R = 150 the penumbra begins (V. A. Fock: ``(k R / 2)^(1/3) cos(theta)`` about 1).
-
-    Examples
-    --------
-    >>> axes, far = np.array([0.3, 0.2, 0.1]), np.array([[0.0], [0.0], [1e6]])
-    >>> ellipsoid_strength(axes, far, far, ellipsoid_glint(axes, far, far)).round(6).tolist()
-    [0.3]
     """
     scale, u = semi_axes[:, None], glint.normal
     normal, away = u / scale, scale * u - source
@@ -142,14 +100,7 @@ def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glin
 def lit_share(cosine: Floats) -> Floats:
     """Return how much of a mirror bodies are, by the cosine (n,) of the angle of incidence.
 
-    Notes
-    -----
     ``1 - exp(-(cos(theta) / 0.25)^3)``, our own choice; see `ellipsoid_strength`.
-
-    Examples
-    --------
-    >>> lit_share(np.array([0.0, 0.25, 1.0])).round(3).tolist()
-    [0.0, 0.632, 1.0]
     """
     return np.asarray(-np.expm1(-((cosine / PENUMBRA) ** 3)))
 

@@ -28,36 +28,20 @@ _LEAST = 1e-300
 class SphereModes:
     """What modes 0 to N - 1 of a rigid sphere are made of at F values of ka.
 
-    With ``g_n = h_n(kd) / |h_n(ka)| * (d / a) exp(jkd)`` of an end at the distance d, from ``g_-1 = 1`` and
-    ``g_0 = j``, ``g_n+1 = step_n (a / d) g_n - back_n g_n-1``. All numbers are bounded, whatever n and ka are.
-
-    Attributes
-    ----------
-    ka : ndarray (F,)
-        Wave numbers times radius.
-    step, back : ndarray (N, F)
-        Factors of the recurrence.
-    weight : ndarray (N, F) complex
-        ``(2 n + 1) j_n'(ka) |h_n(ka)|^2 / h_n'(ka)``.
+    With ``g_n = h_n(kd) / |h_n(ka)| * (d / a) exp(jkd)`` of an end at the distance d, from ``g_-1 = 1`` and ``g_0 =
+    j``, ``g_n+1 = step_n (a / d) g_n - back_n g_n-1``. All numbers are bounded, whatever n and ka are.
     """
 
-    ka: Floats
-    step: Floats
-    back: Floats
-    weight: Complexes
+    ka: Floats  # (F,) wave numbers times radius
+    step: Floats  # (N, F) factors of the recurrence
+    back: Floats  # likewise
+    weight: Complexes  # (N, F) ``(2 n + 1) j_n'(ka) |h_n(ka)|^2 / h_n'(ka)``
 
 
 @lru_cache(maxsize=32)
 def sphere_modes(ka: tuple[float, ...]) -> SphereModes:
     """Return the modes of a rigid sphere.
 
-    Parameters
-    ----------
-    ka : tuple of float (F,)
-        Wave numbers times radius, above 0.
-
-    Notes
-    -----
     Ratios ``h_n+1 / h_n`` come from the upward recurrence, ``j_n+1 / j_n`` from the downward one, each stable that way
     (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 1964, section 10.1.19 and 10.5), and the
     product ``j_n h_n`` from their Wronskian, so that nothing overflows.
@@ -88,20 +72,11 @@ def sphere_modes(ka: tuple[float, ...]) -> SphereModes:
 def sphere_aspects(radius: float, source: Floats, receiver: Floats, glint: Glint) -> tuple[Floats, Floats]:
     """Return the strength (n,) that `sphere_field` is relative to, m, and what that takes (n, 4).
 
-    Parameters
-    ----------
-    radius : float
-        a, m.
-    source, receiver : ndarray (3, n)
-        Both ends as seen from the centre, m.
-    glint : Glint
-        Of these ends: the phase of the field is relative to the path by its place.
+    Shapes: source, receiver (3, n) m.
 
-    Notes
-    -----
     The strength is ``a l1 l2 / (2 d1 d2)``: distances d of the ends from the centre, and lengths l of both legs by the
-    place, over which pressure falls. The aspects are the cosine of the angle between both ends at the centre, a / d1,
-    a / d2, and by how much the path by the centre is longer than that by the place, over a. Our own derivation.
+    place, over which pressure falls. The aspects are the cosine of the angle between both ends at the centre, a / d1, a
+    / d2, and by how much the path by the centre is longer than that by the place, over a. Our own derivation.
     """
     far = [np.sqrt(np.sum(end * end, axis=0)) for end in (source, receiver)]
     legs = [np.sqrt(np.sum((glint.place - end) ** 2, axis=0)) for end in (source, receiver)]
@@ -114,32 +89,15 @@ def sphere_aspects(radius: float, source: Floats, receiver: Floats, glint: Glint
 def sphere_field(ka: Floats, aspects: Floats) -> Complexes:
     """Return the field that a rigid sphere scatters from one end to the other.
 
-    Parameters
-    ----------
-    ka : ndarray (F,)
-        Wave numbers times radius, above 0.
-    aspects : ndarray (..., 4)
-        Of `sphere_aspects`; a / d is 0 for an end far away.
+    Shapes: ka (F,); aspects (..., 4); result (... F).
 
-    Returns
-    -------
-    ndarray (..., F)
-        F: of a source that gives ``exp(-j k d) / d``, the pressure that is scattered is
-        ``a / (2 d1 d2) F exp(-j k l)``, with the length l of the path by the place.
+    result: F: of a source that gives ``exp(-j k d) / d``, the pressure that is scattered is ``a / (2 d1 d2) F exp(-j k
+    l)``, with the length l of the path by the place.
 
-    Notes
-    -----
     ``p = j k sum (2 n + 1) j_n'(ka) / h_n'(ka) h_n(k d1) h_n(k d2) P_n(cos gamma)`` with the spherical Hankel functions
     of the second kind (P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2). It is exact wherever
     the ends are: on the lit side it is close to a mirror's, behind the sphere to the direct sound's with the other
     sign.
-
-    Examples
-    --------
-    >>> ka = np.array([2.0 * np.pi * 112e3 / 1477.3 * 0.01])
-    >>> form = sphere_field(ka, np.array([1.0, 0.0, 0.0, 0.0]))
-    >>> float((20.0 * np.log10(0.005 * abs(form[0]))).round(2))
-    -45.52
     """
     flat = aspects.reshape(-1, ASPECTS)
     found = np.empty((len(flat), len(ka)), dtype=np.complex128)
@@ -178,17 +136,10 @@ def _summed(modes: SphereModes, aspects: Floats) -> Complexes:
 def sphere_bound(radius: float, wave: Floats, nearest: Floats) -> Floats:
     """Return a bound (n, F) of what a rigid sphere scatters, times the length of its path.
 
-    Parameters
-    ----------
-    radius : float
-        m.
-    wave : ndarray (F,)
-        Wave numbers, 1/m.
-    nearest : ndarray (n,)
-        Bounds from below of half the harmonic mean of the distances of both ends from the surface, m.
+    Shapes: wave (F,) 1/m; nearest (n,) m.
 
-    Notes
-    -----
+    nearest: bounds from below of half the harmonic mean of the distances of both ends from the surface, m.
+
     That of a wave from far away, in the direction where it is largest, with what h_1 is more nearby; and at most 3. The
     largest of all is behind a sphere on the axis, 2.4 times the direct sound (found between ka = 0.1 and 400; our own
     derivation).

@@ -80,13 +80,6 @@ class Dispatch:
     dying is done with nothing else beside it, when all others are done with. Only what dies then too is given up: it
     needs more than there is, or ends its process.
 
-    Parameters
-    ----------
-    todo : list of int
-        Numbers of tasks.
-    patience : float
-        Longest time without a worker, s.
-
     Attributes
     ----------
     left : int
@@ -109,20 +102,7 @@ class Dispatch:
         self.left += 1
 
     def rows(self, team: Team, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
-        """Have the tasks done that are left; yield number and row of each as soon as it is known.
-
-        Parameters
-        ----------
-        team : Team
-            That does them.
-        found : callable
-            As of `Tasks`.
-
-        Raises
-        ------
-        WorkersLostError
-            If there is no worker for too long; another team can go on.
-        """
+        """Have the tasks done that are left; yield number and row of each as soon as it is known."""
         seen = time.monotonic()
         while self.left:
             there = team.workers()

@@ -60,17 +60,7 @@ class _Worker:
 
 
 class ProcessTeam:
-    """Processes of this machine, each of which does one task at a time. One that dies is replaced.
-
-    Parameters
-    ----------
-    number : int
-        How many.
-    tasks : Tasks
-        What they do.
-    devices : list of str
-        Over which they are spread; empty where a task needs none, or has its own.
-    """
+    """Processes of this machine, each of which does one task at a time. One that dies is replaced."""
 
     def __init__(self, number: int, tasks: Tasks, devices: list[str]) -> None:
         self._tasks, self._devices = tasks, devices
@@ -84,13 +74,7 @@ class ProcessTeam:
             self._context.set_forkserver_preload([__name__, function.__module__, *tasks.loads])
 
     def start(self) -> None:
-        """Start the processes.
-
-        Raises
-        ------
-        WorkersLostError
-            If the system starts none.
-        """
+        """Start the processes."""
         for slot in range(len(self._unready)):
             self._start(slot)
 
@@ -110,15 +94,7 @@ class ProcessTeam:
         worker.send(*self._tasks.check(), False)
 
     def workers(self) -> dict[str, int]:
-        """Return the processes that are ready, each of which does one task at a time; replace those that died.
-
-        Raises
-        ------
-        InputError, DeviceError
-            If one cannot work.
-        WorkersLostError
-            If none lives until it is ready.
-        """
+        """Return the processes that are ready, each of which does one task at a time; replace those that died."""
         for name, worker in list(self._workers.items()):
             if not worker.is_gone():
                 continue
@@ -186,22 +162,7 @@ class ProcessTeam:
 
 @contextmanager
 def local_team(number: int, tasks: Tasks, devices: list[str]) -> Iterator[ProcessTeam]:
-    """Yield processes of this machine that end with the block.
-
-    Parameters
-    ----------
-    number : int
-        How many.
-    tasks : Tasks
-        What they do.
-    devices : list of str
-        Over which they are spread.
-
-    Raises
-    ------
-    WorkersLostError
-        If they do not start.
-    """
+    """Yield processes of this machine that end with the block."""
     team = ProcessTeam(number, tasks, devices)
     try:
         team.start()

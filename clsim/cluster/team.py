@@ -21,13 +21,6 @@ class DaskTeam:
     """Workers of a Dask scheduler, none of which is given a task before it can begin.
 
     Left to itself Dask gives workers tasks in advance, and if one dies counts it against all that it was given.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Of the scheduler.
-    tasks : Tasks
-        What is to be done.
     """
 
     def __init__(self, client: Any, tasks: Tasks) -> None:
@@ -37,15 +30,7 @@ class DaskTeam:
         self._done: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
 
     def workers(self) -> dict[str, int]:
-        """Return the workers that are there and have been seen to work, and how many tasks each does at a time.
-
-        Raises
-        ------
-        InputError, DeviceError
-            If one cannot work.
-        ClsimError
-            If the scheduler was lost.
-        """
+        """Return the workers that are there and have been seen to work, and how many tasks each does at a time."""
         with _scheduler_there():
             there = self._client.nthreads()
             new = sorted(there.keys() - self._known)
@@ -129,17 +114,7 @@ def _on_worker(function: Callable[..., Row], arguments: tuple[Any, ...]) -> Row:
 
 
 def row_of(future: Any, number: int, tasks: Tasks) -> Row | None:
-    """Return the row of a task that is done with, None if its worker died before it could tell.
-
-    Parameters
-    ----------
-    future : distributed.Future
-        Of its call.
-    number : int
-        Of the task.
-    tasks : Tasks
-        Among which it is.
-    """
+    """Return the row of a task that is done with, None if its worker died before it could tell."""
     from distributed import KilledWorker
 
     row = tasks.found(number)
@@ -153,13 +128,7 @@ def row_of(future: Any, number: int, tasks: Tasks) -> Row | None:
 
 @contextmanager
 def remote_team(scheduler: str, tasks: Tasks) -> Iterator[DaskTeam]:
-    """Yield the workers of a running scheduler.
-
-    Raises
-    ------
-    InputError
-        If it cannot be reached.
-    """
+    """Yield the workers of a running scheduler."""
     with _quiet(), _client(scheduler) as client:
         team = DaskTeam(client, tasks)
         try:
@@ -170,13 +139,7 @@ def remote_team(scheduler: str, tasks: Tasks) -> Iterator[DaskTeam]:
 
 
 def check_reach(scheduler: str) -> None:
-    """See that a scheduler can be reached, before there is anything to do.
-
-    Raises
-    ------
-    InputError
-        If it cannot.
-    """
+    """See that a scheduler can be reached, before there is anything to do."""
     with _quiet(), _client(scheduler):
         pass
 

@@ -22,30 +22,10 @@ _STARTS = 3  # of the processes of this machine, without any task done with in b
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Workers that are asked for.
+    """Workers that are asked for."""
 
-    Attributes
-    ----------
-    number : int or None
-        Processes on this machine: one per GPU, else one per two cores where None.
-    scheduler : str or None
-        Address of a running Dask scheduler, whose workers do the work instead.
-
-    Raises
-    ------
-    InputError
-        If both are given, or the number is below 1.
-
-    Examples
-    --------
-    >>> Workers(number=0)
-    Traceback (most recent call last):
-        ...
-    clsim.errors.InputError: --workers: must be at least 1, but is 0
-    """
-
-    number: int | None = None
-    scheduler: str | None = None
+    number: int | None = None  # processes on this machine: one per GPU, else one per two cores where None
+    scheduler: str | None = None  # address of a running Dask scheduler, whose workers do the work instead
 
     def __post_init__(self) -> None:
         if self.number is not None and self.scheduler is not None:
@@ -57,18 +37,6 @@ class Workers:
         """See that the packages are installed that these workers need, and that a scheduler can be reached.
 
         A scheduler of another machine that asks for no certificates is warned of: it runs what anybody sends.
-
-        Parameters
-        ----------
-        field : str
-            What asks for workers.
-        what : str
-            What needs them: stands at the beginning of a message.
-
-        Raises
-        ------
-        InputError
-            If a package is missing, or the scheduler cannot be reached.
         """
         check_packages(field, what, "study", *_STORES, *(_SCHEDULERS if self.scheduler else ()))
         if self.scheduler is None:
@@ -93,26 +61,7 @@ class Workers:
         return self if self.scheduler else Workers(max(1, min(self.count(), number)))
 
     def rows(self, dispatch: Dispatch, tasks: Tasks, devices: Sequence[str]) -> Generator[tuple[int, Row], None, None]:
-        """Have tasks done; yield number and row of each. If all processes of this machine are lost, start new ones.
-
-        Parameters
-        ----------
-        dispatch : Dispatch
-            What is to be done.
-        tasks : Tasks
-            How.
-        devices : sequence of str
-            Of this machine, over which its workers are spread.
-
-        Raises
-        ------
-        InputError
-            If a scheduler cannot be reached, or has no workers, or one that cannot work.
-        DeviceError
-            If a worker has no device.
-        WorkersLostError
-            If no worker of this machine starts, or none comes back.
-        """
+        """Have tasks done; yield number and row of each. If all processes of this machine are lost, start new ones."""
         from clsim.cluster.processes import local_team
         from clsim.cluster.team import remote_team
 

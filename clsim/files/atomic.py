@@ -67,17 +67,7 @@ def _is_dead(process: int) -> bool:
 def atomic_path(path: str | os.PathLike[str], within: Path | None = None) -> Iterator[Path]:
     """Yield a temporary path that becomes `path` when the block ends well, and is deleted when it does not.
 
-    Parameters
-    ----------
-    path : path-like
-        Where the file is to be; its folder must exist.
-    within : Path, optional
-        Folder of the temporary path, on the same disk; that of `path` when left out.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; it names the file.
+    within: folder of the temporary path, on the same disk; that of `path` when left out.
     """
     final = Path(path)
     temporary = temporary_path(final if within is None else within / final.name)
@@ -129,13 +119,7 @@ def safe_path(path: Path, within: Path | None = None) -> Iterator[Path]:
 
 @contextmanager
 def locked(path: Path, field: str) -> Iterator[None]:
-    """Hold a lock on a file that the system takes back when the process dies; on Windows there is none.
-
-    Raises
-    ------
-    InputError
-        If another process holds it, or the file is a link; `field` is what that names.
-    """
+    """Hold a lock on a file that the system takes back when the process dies; on Windows there is none."""
     try:
         import fcntl
     except ImportError:

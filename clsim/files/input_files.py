@@ -27,13 +27,7 @@ _KINDS = (
 
 
 def check_file(path: str | os.PathLike[str], largest: int) -> None:
-    """See that a path leads to a regular file of at most `largest` bytes.
-
-    Raises
-    ------
-    OSError
-        If it does not; ``strerror`` says why.
-    """
+    """See that a path leads to a regular file of at most `largest` bytes."""
     try:
         found = Path(path).stat()
     except ValueError as error:  # a zero character, or one that the system cannot write
@@ -50,39 +44,19 @@ def check_file(path: str | os.PathLike[str], largest: int) -> None:
 
 
 def open_file(path: str | os.PathLike[str], largest: int) -> IO[bytes]:
-    """Return a regular file of at most `largest` bytes, opened for reading.
-
-    Raises
-    ------
-    OSError
-        If it is none, or cannot be read; ``strerror`` says why.
-    """
+    """Return a regular file of at most `largest` bytes, opened for reading."""
     check_file(path, largest)
     return Path(path).open("rb")
 
 
 def read_file(path: str | os.PathLike[str], largest: int) -> bytes:
-    """Return the content of a regular file of at most `largest` bytes.
-
-    Raises
-    ------
-    OSError
-        If it is none, or cannot be read; ``strerror`` says why.
-    """
+    """Return the content of a regular file of at most `largest` bytes."""
     with open_file(path, largest) as file:
         return file.read(largest + 1)  # bounded even if it grows, or tells no size, as those of /proc
 
 
 def check_archive(file: IO[bytes], largest: int = LARGEST_BINARY) -> None:
-    """See that a ZIP archive says of itself that it unpacks to at most `largest` bytes.
-
-    Raises
-    ------
-    OSError
-        If it unpacks to more; ``strerror`` says why.
-    zipfile.BadZipFile
-        If it is none.
-    """
+    """See that a ZIP archive says of itself that it unpacks to at most `largest` bytes."""
     with zipfile.ZipFile(file) as archive:
         size = sum(member.file_size for member in archive.infolist())
     if size > largest:
@@ -93,13 +67,7 @@ def check_archive(file: IO[bytes], largest: int = LARGEST_BINARY) -> None:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, is no TOML, holds numbers beyond 64 bits, or tables and lists deeper than anyone needs.
-    """
+    """Return the content of a TOML file."""
     try:
         content = tomllib.loads(read_file(path, _LARGEST_TOML).decode("utf-8-sig"))
     except OSError as error:

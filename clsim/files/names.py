@@ -10,24 +10,12 @@ _SPACES = "\u00a0\u2009\u202f"  # which Python does not count as printable
 
 
 def shown(name: str) -> str:
-    r"""Return a name, or a line, as texts can hold it: with escapes for bytes that are no UTF-8 and control characters.
-
-    Examples
-    --------
-    >>> print(shown("wa\udcfflk\x1b.toml"), shown("Übung.toml"))
-    wa\udcfflk\x1b.toml Übung.toml
-    """
+    r"""Return a name or a line with escapes for bytes that are no UTF-8 and for control characters."""
     return "".join(c if c.isprintable() or c in _SPACES else c.encode("unicode_escape").decode() for c in name)
 
 
 def file_names(wanted: tuple[str, ...]) -> list[str]:
-    """Return names that any file system takes, each once.
-
-    Examples
-    --------
-    >>> file_names(("left", "Left", "über/left"))
-    ['left', 'Left-2', 'ber_left']
-    """
+    """Return names that any file system takes, each once."""
     names: list[str] = []
     taken: set[str] = set()  # in small letters, which some file systems do not tell from large ones
     numbers: dict[str, count[int]] = {}

@@ -16,21 +16,7 @@ if TYPE_CHECKING:
 class NewFile:
     """A file that is to be written: checked before work begins, and again when there is something to write.
 
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    inputs : sequence of Path
-        What the command reads: never written over, as links, folders and devices never are.
-    force : bool
-        Whether a file that exists is written over.
-    new_folder : bool
-        Whether its folder may be missing yet.
-
-    Raises
-    ------
-    InputError
-        If it may not be written.
+    inputs: what the command reads: never written over, as links, folders and devices never are.
     """
 
     def __init__(self, path: Path, inputs: Sequence[Path], force: bool, *, new_folder: bool = False) -> None:
@@ -59,13 +45,7 @@ class NewFile:
 
 
 def check_folder(folder: Path, field: str = "--output") -> None:
-    """See that a folder is there or can be made.
-
-    Raises
-    ------
-    InputError
-        If it, or one that should hold it, is something else.
-    """
+    """See that a folder is there or can be made."""
     here = Path(os.path.abspath(folder))  # noqa: PTH100  (links are not to be resolved)
     first = next(path for path in [here, *here.parents] if os.path.lexists(path))
     if not first.is_dir():
@@ -74,13 +54,7 @@ def check_folder(folder: Path, field: str = "--output") -> None:
 
 
 def refuse_inputs(paths: Iterable[Path], inputs: Sequence[Path], field: str = "--output") -> None:
-    """See that no file that is written is, or holds, one that is read, by whatever name.
-
-    Raises
-    ------
-    InputError
-        If one is.
-    """
+    """See that no file that is written is, or holds, one that is read, by whatever name."""
     read = {_number(path): path for path in inputs if path.exists()}
     real = {Path(os.path.realpath(path)): path for path in inputs}
     for path in paths:

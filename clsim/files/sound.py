@@ -66,23 +66,7 @@ def _check_whole(path: str | PathLike[str], file: Any) -> None:
 def read_sound_file(
     path: str | PathLike[str], channel: int, truncated: bool = False
 ) -> tuple[NDArray[np.float32], float]:
-    """Return one channel of a sound file, (n,), full scale being 1, and its sampling rate in Hz.
-
-    Parameters
-    ----------
-    path : path-like
-        Of the file.
-    channel : int
-        From 0.
-    truncated : bool
-        Whether a file that ends before its header says is taken as far as it goes.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, empty, too long or no sound file, has no such channel, ends before it says, or holds
-        what is no finite sound.
-    """
+    """Return one channel of a sound file, (n,), full scale being 1, and its sampling rate in Hz."""
     import soundfile
 
     as_flag("truncated", truncated)
@@ -126,35 +110,7 @@ def _channel(file: Any, channel: int, path: str | PathLike[str], truncated: bool
 
 
 class WavWriter:
-    """Writes a WAV file of 32-bit floats; it gets its name when the block ends well, and is deleted otherwise.
-
-    Parameters
-    ----------
-    path : path-like
-        Where the file is to be.
-    sampling_rate : float
-        A whole number of Hz, since the format holds nothing else.
-    channels : int
-        Number of channels.
-    samples : int, optional
-        How many will be written, if given: above 4 GiB the file becomes an RF64.
-
-    Raises
-    ------
-    InputError
-        If the sampling rate is no whole number.
-    OSError
-        If the file cannot be written; nothing is left of it then.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.wav"
-    >>> with WavWriter(path, 500e3) as writer:
-    ...     writer.write(np.zeros(10, dtype=np.float32))
-    >>> path.exists()
-    True
-    """
+    """Writes a WAV file of 32-bit floats; it gets its name when the block ends well, and is deleted otherwise."""
 
     def __init__(
         self,
@@ -187,13 +143,7 @@ class WavWriter:
             raise failed from error
 
     def write(self, samples: NDArray[Any]) -> None:
-        """Append samples (n,) or (n, channels).
-
-        Raises
-        ------
-        OSError
-            If they do not fit on the disk, or not into a WAV file whose length was not announced.
-        """
+        """Append samples (n,) or (n, channels)."""
         before = self._file.frames
         if not self._large and self._frame_bytes * (before + len(samples)) > _LARGEST_WAV:
             raise OSError(f"cannot write {self._path}: above 4 GiB, the number of samples must be given beforehand")
@@ -222,11 +172,6 @@ def wav_header(sampling_rate: float, channels: int, samples: int) -> bytes:
     """Return what stands before the samples of a WAV file of 32-bit floats whose length is given.
 
     Above 4 GiB it is an RF64 file (EBU Tech 3306), which has the lengths in a chunk ``ds64``.
-
-    Raises
-    ------
-    InputError
-        If the sampling rate is no whole number.
     """
     rate, frame = _whole_rate(sampling_rate), 4 * channels
     data = frame * samples

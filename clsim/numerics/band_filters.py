@@ -26,21 +26,11 @@ _TOGETHER = 256  # frequencies whose cosines are held at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandFilters:
-    """Filters and what they reach.
+    """Filters and what they reach."""
 
-    Attributes
-    ----------
-    taps : ndarray (K, L)
-        About the middle one; all of one odd length.
-    error_db : float
-        What their deviations amount to, dB relative to 1.
-    worst : float
-        Where the largest is, by importance, Hz.
-    """
-
-    taps: Floats
-    error_db: float
-    worst: float
+    taps: Floats  # (K, L) about the middle one; all of one odd length
+    error_db: float  # what their deviations amount to, dB relative to 1
+    worst: float  # where the largest is, by importance, Hz
 
 
 def band_filters(
@@ -55,31 +45,11 @@ def band_filters(
 ) -> BandFilters:
     """Return filters with given responses over a band: the shortest tried within an error, or the best.
 
-    Parameters
-    ----------
-    coefficients : ndarray (K, n)
-        Of Chebyshev polynomials of frequency over the band, real or complex.
-    low, high : float
-        The band, Hz.
-    sampling_rate : float
-        Hz.
-    importance : ndarray (m,)
-        Weight of deviations at Chebyshev points of the band, from high to low.
-    error : callable
-        Returns the error that deviations (K, m) about these points amount to.
-    allowed : float
-        Its bound.
-    delay_samples : int
-        Samples by which the filters delay in addition.
+    Shapes: coefficients (K, n); importance (m,).
 
-    Returns
-    -------
-    BandFilters
-        Of up to 4097 taps, and as many more as make room for the delay. Symmetric where the response is real and there
-        is no delay, so that nothing is shifted.
+    result: of up to 4097 taps, and as many more as make room for the delay. Symmetric where the response is real and
+    there is no delay, so that nothing is shifted.
 
-    Notes
-    -----
     Our own derivation: with taps about the middle one the response is ``sum_m even[m] cos(m w) + j odd[m] sin(m w)``,
     linear in the coefficients, whose normal equations are solved. Weighted least squares over all frequencies, of
     cosines for the real part and sines for the imaginary one: by importance within the band, 1e-4 beyond it, where the

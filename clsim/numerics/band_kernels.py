@@ -21,18 +21,6 @@ class BandKernels:
 
     W is 1 in the band and falls smoothly to 0 at half the sampling rate, as `band_taper` does.
 
-    Parameters
-    ----------
-    share : float
-        Bandwidth over the sampling rate of complex samples, below 1.
-
-    Attributes
-    ----------
-    reach : int
-        Samples to either side over which an impulse is laid.
-
-    Notes
-    -----
     Each is tabulated at 64 steps of a sample, by the trapezoidal rule, which is exact for what falls smoothly to 0 (L.
     N. Trefethen, J. A. C. Weideman, "The exponentially convergent trapezoidal rule", SIAM Rev. 56(3), 2014, theorem
     3.2), and cubic through four steps: within 2e-7 of the impulse of a whole band.
@@ -44,6 +32,11 @@ class BandKernels:
     >>> tone = np.exp(2j * np.pi * 0.2 * np.arange(200))
     >>> bool(abs(out[0] @ tone - np.exp(2j * np.pi * 0.2 * 100.25)) < 1e-6)
     True
+
+    Attributes
+    ----------
+    reach : int
+        Samples to either side over which an impulse is laid.
     """
 
     def __init__(self, share: float) -> None:

@@ -14,29 +14,14 @@ if TYPE_CHECKING:
 def convolved(signal: NDArray[Any], filters: NDArray[Any]) -> NDArray[Any]:
     """Return a signal through filters.
 
-    Parameters
-    ----------
-    signal : ndarray (n,)
-        Real or complex.
-    filters : ndarray (..., L)
-        At most as long as the signal.
+    Shapes: signal (n,); filters (..., L); result (... n + L - 1).
 
-    Returns
-    -------
-    ndarray (..., n + L - 1)
-        From the first sample on that a filter makes of the signal, to the last one.
+    result: from the first sample on that a filter makes of the signal, to the last one.
 
-    Notes
-    -----
     Blocks are as long as makes a sample cheapest; for filters longer than half the signal there is one. Rounding leaves
     noise of some 1e-16 of the loudest where nothing sounds. The same as ``scipy.signal.oaconvolve`` to the last bit,
     without importing all that stands beside it. Overlap-add: A. V. Oppenheim, R. W. Schafer, "Discrete-Time Signal
     Processing", 3rd ed., 2010, section 8.7.3.
-
-    Examples
-    --------
-    >>> convolved(np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.5])).round(9).tolist()
-    [1.0, 0.5, 2.0, 1.0]
     """
     from scipy.fft import next_fast_len
 

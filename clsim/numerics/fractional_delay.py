@@ -26,17 +26,7 @@ _LARGEST_DEGREE = 40
 def lagrange_taps(order: int, delay: Floats) -> Floats:
     """Return the taps of the Lagrange interpolator of an order, for delays in samples.
 
-    Parameters
-    ----------
-    order : int
-        Order N of the interpolating polynomial; it has N + 1 taps.
-    delay : ndarray (n,)
-        Delay from the first tap, samples; most exact around ``N / 2``.
-
-    Returns
-    -------
-    ndarray (n, N + 1)
-        Taps, ``h_k(D) = prod_{j != k} (D - j) / (k - j)``.
+    Shapes: delay (n,) samples.
 
     References
     ----------
@@ -60,22 +50,10 @@ def lagrange_taps(order: int, delay: Floats) -> Floats:
 def lagrange_bank(order: int, length: int | None = None) -> Floats:
     """Return the Lagrange taps as polynomials of ``mu = delay - order / 2``.
 
-    Parameters
-    ----------
-    order : int
-        Order of the prototype.
-    length : int, optional
-        Taps that are kept, the middle ones; all of them when left out. Fewer taps widen the band
-        (Välimäki and Haghparast, "Fractional delay filter design based on truncated Lagrange
-        interpolation", IEEE Signal Processing Letters 14(11), 2007).
+    length: taps that are kept, the middle ones; all of them when left out. Fewer taps widen the band (Välimäki and
+    Haghparast, "Fractional delay filter design based on truncated Lagrange interpolation", IEEE Signal Processing
+    Letters 14(11), 2007).
 
-    Returns
-    -------
-    ndarray (order + 1, length)
-        Coefficient of ``mu**q`` of each tap.
-
-    Notes
-    -----
     The products of `lagrange_taps` (Laakso et al. 1996, eq. 42), multiplied out.
     """
     middle = order / 2
@@ -94,27 +72,11 @@ def lagrange_bank(order: int, length: int | None = None) -> Floats:
 def chebyshev_degree(cutoff: float, mu_max: float, error: float, importance: tuple[float, ...] = (1.0,)) -> int:
     """Return the smallest degree whose Chebyshev series of a pure delay is within `error`.
 
-    Parameters
-    ----------
-    cutoff : float
-        Highest angular frequency, rad per sample.
-    mu_max : float
-        Largest ``|mu|``, samples.
-    error : float
-        Largest allowed tail of the series (absolute, a pure delay being 1), times the importance.
-    importance : tuple of float
-        Of equal cells from 0 to the cutoff, at most 1.
+    error: largest allowed tail of the series (absolute, a pure delay being 1), times the importance.
 
-    Returns
-    -------
-    int
-        The degree, at most 40.
-
-    Notes
-    -----
     ``exp(-j w mu) = sum_k (2 - [k=0]) (-j)^k J_k(w mu_max) T_k(mu / mu_max)``, the Jacobi-Anger expansion: F. W. J.
-    Olver et al., "NIST Handbook of Mathematical Functions", 2010, eq. 10.12.3; its tail is at most
-    ``2 sum_{k > K} |J_k(w mu_max)|``.
+    Olver et al., "NIST Handbook of Mathematical Functions", 2010, eq. 10.12.3; its tail is at most ``2 sum_{k > K}
+    |J_k(w mu_max)|``.
     """
     from scipy.special import jv
 
@@ -130,26 +92,6 @@ def chebyshev_bank(
 ) -> Floats:
     """Return a band-limited bank: least-squares filters whose responses are the Bessel functions.
 
-    Parameters
-    ----------
-    degree : int
-        Degree in ``mu``.
-    half : int
-        Taps on either side of the middle one.
-    cutoff : float
-        Highest angular frequency that must be right, rad per sample.
-    mu_max : float
-        Largest ``|mu|``, samples.
-    importance : tuple of float
-        Of errors in equal cells from 0 to the cutoff, at most 1.
-
-    Returns
-    -------
-    ndarray (degree + 1, 2 half + 1)
-        Coefficient of ``mu**q`` of each tap.
-
-    Notes
-    -----
     Branch k of the Chebyshev series (F. W. J. Olver et al., "NIST Handbook of Mathematical Functions", 2010, eq.
     10.12.3, see `chebyshev_degree`) has the response ``(2 - [k=0]) (-j)^k J_k(w mu_max)`` up to the cutoff and is
     rolled off above it with a small weight, since odd branches would otherwise jump at Nyquist.
@@ -210,28 +152,7 @@ def design_bandlimited(
 ) -> tuple[Floats, float]:
     """Return the smallest band-limited bank within an error, and the error that it reaches.
 
-    Parameters
-    ----------
-    error_db : float
-        Asked bound on ``bank_error`` in dB.
-    cutoff : float
-        Highest angular frequency, rad per sample, below pi.
-    mu_max : float
-        Largest ``|mu|``, samples.
-    importance : tuple of float
-        Of errors in equal cells from 0 to the cutoff, at most 1.
-
-    Returns
-    -------
-    taps : ndarray (branches, length)
-        The bank; ``centre`` is ``length // 2`` and ``shift`` 0.
-    reached_db : float
-        Its largest error in dB.
-
-    Raises
-    ------
-    ValueError
-        If no bank of a sensible length reaches the error.
+    Shapes: result (branches, length).
     """
     degree = chebyshev_degree(cutoff, mu_max, 10 ** ((error_db - 6.0) / 20), importance)
     half, step = max(2, (degree + 1) // 2), 1
@@ -253,25 +174,7 @@ def bank_error(
 ) -> float:
     """Return the largest deviation of a bank from a pure delay (which is 1), over all delays and the band.
 
-    Parameters
-    ----------
-    taps : ndarray (branches, length)
-        Coefficients of ``mu**q``.
-    centre : int
-        Index of the tap without delay.
-    shift : float
-        Delay at ``mu = 0``, samples.
-    cutoff : float
-        Highest angular frequency, rad per sample.
-    mu_max : float
-        Largest ``|mu|``, samples.
-    importance : tuple of float
-        Of deviations in equal cells from 0 to the cutoff, at most 1.
-
-    Returns
-    -------
-    float
-        Largest magnitude of the deviation, times its importance.
+    Shapes: taps (branches, length).
     """
     return _largest_deviation(taps, centre, shift, cutoff, mu_max * _DELAYS, importance)
 

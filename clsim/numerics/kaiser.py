@@ -18,18 +18,12 @@ if TYPE_CHECKING:
 def length_of(width: float, ripple_db: float) -> int:
     """Return the number of taps with which a filter falls within a width.
 
-    Parameters
-    ----------
-    width : float
-        From what is passed to what is stopped, as a share of half the sampling rate.
-    ripple_db : float
-        By which what is stopped is below what is passed, dB.
+    width: from what is passed to what is stopped, as a share of half the sampling rate.
 
-    Notes
-    -----
-    J. F. Kaiser, "Nonrecursive digital filter design using the I0-sinh window function", Proc. IEEE Int. Symp. Circuits and
-    Systems, 20-23, 1974; A. V. Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed., 2010, eq. 7.76.
-    """  # noqa: E501
+    J. F. Kaiser, "Nonrecursive digital filter design using the I0-sinh window function", Proc. IEEE Int. Symp. Circuits
+    and Systems, 20-23, 1974; A. V. Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed., 2010, eq.
+    7.76.
+    """
     return math.ceil((ripple_db - 7.95) / 2.285 / (math.pi * width) + 1)
 
 
@@ -51,15 +45,6 @@ def low_pass_between(passed: float, stopped: float, rate: float, ripple_db: floa
 
 def low_pass(cutoff: float, length: int, ripple_db: float) -> Floats:
     """Return a low-pass of `length` taps about their middle, whose gain at 0 Hz is 1.
-
-    Parameters
-    ----------
-    cutoff : float
-        The middle of its fall, as a share of half the sampling rate.
-    length : int
-        See `length_of`.
-    ripple_db : float
-        Of what is passed and of what is stopped, which are equal, dB below 1.
 
     References
     ----------

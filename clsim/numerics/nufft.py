@@ -20,33 +20,16 @@ _REACH = 7.0  # over the width of a skirt, s: beyond, what is left of an arrival
 def delayed_sums(delays: Floats, gains: Floats, size: int) -> Complexes:
     """Return the spectra of sums of delayed impulses.
 
-    Parameters
-    ----------
-    delays : ndarray (P,)
-        From 0 to `size`, samples, whole or not.
-    gains : ndarray (P, K)
-        Of every impulse in each of K sums.
-    size : int
-        N, of the transform.
+    Shapes: delays (P,) samples; gains (P, K).
 
-    Returns
-    -------
-    ndarray (K, N // 2 + 1)
-        ``sum_p gains[p, k] exp(-2j pi f delays[p] / N)`` for f from 0, within 1e-10 of the gains.
+    result: ``sum_p gains[p, k] exp(-2j pi f delays[p] / N)`` for f from 0, within 1e-10 of the gains.
 
-    Notes
-    -----
     A nonuniform Fourier transform: impulses are spread by a Kaiser-Bessel window over a grid twice as fine, which is
     transformed, and divided by the window's own transform (J. A. Fessler, B. P. Sutton, "Nonuniform fast Fourier
-    transforms using min-max interpolation", IEEE Trans. Signal Processing 51(2), 2003). The window's transform is that of
-    R. M. Lewitt, "Multidimensional digital image representations using generalized Kaiser-Bessel window functions", J.
-    Opt. Soc. Am. A 7 (10), 1834-1846, 1990, eq. A3, in one dimension.
-
-    Examples
-    --------
-    >>> bool(abs(delayed_sums(np.array([2.25]), np.ones((1, 1)), 64)[0, 5] - np.exp(-2j * np.pi * 5 * 2.25 / 64)) < 1e-10)
-    True
-    """  # noqa: E501
+    transforms using min-max interpolation", IEEE Trans. Signal Processing 51(2), 2003). The window's transform is that
+    of R. M. Lewitt, "Multidimensional digital image representations using generalized Kaiser-Bessel window functions",
+    J. Opt. Soc. Am. A 7 (10), 1834-1846, 1990, eq. A3, in one dimension.
+    """
     from scipy.fft import rfft
     from scipy.sparse import csr_array
     from scipy.special import i0e
@@ -68,22 +51,9 @@ def delayed_sums(delays: Floats, gains: Floats, size: int) -> Complexes:
 def band_taper(frequencies: Floats, low: float, high: float, below: float, above: float) -> Floats:
     """Return the weight (n,) of frequencies: 1 in a band, falling smoothly to 0 outside.
 
-    Parameters
-    ----------
-    frequencies : ndarray (n,)
-        At least 0, in any unit.
-    low, high : float
-        The band.
-    below, above : float
-        Widths over which the weight falls below `low` and above `high`; where `below` is 0 it stays 1 down to 0.
+    below, above: widths over which the weight falls below `low` and above `high`; where `below` is 0 it stays 1 down to
+    0.
 
-    Returns
-    -------
-    ndarray (n,)
-        Weight, 0 to 1.
-
-    Notes
-    -----
     The skirts are regularised incomplete beta functions, so that an arrival dies away fast; see `ringing`.
     """
     from scipy.special import betainc
@@ -97,18 +67,6 @@ def band_taper(frequencies: Floats, low: float, high: float, below: float, above
 def ringing(below: float, above: float) -> float:
     """Return how long an arrival rings to either side, cut to a band with these skirts.
 
-    Parameters
-    ----------
-    below, above : float
-        Widths of the skirts of `band_taper`, Hz.
-
-    Returns
-    -------
-    float
-        Time, s.
-
-    Notes
-    -----
     Within 5 / 7 of that its skirts have fallen below -100 dB of its peak.
     """
     return _REACH / (min(below, above) if below > 0.0 else above)

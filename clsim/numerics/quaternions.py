@@ -17,28 +17,10 @@ if TYPE_CHECKING:
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
     """Turn vectors by unit quaternions.
 
-    Parameters
-    ----------
-    quaternion : array_like (..., 4)
-        Unit quaternions x y z w.
-    vectors : array_like (..., 3)
-        Vectors, any unit; leading axes broadcast against those of `quaternion`.
+    Shapes: quaternion (..., 4); vectors (..., 3); result (... 3).
 
-    Returns
-    -------
-    ndarray (..., 3)
-        Turned vectors, the unit of `vectors`.
-
-    Notes
-    -----
-    ``v + 2 w (u × v) + 2 u × (u × v)`` for the quaternion ``(u, w)``: J. Diebel, "Representing Attitude",
-    Stanford University, 2006, section 6.
-
-    Examples
-    --------
-    >>> half = 0.5**0.5  # a quarter turn about +z takes +x to +y
-    >>> rotate([0.0, 0.0, half, half], [1.0, 0.0, 0.0]).round(6) + 0.0
-    array([0., 1., 0.])
+    ``v + 2 w (u × v) + 2 u × (u × v)`` for the quaternion ``(u, w)``: J. Diebel, "Representing Attitude", Stanford
+    University, 2006, section 6.
     """
     q = np.asarray(quaternion, dtype=np.float64)
     v = np.asarray(vectors, dtype=np.float64)
@@ -51,18 +33,8 @@ def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
 def cross_product(a: Floats, b: Floats) -> Floats:
     """Return the cross products of vectors (..., 3), as `numpy.cross` does in a third of its time.
 
-    Parameters
-    ----------
-    a, b : ndarray (..., 3)
-        Vectors, any unit; leading axes broadcast.
+    Shapes: a, b (..., 3); result (... 3).
 
-    Returns
-    -------
-    ndarray (..., 3)
-        The product of both units.
-
-    Notes
-    -----
     The definition, component by component: G. B. Arfken, H. J. Weber and F. E. Harris, "Mathematical Methods for
     Physicists", Academic Press, 2013, section 3.2.
     """
@@ -76,31 +48,11 @@ def cross_product(a: Floats, b: Floats) -> Floats:
 def quaternion_from_direction(direction: ArrayLike) -> Floats:
     """Return the rotation that turns +x into a direction and keeps +z as far up as it goes.
 
-    Parameters
-    ----------
-    direction : array_like (..., 3)
-        Directions of any length but zero.
+    Shapes: direction (..., 3); result (... 4).
 
-    Returns
-    -------
-    ndarray (..., 4)
-        Unit quaternions x y z w.
-
-    Raises
-    ------
-    InputError
-        If a direction is zero or not finite.
-
-    Notes
-    -----
     Our own derivation: a turn by the elevation e about -y, ``(0, -sin e/2, 0, cos e/2)``, then one by the azimuth a
     about z, ``(0, 0, sin a/2, cos a/2)``, multiplied out as the product of the second and the first: no roll. Straight
     up and down, where any azimuth would do, it is 0.
-
-    Examples
-    --------
-    >>> quaternion_from_direction((0.0, 0.0, 2.0)).round(6).tolist()  # straight up: a quarter turn about -y
-    [0.0, -0.707107, 0.0, 0.707107]
     """
     d = np.asarray(direction, dtype=np.float64)
     level = np.hypot(d[..., 0], d[..., 1])
@@ -117,25 +69,7 @@ def quaternion_from_direction(direction: ArrayLike) -> Floats:
 def normalised(quaternion: ArrayLike) -> Floats:
     """Return quaternions scaled to unit norm.
 
-    Parameters
-    ----------
-    quaternion : array_like (..., 4)
-        Quaternions x y z w.
-
-    Returns
-    -------
-    ndarray (..., 4)
-        Unit quaternions x y z w.
-
-    Raises
-    ------
-    InputError
-        If one is zero or not finite.
-
-    Examples
-    --------
-    >>> normalised([0.0, 0.0, 3.0, 4.0]).round(12).tolist()
-    [0.0, 0.0, 0.6, 0.8]
+    Shapes: quaternion (..., 4); result (... 4).
     """
     q = np.asarray(quaternion, dtype=np.float64)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
@@ -148,20 +82,9 @@ def normalised(quaternion: ArrayLike) -> Floats:
 def same_hemisphere(quaternions: ArrayLike) -> Floats:
     """Return the same rotations with signs chosen so that neighbours lie close to each other.
 
-    Parameters
-    ----------
-    quaternions : array_like (n, 4)
-        Quaternions x y z w in order of time.
+    Shapes: quaternions (n, 4).
 
-    Returns
-    -------
-    ndarray (n, 4)
-        The first as given, each other one or its negative: no two neighbours have a negative dot product.
-
-    Examples
-    --------
-    >>> same_hemisphere([[0, 0, 0, 1], [0, 0, 0.6, -0.8], [0, 0, -0.8, 0.6]])[1:, 2:].tolist()
-    [[-0.6, 0.8], [-0.8, 0.6]]
+    result: the first as given, each other one or its negative: no two neighbours have a negative dot product.
     """
     q = np.asarray(quaternions, dtype=np.float64)
     flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0.0, -1.0, 1.0)

@@ -27,8 +27,6 @@ _LARGEST_FACTOR = 10_000
 class Resampler:
     """A polyphase filter from one sampling rate to another, ``up / down`` times as fast.
 
-    Notes
-    -----
     A Kaiser window design with 110 dB stop band; flat to 0.9 of the lower of both Nyquist frequencies.
     """
 
@@ -37,18 +35,7 @@ class Resampler:
 
     @classmethod
     def between(cls, old: float, new: float) -> Resampler:
-        """Return the filter from the rate `old` to the rate `new`, Hz.
-
-        Raises
-        ------
-        InputError
-            If their ratio is not that of whole numbers up to 10 000.
-
-        Examples
-        --------
-        >>> Resampler.between(44_100.0, 192_000.0)
-        Resampler(up=640, down=147)
-        """
+        """Return the filter from the rate `old` to the rate `new`, Hz."""
         ratio = Fraction(new / old).limit_denominator(_LARGEST_FACTOR)
         if not 0 < ratio.numerator <= _LARGEST_FACTOR or abs(float(ratio) * old - new) > 1e-9 * new:
             raise InputError(
@@ -63,12 +50,7 @@ class Resampler:
     def read(self, samples: NDArray[Any], first: int, last: int) -> Floats:
         """Return resampled samples `first` to `last`, from those that the filter reaches.
 
-        Parameters
-        ----------
-        samples : ndarray (n,)
-            All samples at the old rate; zero is taken before and after them.
-        first, last : int
-            Indices at the new rate.
+        Shapes: samples (n,).
         """
         from scipy.signal import upfirdn
 

@@ -22,25 +22,8 @@ _NEIGHBOURS = 4
 def fibonacci_sphere(count: int) -> Floats:
     """Return unit vectors spread evenly over the sphere.
 
-    Parameters
-    ----------
-    count : int
-        How many.
-
-    Returns
-    -------
-    ndarray (count, 3)
-        Without a unit.
-
-    Notes
-    -----
     The spiral of the golden ratio, through parts of equal area: R. Swinbank, R. J. Purser, "Fibonacci grids: a novel
     approach to global modelling", Q. J. R. Meteorol. Soc. 132, 2006, section 3.
-
-    Examples
-    --------
-    >>> fibonacci_sphere(4)[:, 2].tolist()
-    [0.75, 0.25, -0.25, -0.75]
     """
     i = np.arange(count) + 0.5
     z = 1.0 - 2.0 * i / count
@@ -70,8 +53,6 @@ def merged(directions: Floats, values: NDArray[Any]) -> tuple[Floats, NDArray[An
 def largest_hole(directions: Floats) -> float:
     """Return the radius in degrees of the widest cap of the sphere without a direction in it; at least 90 is a side.
 
-    Notes
-    -----
     Caps without points are those that facets of the convex hull cut off.
     """
     from scipy.spatial import ConvexHull, QhullError
@@ -96,14 +77,7 @@ def neighbours_on_sphere(directions: Floats) -> NDArray[np.intp]:
 class GridOnSphere:
     """Directions on circles about +z, the same azimuths on each, evenly all round.
 
-    Parameters
-    ----------
-    colatitudes : ndarray (e,)
-        From +z, increasing, rad; 0 and pi where there are poles.
-    azimuths : ndarray (a,)
-        From +x towards +y, evenly, rad; an even number.
-    index : ndarray (e, a)
-        Which direction stands there.
+    Shapes: colatitudes (e,) rad; azimuths (a,) rad; index (e, a).
     """
 
     colatitudes: Floats
@@ -139,8 +113,6 @@ class GridOnSphere:
     def through(self, values: NDArray[np.complex128]) -> OnGrid:
         """Return the function of direction that goes through values (n, u).
 
-        Notes
-        -----
         Great circles through the poles are closed: colatitudes go on from the pole down the opposite azimuth, to 2 pi
         (the "double Fourier sphere"; P. E. Merilees, Atmosphere 11 (1), 13-20, 1973). Values are then periodic in both
         angles, and a periodic cubic spline in each goes through them. A pole that the grid lacks is put in first.
@@ -178,8 +150,6 @@ class ScatterOnSphere:
     def through(cls, directions: Floats, values: NDArray[np.complex128]) -> ScatterOnSphere:
         """Return the function of direction that goes through values (n, u) in directions (n, 3).
 
-        Notes
-        -----
         The sum of the cubes of distances to all directions and a linear function: the smoothest of all that go through
         the values, in the sense of the norm that belongs to the cube (H. Wendland, "Scattered Data Approximation",
         2005, chapters 8 and 17).

@@ -25,47 +25,27 @@ _ROWS = 512  # samples of the envelope taken together: their windows stay in cac
 class Upsampler:
     """Makes sound of complex envelopes at a rate so many times as low.
 
-    Attributes
-    ----------
-    every : int
-        Samples of the sound in one of the envelope.
-    turn : Fraction
-        Part of a turn of the carrier in one sample of the envelope beyond whole ones.
-    reach : int
-        Samples of the envelope that are looked at: sample 0 of the sound takes those from ``1 - reach`` to ``reach``.
-    taps : ndarray (2 reach, 2, every) float32
-        By sample of the envelope, its real and imaginary part, and sample of the sound.
-
-    Notes
-    -----
     ``y[n] = Re sum_m h[n - m every] e[m] exp(2 pi j carrier n / rate)``: with the envelope turned to the carrier's
     phase at its own samples, the rest of the turn is that of ``n - m every`` and part of the taps. So every sample of
     the sound is one product of real numbers with a window of the envelope, and all of them a product of matrices.
+
+    Attributes
+    ----------
+    reach : int
+        Samples of the envelope that are looked at: sample 0 of the sound takes those from ``1 - reach`` to
+        ``reach``.
+    taps : ndarray (2 reach, 2, every) float32
+        By sample of the envelope, its real and imaginary part, and sample of the sound.
     """
 
-    every: int
-    turn: Fraction
+    every: int  # samples of the sound in one of the envelope
+    turn: Fraction  # part of a turn of the carrier in one sample of the envelope beyond whole ones
     reach: int
     taps: NDArray[np.float32]
 
     @classmethod
     def about(cls, carrier: float, rate: float, every: int, half: float) -> Upsampler:
-        """Return the filter for envelopes that hold `half` Hz on either side of a carrier.
-
-        Parameters
-        ----------
-        carrier, rate : float
-            The carrier and the sound's sampling rate, Hz.
-        every : int
-            Samples of the sound in one of the envelope.
-        half : float
-            Below half the envelope's sampling rate, Hz.
-
-        Returns
-        -------
-        Upsampler
-            A window design (Kaiser) that stops the images of what is held by 115 dB.
-        """
+        """Return the filter for envelopes that hold `half` Hz on either side of a carrier."""
         images = rate / every - half
         reach = -(-length_of((images - half) / (0.5 * rate), _STOP_DB) // (2 * every))
         middle = reach * every - 1  # of an odd number of taps: the window for any sample begins at most `reach` later
@@ -80,12 +60,7 @@ class Upsampler:
     def __call__(self, envelope: Complexes, first: int) -> NDArray[np.float32]:
         """Return samples of the sound from ``first every`` on, (n every,) float32.
 
-        Parameters
-        ----------
-        envelope : ndarray (n + 2 reach - 1,) complex
-            Samples from ``first + 1 - reach`` on.
-        first : int
-            A sample of the envelope.
+        Shapes: envelope (n + 2 reach - 1,).
         """
         count = len(envelope) - 2 * self.reach + 1
         out = np.zeros((count, self.every), dtype=np.float32)

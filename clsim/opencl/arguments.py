@@ -11,17 +11,14 @@ class Argument:
 
     Attributes
     ----------
-    type : str
-        In OpenCL C: of the number, or of the elements of the buffer.
     shape : str
-        Of a buffer, outermost first, in constants and in the names of other arguments or of words; empty for a number.
-    access : {"", "in", "out", "in out"}
-        How a buffer is used; empty for a number.
+        Of a buffer, outermost first, in constants and in the names of other arguments or of words; empty for a
+        number.
     """
 
-    type: str
+    type: str  # in OpenCL C: of the number, or of the elements of the buffer
     shape: str = ""
-    access: str = ""
+    access: str = ""  # how a buffer is used; empty for a number
 
 
 def taken(kind: str, shape: str) -> Argument:

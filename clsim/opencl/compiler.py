@@ -51,15 +51,7 @@ class Compiler:
         self._of_thread = threading.local()
 
     def kernel(self, program: str, constants: Mapping[str, Constant]) -> Launch:
-        """Return the kernel of a program with compile-time constants.
-
-        Raises
-        ------
-        DeviceError
-            If the device's compiler refuses the program, or the process was forked after the context was made.
-        ClsimError
-            If a constant is missing or unknown: a defect of the caller.
-        """
+        """Return the kernel of a program with compile-time constants."""
         refuse_after_fork()
         kernels: dict[Any, Launch] = self._of_thread.__dict__.setdefault("kernels", {})
         key = program, kernel_source(program), frozenset(constants.items())

@@ -20,40 +20,20 @@ _openers: list[int] = []  # the processes that have opened devices: this one, an
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
-    """One OpenCL device.
+    """One OpenCL device."""
 
-    Attributes
-    ----------
-    id : str
-        ``"platform:device"``, two indices, as the ``device`` argument takes it.
-    name, platform, version, kind : str
-        What the driver says; kind is CPU, GPU or other.
-    memory_bytes, compute_units : int
-        Its size.
-    largest_buffer_bytes : int
-        Of its memory, in one piece.
-    largest_group : int
-        Work-items.
-    clock_hz : float
-        Of its units, at most.
-    driver : str
-        Version of the driver.
-    fp64 : bool
-        Whether it computes in float64; where not, pairs of floats take its place in the tracks.
-    """
-
-    id: str
-    name: str
-    platform: str
-    version: str
-    kind: str
-    memory_bytes: int
-    compute_units: int
-    largest_buffer_bytes: int
-    largest_group: int
-    clock_hz: float
-    driver: str
-    fp64: bool
+    id: str  # ``"platform:device"``, two indices, as the ``device`` argument takes it
+    name: str  # what the driver says; kind is CPU, GPU or other
+    platform: str  # likewise
+    version: str  # likewise
+    kind: str  # likewise
+    memory_bytes: int  # its size
+    compute_units: int  # likewise
+    largest_buffer_bytes: int  # of its memory, in one piece
+    largest_group: int  # work-items
+    clock_hz: float  # of its units, at most
+    driver: str  # version of the driver
+    fp64: bool  # whether it computes in float64; where not, pairs of floats take its place in the tracks
 
 
 def list_devices() -> list[DeviceInfo]:
@@ -75,18 +55,7 @@ def list_devices() -> list[DeviceInfo]:
 
 
 def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
-    """Return the device that the user asked for, or the best: GPUs first, then by compute units.
-
-    Parameters
-    ----------
-    wanted : str or None
-        An id such as ``"0:1"``, or part of a name.
-
-    Raises
-    ------
-    DeviceError
-        If there is no device, or none that fits; the message says what to do.
-    """
+    """Return the device that the user asked for, or the best: GPUs first, then by compute units."""
     found = _devices()
     if not found:
         raise DeviceError(f'{no_device()}; or use engine="reference", which needs none but is slow')
@@ -110,11 +79,6 @@ def refuse_after_fork() -> None:
 
     Drivers keep threads, which a fork does not copy: the first kernel of the child would wait for them for ever. As a
     process has each driver once, the child cannot open it anew either.
-
-    Raises
-    ------
-    DeviceError
-        If this is such a process.
     """
     if any(opener != os.getpid() for opener in _openers):
         raise DeviceError(

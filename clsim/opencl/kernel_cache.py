@@ -34,11 +34,6 @@ def prepare() -> str:
     PoCL has no device where it cannot make its cache, and ends the process where it cannot write into it: then it is
     given a folder of this process, which is deleted at its end. PyOpenCL can do without. Both run what they find in
     their caches, so a cache that other users could have written is not used either.
-
-    Returns
-    -------
-    str
-        Why PoCL cannot work, or an empty text.
     """
     if os.name == "nt":  # PoCL does not come with pip there, and other drivers look after themselves
         return ""
@@ -166,14 +161,7 @@ class Trial:
     A process that dies while building can leave an entry in PoCL's cache that ends every later process which uses it.
     Such a process leaves its mark too, a file that nobody locks, and the program is from then on built as another one.
 
-    Parameters
-    ----------
-    program : str
-        Its name, for messages.
-    text : str
-        All that the driver's entry depends on, but for `options`.
-    options : list of str
-        For the compiler. The attribute `options` has one more where a process died.
+    options: for the compiler. The attribute `options` has one more where a process died.
     """
 
     def __init__(self, program: str, text: str, options: list[str]) -> None:

@@ -42,21 +42,11 @@ from clsim.opencl.arguments import (
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A program of one kernel, which has its name.
+    """A program of one kernel, which has its name."""
 
-    Attributes
-    ----------
-    files : tuple of str
-        Joined in this order.
-    arguments : dict
-        By name, in the order of the signature.
-    constants : frozenset of str
-        What is given at compile time (``-D``), all of it at every build.
-    """
-
-    files: tuple[str, ...]
-    arguments: dict[str, Argument]
-    constants: frozenset[str]
+    files: tuple[str, ...]  # joined in this order
+    arguments: dict[str, Argument]  # by name, in the order of the signature
+    constants: frozenset[str]  # what is given at compile time (``-D``), all of it at every build
 
 
 _TRIPLES = ("common/float64.h", "common/triple.h")
@@ -309,13 +299,7 @@ PROGRAMS = {
 
 
 def kernel_folder() -> Path:
-    """Return the folder of the kernels: in the installed package, or beside it in a checkout.
-
-    Raises
-    ------
-    ClsimError
-        If there is none; the installation is broken.
-    """
+    """Return the folder of the kernels: in the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[1]
     checkout = package.parent
     for folder, exists in (

@@ -24,17 +24,7 @@ NUMBERS: dict[str, type[np.generic]] = {
 
 
 class Launch:
-    """A kernel that is launched with arguments by name.
-
-    Parameters
-    ----------
-    name : str
-        Of the kernel, for messages.
-    kernel : callable
-        Takes queue, size, group, and the arguments in order.
-    arguments : mapping of str to Argument
-        All of them, in order.
-    """
+    """A kernel that is launched with arguments by name."""
 
     def __init__(self, name: str, kernel: Callable[..., Any], arguments: Mapping[str, Argument]) -> None:
         self._name, self._kernel, self._arguments = name, kernel, arguments
@@ -46,19 +36,8 @@ class Launch:
     def __call__(self, queue: Any, items: WorkItems, /, **arguments: Any) -> Any:
         """Launch it; return the event.
 
-        Parameters
-        ----------
-        queue : pyopencl.CommandQueue
-            Where.
-        items : (tuple of int, tuple of int)
-            Work-items in all, and in a group.
-        **arguments
-            Numbers and buffers. An array for a buffer that is only read is uploaded; None is a buffer that is not used.
-
-        Raises
-        ------
-        ClsimError
-            If an argument is missing or unknown: a defect of the caller.
+        **arguments: numbers and buffers. An array for a buffer that is only read is uploaded; None is a buffer that is
+        not used.
         """
         try:
             taken = list(self._ordered(arguments))

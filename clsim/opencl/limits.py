@@ -20,38 +20,14 @@ _OPERATIONS_PER_CYCLE = 4.0  # of a unit, low: 8 lanes, a product and a sum each
 
 
 def operations_in_launch(info: DeviceInfo) -> float:
-    """Return how many operations in float32 a launch may have: `LONGEST_LAUNCH` of them on GPUs, any number elsewhere.
-
-    Parameters
-    ----------
-    info : DeviceInfo
-        Where.
-
-    Returns
-    -------
-    float
-        Operations.
-    """
+    """Return the largest number of float32 operations in a launch: `LONGEST_LAUNCH` on GPUs, any number elsewhere."""
     if info.kind != "GPU":
         return math.inf
     return LONGEST_LAUNCH * _OPERATIONS_PER_CYCLE * info.compute_units * info.clock_hz
 
 
 def check_group(info: DeviceInfo, workers: int) -> None:
-    """Refuse a device whose work-groups are too small.
-
-    Parameters
-    ----------
-    info : DeviceInfo
-        Where.
-    workers : int
-        Items of the largest group.
-
-    Raises
-    ------
-    DeviceError
-        If its groups hold fewer.
-    """
+    """Refuse a device whose work-groups are too small."""
     if info.largest_group < workers:
         raise DeviceError(
             f"{info.name} has work-groups of at most {info.largest_group} items, but {workers} are needed; choose "
@@ -60,24 +36,7 @@ def check_group(info: DeviceInfo, workers: int) -> None:
 
 
 def check_buffers(info: DeviceInfo, sizes: Mapping[str, float], what: str, advice: str) -> None:
-    """Refuse a device whose memory does not hold some buffers, each by itself and all of them together.
-
-    Parameters
-    ----------
-    info : DeviceInfo
-        Where.
-    sizes : dict
-        Bytes by name.
-    what : str
-        What they are for.
-    advice : str
-        What to do then.
-
-    Raises
-    ------
-    DeviceError
-        If they do not fit; the message names the largest.
-    """
+    """Refuse a device whose memory does not hold some buffers, each by itself and all of them together."""
     name = max(sizes, key=sizes.__getitem__)
     whole = sum(sizes.values())
     if sizes[name] > info.largest_buffer_bytes or whole > SHARE * info.memory_bytes:

@@ -37,11 +37,8 @@ _names: dict[str, Any] = {}  # texts that devices point to, for as long as there
 def name_processor(device: Any) -> None:
     """Have PoCL compile for what this processor can do, where it does not know which it is; once in a process.
 
-    Parameters
-    ----------
-    device : pyopencl.Device
-        Of PoCL. Nothing is done where its processor has a name, on other systems than Linux with x86-64, and where a
-        process may not read its own memory.
+    device: of PoCL. Nothing is done where its processor has a name, on other systems than Linux with x86-64, and where
+    a process may not read its own memory.
     """
     with suppress(OSError):
         if processor(device) == UNKNOWN:
@@ -57,24 +54,12 @@ def able_processor(flags: Collection[str]) -> str:
 
 
 def processor(device: Any) -> str | None:
-    """Return the name of the processor that PoCL compiles for; None where PoCL's description does not tell it.
-
-    Raises
-    ------
-    OSError
-        If the memory of the process cannot be read.
-    """
+    """Return the name of the processor that PoCL compiles for; None where PoCL's description does not tell it."""
     return _named(device)[1]
 
 
 def set_processor(device: Any, name: str) -> None:
-    """Have PoCL compile for the processor of this name.
-
-    Raises
-    ------
-    OSError
-        If the memory of the process cannot be written to.
-    """
+    """Have PoCL compile for the processor of this name."""
     import ctypes
 
     place, was = _named(device)

@@ -33,16 +33,7 @@ _BEACON = 40e3  # Hz
 class DirectivityDiagram:
     """What one polar diagram shows.
 
-    Parameters
-    ----------
-    title : str
-        Above it.
-    directivity : Directivity
-        Whose gain.
-    frequencies : ndarray (f,)
-        A curve for each, Hz.
-    speed_of_sound : float
-        m/s.
+    Shapes: frequencies (f,) Hz.
     """
 
     title: str
@@ -54,17 +45,10 @@ class DirectivityDiagram:
 def directivity_levels(diagram: DirectivityDiagram, angles: Floats, *, upright: bool = False) -> Floats:
     """Return the level of a directivity in dB by angle from the axis and frequency, (n, f), at most 0 and at least -40.
 
-    Parameters
-    ----------
-    diagram : DirectivityDiagram
-        What is drawn.
-    angles : ndarray (n,)
-        From the axis +x, towards +y (to the left) or, if `upright`, towards +z, rad.
-    upright : bool
-        Which plane; only directivities that differ round the axis care.
+    Shapes: angles (n,) rad.
 
-    Notes
-    -----
+    angles: from the axis +x, towards +y (to the left) or, if `upright`, towards +z, rad.
+
     0 dB is the gain 1, or the largest gain shown if that is more.
     """
     gain = _gain(diagram, angles, upright)
@@ -75,12 +59,8 @@ def directivity_levels(diagram: DirectivityDiagram, angles: Floats, *, upright: 
 def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathLike[str]) -> None:
     """Draw polar diagrams, 0 to -40 dB, a curve per frequency.
 
-    Parameters
-    ----------
-    diagrams : list of DirectivityDiagram
-        What is drawn. Directivities that differ round the axis show the horizontal plane, and the vertical one dashed.
-    path : path-like
-        Of the PNG.
+    diagrams: what is drawn. Directivities that differ round the axis show the horizontal plane, and the vertical one
+    dashed.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -125,20 +105,7 @@ def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
 
 
 def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
-    """Draw absorption and speed of sound in air by frequency for some humidities, and absorption by humidity.
-
-    Parameters
-    ----------
-    airs : list of Air
-        Of one temperature and pressure: a curve for each by frequency.
-    path : path-like
-        Of the PNG.
-
-    Raises
-    ------
-    InputError
-        If one does not absorb.
-    """
+    """Draw absorption and speed of sound in air by frequency for some humidities, and absorption by humidity."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

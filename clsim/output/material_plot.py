@@ -28,17 +28,7 @@ _DPI = 130
 def reflection_loss(material: Material, frequency: Floats, cosine: Floats) -> Floats:
     """Return ``-20 log10 |R|``, dB; NaN where the material is not known, and no warning where it is held.
 
-    Parameters
-    ----------
-    material : Material
-        Which.
-    frequency, cosine : ndarray (...)
-        Hz, and cosine of the angle of incidence; one of them may be a single number.
-
-    Returns
-    -------
-    ndarray (...)
-        Of the shape to which they broadcast; infinity where nothing comes back.
+    frequency, cosine: hz, and cosine of the angle of incidence; one of them may be a single number.
     """
     f, cosine = np.broadcast_arrays(frequency, cosine)
     loss = np.full(f.shape, np.nan)
@@ -54,14 +44,8 @@ def reflection_loss(material: Material, frequency: Floats, cosine: Floats) -> Fl
 def reflection_losses(materials: Sequence[Material], path: str | os.PathLike[str], *, frequency: float = 40e3) -> None:
     """Draw the reflection loss of materials, by frequency at normal incidence and by angle at one frequency.
 
-    Parameters
-    ----------
-    materials : sequence of Material
-        Each a line, called by its name; dashed where a table is held beyond its end, left out where it is not known.
-    path : path-like
-        Of the PNG.
-    frequency : float
-        At which angles are shown, Hz.
+    materials: each a line, called by its name; dashed where a table is held beyond its end, left out where it is not
+    known.
     """
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -31,17 +31,7 @@ def _colours(last: int) -> tuple[ListedColormap, BoundaryNorm]:
 
 
 def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os.PathLike[str]) -> None:
-    """Draw the gain of every path to a receiver over its delay, at one of the table's times.
-
-    Parameters
-    ----------
-    table : PathTable
-        The paths.
-    receiver, index : int
-        Which receiver, and which of the table's times.
-    path : path-like
-        Of the PNG.
-    """
+    """Draw the gain of every path to a receiver over its delay, at one of the table's times."""
     heard = np.flatnonzero((table.receiver == receiver) & table.heard[:, index])
     level = 20.0 * np.log10(np.abs(table.gain[heard, index]))
     top = float(level.max(initial=-300.0))
@@ -71,16 +61,7 @@ def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os
 def history_picture(table: PathTable, receiver: int, path: str | os.PathLike[str], *, title: str | None = None) -> None:
     """Draw the delay of every path to a receiver over time: lines begin and end where paths do.
 
-    Parameters
-    ----------
-    table : PathTable
-        The ground truth.
-    receiver : int
-        Whose paths.
-    path : path-like
-        Of the PNG.
-    title : str, optional
-        Above the picture; the receiver's name and its number of paths when left out.
+    title: above the picture; the receiver's name and its number of paths when left out.
     """
     rows = np.flatnonzero((table.receiver == receiver) & np.isfinite(table.delay).any(axis=1))
     level = 20.0 * np.log10(np.maximum(np.abs(np.nan_to_num(table.gain[rows])), 1e-15))

@@ -20,12 +20,9 @@ _UNKNOWN_TO_SYSTEM = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS)
 class RawRows:
     """Writes pieces of rows where they belong: written again they change nothing, and nothing else moves.
 
-    Parameters
-    ----------
-    places : sequence of (path, int)
-        File and byte at which each row begins; the files exist.
-    sample_type : str
-        NumPy's code of the samples: ``"<f4"``, or ``"<c8"``, real before imaginary parts.
+    Shapes: places (path, int).
+
+    sample_type: numPy's code of the samples: ``"<f4"``, or ``"<c8"``, real before imaginary parts.
     """
 
     def __init__(self, places: Sequence[tuple[Path, int]], sample_type: str = "<f4") -> None:
@@ -40,13 +37,7 @@ class RawRows:
             raise
 
     def reserve(self, samples: int) -> None:
-        """Take the disk space of rows of a length beforehand, so that a full disk shows before hours of work.
-
-        Raises
-        ------
-        OSError
-            If the disk has not that much left; it names the file.
-        """
+        """Take the disk space of rows of a length beforehand, so that a full disk shows before hours of work."""
         for path, number in self._files.items():
             size = max(begin + self._type.itemsize * samples for other, begin in self._places if other == path)
             try:
@@ -60,13 +51,7 @@ class RawRows:
             os.truncate(number, max(size, os.fstat(number).st_size))
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
-        """Write samples (n_rows, n) of rows from `first` and from sample `start` on.
-
-        Raises
-        ------
-        OSError
-            If they cannot be written; it names the file.
-        """
+        """Write samples (n_rows, n) of rows from `first` and from sample `start` on."""
         for (path, begin), row in zip(self._places[first : first + len(samples)], samples, strict=True):
             left = memoryview(np.ascontiguousarray(row, dtype=self._type).tobytes())
             at = begin + self._type.itemsize * start
@@ -96,14 +81,7 @@ class RawRows:
 class SampleFile:
     """Samples of several receivers in a file that is read as an array, in bounded memory.
 
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    shape : (int, int)
-        Receivers and samples.
-    sample_type : str
-        NumPy's code of the samples.
+    Shapes: shape (int, int).
     """
 
     def __init__(self, path: Path, shape: tuple[int, int], sample_type: str) -> None:

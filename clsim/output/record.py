@@ -23,24 +23,12 @@ Fingerprint = tuple[int, str]  # bytes, and SHA-256 in hexadecimal
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What clsim wrote into a folder.
+    """What clsim wrote into a folder."""
 
-    Attributes
-    ----------
-    identity : dict
-        Of the run, as JSON keeps it; empty where there is none.
-    finished : bool
-        Whether all of it was made.
-    files : dict
-        Fingerprints of results by name, folders among them.
-    replaced : tuple of (name, fingerprint)
-        Earlier results in whose place others are being put.
-    """
-
-    identity: dict[str, Any] = field(default_factory=dict)
-    finished: bool = False
-    files: dict[str, Fingerprint] = field(default_factory=dict)
-    replaced: tuple[tuple[str, Fingerprint], ...] = ()
+    identity: dict[str, Any] = field(default_factory=dict)  # of the run, as JSON keeps it; empty where there is none
+    finished: bool = False  # whether all of it was made
+    files: dict[str, Fingerprint] = field(default_factory=dict)  # fingerprints of results by name, folders among them
+    replaced: tuple[tuple[str, Fingerprint], ...] = ()  # earlier results in whose place others are being put
 
     def fingerprints(self, name: str) -> list[Fingerprint]:
         """Return what a file of clsim's may hold."""
@@ -58,13 +46,7 @@ class Record:
 
 
 def load_record(folder: Path, asked_by: str = "--output") -> Record:
-    """Return the record of a folder, which a field or an option named; an empty one where there is none.
-
-    Raises
-    ------
-    InputError
-        If there is a file of its name that is none.
-    """
+    """Return the record of a folder, which a field or an option named; an empty one where there is none."""
     path = folder / RECORD
     if not os.path.lexists(path):
         return Record()

@@ -35,19 +35,7 @@ def response_names(source_names: Sequence[str], receiver_names: Sequence[str]) -
 def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike[str]) -> list[Path]:
     """Write a WAV file of 32-bit floats for every source and receiver; return their paths.
 
-    Parameters
-    ----------
-    responses : ImpulseResponses
-        What to write.
-    folder : path-like
-        Where; made if missing. Files are called ``SOURCE_RECEIVER.wav``; none appears before all are whole.
-
-    Raises
-    ------
-    InputError
-        If the sampling rate is no whole number.
-    OSError
-        If a file cannot be written.
+    folder: where; made if missing. Files are called ``SOURCE_RECEIVER.wav``; none appears before all are whole.
     """
     sources, receivers, count = responses.samples.shape
     folder = Path(folder)
@@ -62,21 +50,9 @@ def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike
 def write_responses(responses: ImpulseResponses, path: str | os.PathLike[str]) -> None:
     """Write impulse responses as ``.npz`` or ``.sofa``.
 
-    Parameters
-    ----------
-    responses : ImpulseResponses
-        What to write.
-    path : path-like
-        Of the file; its suffix says which it is. An ``.npz`` holds the fields of `ImpulseResponses`, names, positions
-        and orientations. A ``.sofa`` is a SingleRoomSRIR (AES69) with a measurement for every source and receiver,
-        receivers fastest.
-
-    Raises
-    ------
-    InputError
-        If the suffix is another, or sofar is missing for SOFA.
-    OSError
-        If the file cannot be written; nothing is left of it then.
+    path: of the file; its suffix says which it is. An ``.npz`` holds the fields of `ImpulseResponses`, names, positions
+    and orientations. A ``.sofa`` is a SingleRoomSRIR (AES69) with a measurement for every source and receiver,
+    receivers fastest.
     """
     suffix = Path(path).suffix
     if suffix == ".npz":

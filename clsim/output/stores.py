@@ -36,37 +36,17 @@ STORE_FORMAT = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredSound:
-    """What a store says of the sound in it.
+    """What a store says of the sound in it."""
 
-    Attributes
-    ----------
-    receiver_names, units : tuple of str
-        One per receiver; units are Pa or V.
-    positions : ndarray (receivers, 3)
-        Of the receivers at 0 s, m.
-    sampling_rate : float
-        Hz.
-    samples : int
-        Of each receiver.
-    chunk : int
-        Samples that are written at a time.
-    scene : str
-        The completed scene file.
-    version : str
-        Of clsim.
-    carrier : float or None
-        Of complex envelopes, Hz; None for sound as it is.
-    """
-
-    receiver_names: tuple[str, ...]
-    units: tuple[str, ...]
-    positions: Floats
-    sampling_rate: float
-    samples: int
-    chunk: int
-    scene: str
-    version: str
-    carrier: float | None = None
+    receiver_names: tuple[str, ...]  # one per receiver; units are Pa or V
+    units: tuple[str, ...]  # likewise
+    positions: Floats  # (receivers, 3) of the receivers at 0 s, m
+    sampling_rate: float  # hz
+    samples: int  # of each receiver
+    chunk: int  # samples that are written at a time
+    scene: str  # the completed scene file
+    version: str  # of clsim
+    carrier: float | None = None  # of complex envelopes, Hz; None for sound as it is
 
     @property
     def sample_type(self) -> str:
@@ -98,26 +78,15 @@ class StoredSound:
 class SoundStore(ABC):
     """One kind of store; `STORES` lists them.
 
-    Parameters
-    ----------
-    folder : Path
-        Where it is made.
-    sound : StoredSound
-        What it says of the sound.
-    receivers : sequence of str
-        Names of the receivers, as files are called.
-
     Attributes
     ----------
-    packages : tuple of str
-        That it needs.
     by_regions : bool
         Whether several processes, on several machines, may write chunks of it at a time.
     paths : list of Path
         Files or folders that make it up.
     """
 
-    packages: ClassVar[tuple[str, ...]] = ()
+    packages: ClassVar[tuple[str, ...]] = ()  # that it needs
     by_regions: ClassVar[bool] = False
 
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
@@ -396,13 +365,7 @@ STORES: dict[str, type[SoundStore]] = {"wav": _WavStore, "zarr": _ZarrStore, "hd
 
 
 def check_store(kind: str, receiver_names: Sequence[str]) -> None:
-    """See that a store of a kind can be written, before there is anything to write.
-
-    Raises
-    ------
-    InputError
-        If a package is missing, or a name is one that the format cannot hold.
-    """
+    """See that a store of a kind can be written, before there is anything to write."""
     check_packages("--store", kind, "store", *STORES[kind].packages)
     for i, name in enumerate(receiver_names):
         problem = STORES[kind].problem_of(name)

@@ -30,20 +30,6 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
     """Write a path table as ``.npz`` (arrays as in `PathTable`) or ``.parquet`` (a row per path and time).
 
     A complex gain is two columns in Parquet: magnitude, and ``gain_phase`` in rad.
-
-    Parameters
-    ----------
-    table : PathTable
-        The paths.
-    path : path-like
-        Of the file; its suffix says which it is.
-
-    Raises
-    ------
-    InputError
-        If the suffix is another, or pyarrow is missing for Parquet.
-    OSError
-        If the file cannot be written; nothing is left of it then.
     """
     check_table(str(path))
     if Path(path).suffix == ".npz":
@@ -56,13 +42,7 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
 
 
 def check_table(name: str, field: str = "path") -> None:
-    """See that a path table of a name can be written, before there is one; an error names `field`.
-
-    Raises
-    ------
-    InputError
-        If the suffix is none of a table, or pyarrow is missing for Parquet.
-    """
+    """See that a path table of a name can be written, before there is one; an error names `field`."""
     suffix = Path(name).suffix
     if name and suffix not in (".npz", ".parquet"):
         raise InputError(field, f"must end in .npz or .parquet, but is {name!r}")
@@ -71,22 +51,7 @@ def check_table(name: str, field: str = "path") -> None:
 
 
 def write_ground_truth(found: DirectPath, path: str | os.PathLike[str], echoes: Sequence[EchoTruth] = ()) -> None:
-    """Write what receivers should find out as ``.npz``: arrays as in `DirectPath`, ``scatterer_…`` and ``body_…``.
-
-    Parameters
-    ----------
-    found : DirectPath
-        From `direct_path`.
-    path : path-like
-        Of the file.
-    echoes : sequence of EchoTruth
-        Of the same times.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; nothing is left of it then.
-    """
+    """Write what receivers should find out as ``.npz``: arrays as in `DirectPath`, ``scatterer_…`` and ``body_…``."""
     columns: dict[str, Any] = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
     columns = {name: np.array(value) if name in _NAMES else value for name, value in columns.items()}
     for echo in echoes:
@@ -97,18 +62,7 @@ def write_ground_truth(found: DirectPath, path: str | os.PathLike[str], echoes: 
 
 
 def read_table(path: str | os.PathLike[str]) -> PathTable:
-    """Read a path table that `write_table` wrote as ``.npz``.
-
-    Parameters
-    ----------
-    path : path-like
-        Of the file.
-
-    Raises
-    ------
-    InputError
-        If the file is none.
-    """
+    """Read a path table that `write_table` wrote as ``.npz``."""
     try:
         with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             columns = {f.name: file[f.name] for f in dataclasses.fields(PathTable)}

@@ -26,37 +26,21 @@ class Arrivals:
 
     Attributes
     ----------
-    delay : ndarray (P, T)
-        From emission to reception, s.
-    delay_rate : ndarray (P, T)
-        Its derivative by the time of reception; the Doppler factor is ``1 - delay_rate``.
     departure, arrival : ndarray (P, T, 3)
-        Unit vectors: from the real source along the path, and from the receiver back along it; in wind the normals of
-        the wavefront.
-    length : ndarray (P, T)
-        Of the path, over which pressure falls, m.
-    through : ndarray (P, T)
-        Of the air that it passes, m: the same where the air rests.
-    means : ndarray (P, T, terms) or None
-        Means of polynomials of the height along it, where the air depends on that.
-    emission_time : ndarray (P, T)
-        When it was emitted, s.
-    mach_factor : ndarray (P, T)
-        Factor of the amplitude by the source's motion.
-    frequency_ratio : ndarray (P, T)
-        Frequency on the way over that emitted: ``1 / (1 - M)``.
+        Unit vectors: from the real source along the path, and from the receiver back along it; in wind the normals
+        of the wavefront.
     """
 
-    delay: Floats
-    delay_rate: Floats
+    delay: Floats  # (P, T) from emission to reception, s
+    delay_rate: Floats  # (P, T) its derivative by the time of reception; the Doppler factor is ``1 - delay_rate``
     departure: Floats
     arrival: Floats
-    length: Floats
-    through: Floats
-    means: Floats | None
-    emission_time: Floats
-    mach_factor: Floats
-    frequency_ratio: Floats
+    length: Floats  # (P, T) of the path, over which pressure falls, m
+    through: Floats  # (P, T) of the air that it passes, m: the same where the air rests
+    means: Floats | None  # (P, T, terms) means of polynomials of the height along it, where the air depends on that
+    emission_time: Floats  # (P, T) when it was emitted, s
+    mach_factor: Floats  # (P, T) factor of the amplitude by the source's motion
+    frequency_ratio: Floats  # (P, T) frequency on the way over that emitted: ``1 / (1 - M)``
 
     def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Self:
         """Return what some of the paths bring at some of the times."""

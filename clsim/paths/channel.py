@@ -41,45 +41,29 @@ class ChannelPaths:
 
     Attributes
     ----------
-    times : ndarray (T,)
-        s.
-    source, receiver : ndarray (P,) int
-        Indices in the scene.
     delay : ndarray (P, T)
         Absolute, from emission to reception, s; NaN while the path is not heard. In air that disperses that of what
         sounds about the carrier, the group delay.
     gain : ndarray (P, T) complex
-        Received over emitted complex envelope about the carrier, a ratio: with the carrier's phase, in air that does
-        not disperse ``exp(-2j pi carrier delay)``; 0 while the path is not heard.
-    carrier : float
-        Hz.
-    source_names, receiver_names : tuple of str
-        What the indices mean.
+        Received over emitted complex envelope about the carrier, a ratio: with the carrier's phase, in air that
+        does not disperse ``exp(-2j pi carrier delay)``; 0 while the path is not heard.
     """
 
-    times: Floats
-    source: NDArray[np.int32]
-    receiver: NDArray[np.int32]
+    times: Floats  # (T,) s
+    source: NDArray[np.int32]  # (P,) indices in the scene
+    receiver: NDArray[np.int32]  # likewise
     delay: Floats
     gain: Complexes
-    carrier: float
-    source_names: tuple[str, ...]
-    receiver_names: tuple[str, ...]
+    carrier: float  # hz
+    source_names: tuple[str, ...]  # what the indices mean
+    receiver_names: tuple[str, ...]  # likewise
 
     __repr__ = short_repr
 
     def to_xarray(self) -> Any:
         """Return it with dimensions ``path`` and ``times``, coordinates and units.
 
-        Returns
-        -------
-        xarray.Dataset
-            ``delay`` and complex ``gain``; names of ``source`` and ``receiver`` by path.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
+        result: ``delay`` and complex ``gain``; names of ``source`` and ``receiver`` by path.
         """
         coordinates: dict[str, Any] = {"times": ("times", self.times)}
         for name, names, index in (
@@ -95,47 +79,29 @@ class ChannelPaths:
 class ChannelTaps:
     """A linear filter that changes with time, for each source and receiver.
 
-    What is received at ``times[t]`` is the sum over l of ``gain[:, :, l, t]`` times the source's envelope at
-    ``times[t] - delays[l]``.
+    What is received at ``times[t]`` is the sum over l of ``gain[:, :, l, t]`` times the source's envelope at ``times[t]
+    - delays[l]``.
 
     Attributes
     ----------
-    times : ndarray (T,)
-        s.
     delays : ndarray (L,)
-        Whole multiples of a sample from 0 on, s; from below 0 where the band-limited onset of a near path begins there.
-    gain : ndarray (sources, receivers, L, T) complex
-        Ratios.
-    carrier, bandwidth, sampling_rate : float
-        Hz.
-    source_names, receiver_names : tuple of str
-        Along the first two axes.
+        Whole multiples of a sample from 0 on, s; from below 0 where the band-limited onset of a near path begins
+        there.
     """
 
-    times: Floats
+    times: Floats  # (T,) s
     delays: Floats
-    gain: Complexes
-    carrier: float
-    bandwidth: float
-    sampling_rate: float
-    source_names: tuple[str, ...]
-    receiver_names: tuple[str, ...]
+    gain: Complexes  # (sources, receivers, L, T) ratios
+    carrier: float  # hz
+    bandwidth: float  # likewise
+    sampling_rate: float  # likewise
+    source_names: tuple[str, ...]  # along the first two axes
+    receiver_names: tuple[str, ...]  # likewise
 
     __repr__ = short_repr
 
     def to_xarray(self) -> Any:
-        """Return it with dimensions ``source``, ``receiver``, ``tap`` and ``times``, coordinates and units.
-
-        Returns
-        -------
-        xarray.Dataset
-            Complex ``gain``, and ``delay`` by tap.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
-        """
+        """Return it with dimensions ``source``, ``receiver``, ``tap`` and ``times``, coordinates and units."""
         coordinates = {
             "source": ("source", texts(self.source_names)),
             "receiver": ("receiver", texts(self.receiver_names)),
@@ -154,33 +120,21 @@ class DelayDoppler:
 
     Attributes
     ----------
-    time, duration : float
-        When it begins and how long it lasts, s.
-    source, receiver : ndarray (P,) int
-        Indices in the scene.
-    delay : ndarray (P,)
-        In the middle of the time, s; NaN for paths that are not heard then.
-    doppler_shift : ndarray (P,)
-        Of the carrier in the middle, Hz.
-    gain : ndarray (P,) complex
-        In the middle, a ratio, with the carrier's phase.
     delay_change, doppler_change : ndarray (P,)
-        From the beginning to the end of the time, s and Hz. Where the first is small against ``1 / bandwidth`` and the
-        second against ``1 / duration``, points say all.
-    carrier : float
-        Hz.
+        From the beginning to the end of the time, s and Hz. Where the first is small against ``1 / bandwidth`` and
+        the second against ``1 / duration``, points say all.
     """
 
-    time: float
-    duration: float
-    source: NDArray[np.int32]
-    receiver: NDArray[np.int32]
-    delay: Floats
-    doppler_shift: Floats
-    gain: Complexes
+    time: float  # when it begins and how long it lasts, s
+    duration: float  # likewise
+    source: NDArray[np.int32]  # (P,) indices in the scene
+    receiver: NDArray[np.int32]  # likewise
+    delay: Floats  # (P,) in the middle of the time, s; NaN for paths that are not heard then
+    doppler_shift: Floats  # (P,) of the carrier in the middle, Hz
+    gain: Complexes  # (P,) in the middle, a ratio, with the carrier's phase
     delay_change: Floats
     doppler_change: Floats
-    carrier: float
+    carrier: float  # hz
 
     __repr__ = short_repr
 
@@ -218,8 +172,6 @@ def channel_taps(
 ) -> tuple[Complexes, int]:
     """Return taps (sources, receivers, L, T) of paths heard from `span[0]` to `span[1]`, s, and the first's index.
 
-    Notes
-    -----
     A path's response over the band is a Chebyshev series of as many terms as it needs; each term has a band-limited
     impulse of its own, laid at the path's delay with the carrier's phase. Nothing is interpolated in time.
     """
@@ -250,13 +202,7 @@ def channel_taps(
 
 @dataclass(frozen=True, slots=True)
 class ChannelBand:
-    """A band about a carrier, and the rate of the taps that hold it, Hz.
-
-    Raises
-    ------
-    InputError
-        If they do not fit each other.
-    """
+    """A band about a carrier, and the rate of the taps that hold it, Hz."""
 
     carrier: float
     bandwidth: float

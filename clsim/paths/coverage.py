@@ -13,24 +13,7 @@ if TYPE_CHECKING:
 
 
 def check_band_coverage(scene: Scene, sources: Iterable[int], low: float, high: float, what: str) -> None:
-    """Check that materials and the directivities of receivers and some sources cover a band.
-
-    Parameters
-    ----------
-    scene : Scene
-        Holds them.
-    sources : iterable of int
-        Indices.
-    low, high : float
-        Hz.
-    what : str
-        Stands in the message: "must cover ...".
-
-    Raises
-    ------
-    InputError
-        If one does not cover it, and may not be continued.
-    """
+    """Check that materials and the directivities of receivers and some sources cover a band."""
     directivities = [(f"sources[{i}]", scene.sources[i].directivity) for i in sources]
     directivities += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
     for field, directivity in directivities:

@@ -65,21 +65,10 @@ class EchoTruth:
 def echo_fields(scene: Scene, times: Floats, delay: Floats, rate: Floats, away: Floats, bearing: Floats) -> Any:
     """Return the fields of `EchoTruth` by their names.
 
-    Parameters
-    ----------
-    scene : Scene
-        Of the ends.
-    times : ndarray (T,)
-        Times of reception, s.
-    delay, rate, away : ndarray (things, sources, receivers, T)
-        Delay, s, its change by time of reception, s/s, and the way from the thing to the receiver, m.
-    bearing : ndarray (things, sources, receivers, T, 3)
-        Unit vectors from the receiver.
+    Shapes: times (T,) s; delay, rate, away (things, sources, receivers, T) s; bearing (things, sources, receivers, T,
+    3).
 
-    Returns
-    -------
-    dict
-        Arrays that are only read.
+    delay, rate, away: delay, s, its change by time of reception, s/s, and the way from the thing to the receiver, m.
     """
     speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
     return {

@@ -39,35 +39,28 @@ class PathFamily(ABC):
 
     Attributes
     ----------
-    scene : Scene
-        Where they are.
-    source, receiver, order : ndarray (paths,) int
-        Indices in the scene, and number of interactions.
-    start, end : ndarray (paths,)
-        Interval of reception in which each is heard, s.
     interactions : ndarray (paths, N) int
-        What happens on the way from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`; filled up
-        with `NONE`.
+        What happens on the way from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`; filled up with
+        `NONE`.
     objects : ndarray (paths, N) int
         To which wall that happens (specular) or to which of `object_names`; filled up with -1.
-    columns : tuple of str
-        A kind's own fields with a row per path.
     costly : bool
-        Whether responses cost so much that they are taken at few instants where they change slowly, see `HostTracks`.
+        Whether responses cost so much that they are taken at few instants where they change slowly, see
+        `HostTracks`.
     object_names : tuple of str
         Of things that are no walls.
     """
 
-    scene: Scene
-    source: NDArray[np.int32]
-    receiver: NDArray[np.int32]
-    order: NDArray[np.int32]
-    start: Floats
-    end: Floats
+    scene: Scene  # where they are
+    source: NDArray[np.int32]  # (paths,) indices in the scene, and number of interactions
+    receiver: NDArray[np.int32]  # likewise
+    order: NDArray[np.int32]  # likewise
+    start: Floats  # (paths,) interval of reception in which each is heard, s
+    end: Floats  # likewise
     interactions: NDArray[np.signedinteger[Any]]
     objects: NDArray[np.signedinteger[Any]]
 
-    columns: ClassVar[tuple[str, ...]] = ()
+    columns: ClassVar[tuple[str, ...]] = ()  # a kind's own fields with a row per path
     costly: ClassVar[bool] = False
 
     @abstractmethod
@@ -76,31 +69,16 @@ class PathFamily(ABC):
     ) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver.
 
-        Parameters
-        ----------
-        rows : slice or ndarray (P,) int
-            The paths.
-        times : ndarray (T,)
-            Times of reception, s; any at which the ends' trajectories are known, heard or not.
-        motion : {"retarded", "quasi-static"}
-            Whether everything is where it was when the sound passed, or where it is at reception.
-        amplitude : {"wave-equation", "static", "convective"}
-            Exponent 1, 0 or 2 of ``1 / (1 - M)``; quasi-static motion has none.
+        Shapes: rows (P,); times (T,) s.
+
+        times: times of reception, s; any at which the ends' trajectories are known, heard or not.
+
+        motion: whether everything is where it was when the sound passed, or where it is at reception.
         """
 
     @abstractmethod
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
-        """Return received over emitted pressure at 1 m, (P, T, F), without the delay.
-
-        Parameters
-        ----------
-        rows, times
-            As for `arrivals`.
-        found : Arrivals
-            Of these rows at these times.
-        at : SceneResponse
-            Air, walls and transducers at F frequencies.
-        """
+        """Return received over emitted pressure at 1 m, (P, T, F), without the delay."""
 
     @abstractmethod
     def vertices(self, rows: Rows, time: float, motion: str = "retarded") -> Floats:
@@ -231,22 +209,12 @@ class PathFamily(ABC):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairPaths:
-    """Paths of one kind from one source to one receiver.
+    """Paths of one kind from one source to one receiver."""
 
-    Attributes
-    ----------
-    family : PathFamily
-        Whose paths.
-    rows : slice or ndarray (P,) int
-        Which of them.
-    source, receiver : int
-        Indices in the scene.
-    """
-
-    family: PathFamily
-    rows: Rows
-    source: int
-    receiver: int
+    family: PathFamily  # whose paths
+    rows: Rows  # (P,) which of them
+    source: int  # indices in the scene
+    receiver: int  # likewise
 
     def __len__(self) -> int:
         return len(self.family.source[self.rows])

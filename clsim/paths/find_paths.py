@@ -158,12 +158,9 @@ def find_paths(
 def registered_family(name: str, finder: FamilyFinder) -> Iterator[None]:
     """Let `find_paths` find another kind of paths as well, within a ``with`` block.
 
-    Parameters
-    ----------
-    name : str
-        Of the kind; a kind of the same name, such as "specular", is not looked for meanwhile.
-    finder : callable
-        Takes a Scene and a `PathSearch`; returns a `PathFamily`, which may be empty.
+    name: of the kind; a kind of the same name, such as "specular", is not looked for meanwhile.
+
+    finder: takes a Scene and a `PathSearch`; returns a `PathFamily`, which may be empty.
     """
     before = dict(FAMILY_FINDERS)
     FAMILY_FINDERS[name] = finder

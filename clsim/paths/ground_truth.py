@@ -34,13 +34,10 @@ class DirectPath:
     Attributes
     ----------
     times : ndarray (T,)
-        The instants that were given, s, by the scene's clock: of emission where `emitted` is true, else of reception.
+        The instants that were given, s, by the scene's clock: of emission where `emitted` is true, else of
+        reception.
     delay : ndarray (sources, receivers, T)
         From emission to reception, s, also where a wall is in the way; group delays in air that disperses.
-    doppler_factor : ndarray (sources, receivers, T)
-        Received over emitted frequency, also where a wall is in the way.
-    line_of_sight : ndarray (sources, receivers, T) of bool
-        Whether the direct sound is received.
     radial_speed : ndarray (sources, receivers, T)
         Speed of sound times the change of the delay by time of reception, ``c (1 - doppler_factor)``, m/s; positive
         where they part.
@@ -50,48 +47,27 @@ class DirectPath:
         Unit vectors from the receiver back along the path, in the room; in wind normals of the wavefront.
     local_arrival : ndarray (sources, receivers, T, 3)
         The same in the axes of the receiver as it is turned at reception: +x is where it faces.
-    source_position, receiver_position : ndarray (sources, receivers, T, 3)
-        The source at emission and the receiver at reception, m.
-    source_names, receiver_names : tuple of str
-        Along the first two axes.
-    emitted : bool
-        Whether `times` are times of emission.
     """
 
     times: Floats
     delay: Floats
-    doppler_factor: Floats
-    line_of_sight: NDArray[np.bool_]
+    doppler_factor: Floats  # (sources, receivers, T) received over emitted frequency, also where a wall is in the way
+    line_of_sight: NDArray[np.bool_]  # (sources, receivers, T) whether the direct sound is received
     radial_speed: Floats
     reception_time: Floats
     arrival: Floats
     local_arrival: Floats
-    source_position: Floats
-    receiver_position: Floats
-    source_names: tuple[str, ...]
-    receiver_names: tuple[str, ...]
-    emitted: bool
+    source_position: Floats  # (sources, receivers, T, 3) the source at emission and the receiver at reception, m
+    receiver_position: Floats  # likewise
+    source_names: tuple[str, ...]  # along the first two axes
+    receiver_names: tuple[str, ...]  # likewise
+    emitted: bool  # whether `times` are times of emission
 
     def tdoa(self, reference: str | None = None) -> Floats:
         """Return the time differences of arrival of one emission at all receivers.
 
-        Parameters
-        ----------
-        reference : str, optional
-            Name of the receiver whose reception is subtracted; the first one where left out.
+        reference: name of the receiver whose reception is subtracted; the first one where left out.
 
-        Returns
-        -------
-        ndarray (sources, receivers, T)
-            Time of reception less that at the reference receiver, s.
-
-        Raises
-        ------
-        InputError
-            If the times were those of reception, or no receiver has the name.
-
-        Notes
-        -----
         Delays at one time of reception belong to different emissions. Their differences are no TDOA: they are wrong by
         the share ``v / c``, v the radial speed of the source; at 1.7 m/s that is 5 mm per metre.
         """
@@ -104,16 +80,8 @@ class DirectPath:
     def to_dataframe(self) -> Any:
         """Return it as a pandas DataFrame, a row per source, receiver and time.
 
-        Returns
-        -------
-        pandas.DataFrame
-            Columns ``times``, ``source``, ``receiver`` and a column for each field, vectors as ``arrival_x`` and so on;
-            texts as categories, as in `PathTable.to_dataframe`; ``attrs["units"]`` holds the units.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
+        result: columns ``times``, ``source``, ``receiver`` and a column for each field, vectors as ``arrival_x`` and so
+        on; texts as categories, as in `PathTable.to_dataframe`; ``attrs["units"]`` holds the units.
         """
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         source, receiver, at = (index.ravel() for index in np.indices(self.delay.shape))
@@ -128,18 +96,7 @@ class DirectPath:
         return labelled_frame(columns)
 
     def to_xarray(self) -> Any:
-        """Return it with named dimensions ``source``, ``receiver``, ``times`` and ``axis``, coordinates and units.
-
-        Returns
-        -------
-        xarray.Dataset
-            A variable for each field.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
-        """
+        """Return it with named dimensions ``source``, ``receiver``, ``times`` and ``axis``, coordinates and units."""
         over = ("source", "receiver", "times")
         coordinates = {
             "source": ("source", texts(self.source_names)),

@@ -22,12 +22,7 @@ class Folds:
     receiver mirrored back by the others; its height is linear in the share of the way, and both legs at a wall agree
     where it is met. Walls that stand upright bend no height.
 
-    Parameters
-    ----------
-    planes : tuple of ndarray (W, 3), (W,)
-        Unit normals and offsets of all walls, m.
-    walls : ndarray (P, N) int
-        Of each path from the source's side, filled up with -1.
+    Shapes: walls (P, N).
     """
 
     def __init__(self, planes: tuple[Floats, Floats], walls: NDArray[np.signedinteger[Any]]) -> None:
@@ -50,17 +45,7 @@ class Folds:
     def bends(self, p: Any, start: Floats, stop: Floats) -> tuple[Floats, Floats]:
         """Return where paths are bent between places (..., 3), first and last, in the room.
 
-        Parameters
-        ----------
-        p : index
-            The paths: as many as places, or all, whose places are (P, T, 3).
-        start, stop : ndarray (..., 3)
-            Of the source and the receiver, m.
-
-        Returns
-        -------
-        shares, heights : ndarray (..., legs + 1)
-            From 0 to 1 of the way, and m.
+        Shapes: start, stop (..., 3) m; result (..., legs + 1).
         """
         among = np.broadcast_shapes(start.shape, stop.shape)[1:-1]  # all times of a path, or none: one each
         spread = (slice(None), *[None] * len(among))
@@ -86,19 +71,9 @@ class Folds:
 def means_along(shares: Floats, heights: Floats, extent: tuple[float, float], terms: int) -> Floats:
     """Return the means of Chebyshev polynomials of the height over ways of straight legs.
 
-    Parameters
-    ----------
-    shares, heights : ndarray (..., legs + 1)
-        Where the ways are bent: from 0 to 1, and m.
-    extent : tuple of float
-        Heights between which the polynomials are those of -1 to 1, m; a little beyond they stay as they are.
-    terms : int
-        How many.
+    Shapes: shares, heights (..., legs + 1); result (... terms).
 
-    Returns
-    -------
-    ndarray (..., terms)
-        By Gauss's rule of as many points as make it exact.
+    extent: heights between which the polynomials are those of -1 to 1, m; a little beyond they stay as they are.
     """
     place, weight = np.polynomial.legendre.leggauss(terms // 2 + 1)
     scaled = (2.0 * heights - (extent[0] + extent[1])) / (extent[1] - extent[0])

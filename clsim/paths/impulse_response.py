@@ -30,20 +30,12 @@ _CUT = 1e-15  # share of energy that is cut off at either end
 
 @dataclass(frozen=True, slots=True)
 class ResponseBand:
-    """Where an impulse response is exact, Hz.
+    """Where an impulse response is exact, Hz."""
 
-    Attributes
-    ----------
-    low, high : float
-        The band.
-    below, above : float
-        Widths over which it falls to nothing beneath and above; without one (0) it goes on down to 0 Hz.
-    """
-
-    low: float
-    high: float
-    below: float
-    above: float
+    low: float  # the band
+    high: float  # likewise
+    below: float  # widths over which it falls to nothing beneath and above; without one (0) it goes on down to 0 Hz
+    above: float  # likewise
 
     @property
     def ringing(self) -> float:
@@ -93,24 +85,13 @@ def impulse_response(
 ) -> ImpulseResponse:
     """Return the impulse response of paths, exact over a band.
 
-    Parameters
-    ----------
-    delays : ndarray (P,)
-        s, of any sign.
-    responses : callable
-        Takes frequencies (F,) in Hz and rows of paths (n,); gives their responses (n, F), real or complex.
-    sampling_rate : float
-        Hz.
-    band : ResponseBand
-        Where the response is exact.
+    Shapes: delays (P,) s.
 
-    Returns
-    -------
-    ImpulseResponse
-        Its spectrum is ``sum_p R_p(f) exp(-2j pi f delay_p)`` within -110 dB of the strongest response over the band.
+    responses: takes frequencies (F,) in Hz and rows of paths (n,); gives their responses (n, F), real or complex.
 
-    Notes
-    -----
+    result: its spectrum is ``sum_p R_p(f) exp(-2j pi f delay_p)`` within -110 dB of the strongest response over the
+    band.
+
     All responses are sums of a few of them (an interpolative decomposition: H. Cheng et al., "On the compression of low
     rank matrices", SIAM J. Sci. Comput. 26(4), 2005). For each of these few, the impulses of all paths are summed, and
     the sum's spectrum is multiplied by the response, taken at every frequency of the transform.
@@ -226,20 +207,7 @@ def frozen_response(
 ) -> ImpulseResponse:
     """Return the impulse response of the paths of a pair as they are at a time, as if nothing moved.
 
-    Parameters
-    ----------
-    pair : PairPaths
-        The paths.
-    time : float
-        Of reception, s.
-    sampling_rate : float
-        Hz.
-    band : ResponseBand
-        Where the response is exact.
-    later : float
-        Added to every delay, s.
-    centre : float, optional
-        Frequency at which air, walls and directivities are taken, Hz; each at its own when left out.
+    centre: frequency at which air, walls and directivities are taken, Hz; each at its own when left out.
     """
     now = np.array([time])
     found = pair.arrivals(now, "quasi-static")

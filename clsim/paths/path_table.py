@@ -148,14 +148,7 @@ class PathTable:
 def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], Any], Any]) -> dict[str, Any]:
     """Return the columns of some paths, a row per path and time at which it is heard.
 
-    Parameters
-    ----------
-    table : PathTable
-        Whose paths.
-    rows : range
-        Which of them.
-    words : callable
-        Takes texts and, for every row, which of them it has; gives a column of texts.
+    words: takes texts and, for every row, which of them it has; gives a column of texts.
     """
     part = slice(rows.start, rows.stop)
     count = len(table.times)

@@ -28,21 +28,8 @@ _SLICE = 2048  # cells looked at at a time
 def pose_rate(motions: Sequence[Motion], radii: Sequence[float], end: float, tolerance: float) -> float:
     """Return cells per second such that what is at most a radius from the centre of each thing is where it should be.
 
-    Parameters
-    ----------
-    motions : sequence of Motion
-        Of the things.
-    radii : sequence of float
-        Of what belongs to each, m.
-    end : float
-        Last time that matters, s.
-    tolerance : float
-        Largest error of a place, m.
-
-    Notes
-    -----
-    The least rate of `KNOT_RATES` whose cubics are right between knots; where a motion has more corners
-    than a few in a cell, more.
+    The least rate of `KNOT_RATES` whose cubics are right between knots; where a motion has more corners than a few in a
+    cell, more.
     """
     least = KNOT_RATES[0]
     for motion, radius in zip(motions, radii, strict=True):
@@ -57,25 +44,11 @@ def pose_knots(
 ) -> tuple[Floats, NDArray[np.int32], float]:
     """Return cubics of positions and axes of things from `start` to `end`, and where to find them.
 
-    Parameters
-    ----------
-    motions : sequence of Motion
-        Of the things.
-    start, end : float
-        Range of times, s.
-    rate : float
-        Cells per second; cells begin at its whole multiples whatever the range.
+    Shapes: result (knots, 38) s, (things, cells + 1).
 
-    Returns
-    -------
-    knots : ndarray (knots, 38)
-        At the beginning of every cell and wherever the motion has a corner: time, s, and knots per second until the
-        next one, and for the position, m, and the first two axes of the thing in the room coefficients [power][xyz] in
-        units of the piece's length.
-    cells : ndarray (things, cells + 1) int32
-        The knot at the beginning of every cell.
-    first : float
-        Time of the first cell, s.
+    knots: at the beginning of every cell and wherever the motion has a corner: time, s, and knots per second until the
+    next one, and for the position, m, and the first two axes of the thing in the room coefficients [power][xyz] in
+    units of the piece's length.
     """
     first, last = math.floor(start * rate), math.ceil(end * rate)
     grid = np.arange(first, max(last, first + 1) + 1) / rate

@@ -46,31 +46,22 @@ class Passage:
 
     Attributes
     ----------
-    length, time : ndarray (...)
-        Of the ways, m, and travel time, s.
     speed : float or ndarray (...)
         By how many metres a way gets longer while its time grows by a second, with both ends as far apart, m/s.
     carried : ndarray (..., 3) or None
         By how much the time grows as the receiver goes on from the source, with the way as long, s/m; None for not.
-    through : ndarray (...)
-        Length of the air that sound passes, m.
     """
 
-    length: Floats
-    time: Floats
+    length: Floats  # (...) of the ways, m, and travel time, s
+    time: Floats  # likewise
     speed: float | Floats
     carried: Floats | None
-    through: Floats
+    through: Floats  # (...) length of the air that sound passes, m
 
     def growth(self, direction: Floats, velocity: Floats) -> Floats:
         """Return by how much the time grows per second as the receiver moves, or falls as the source does.
 
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vector along the way at that end, in the room.
-        velocity : ndarray (..., 3)
-            Of the end, m/s.
+        Shapes: direction (..., 3); velocity (..., 3) m/s.
         """
         growth = np.sum(direction * velocity, axis=-1) / self.speed
         return np.asarray(growth if self.carried is None else growth + np.sum(self.carried * velocity, axis=-1))
@@ -162,8 +153,6 @@ class Medium(SpeedBounds, Protocol):
 class UniformAir:
     """Air of one speed of sound, m/s, that rests or moves at one velocity (3,), m/s, everywhere.
 
-    Notes
-    -----
     The direct sound solves ``|D - w t| = c t``, D the receiver's place less that of the source at emission:
 
         t = (sqrt((D.w)² + (c² - w²) L²) - D.w) / (c² - w²),    L = |D|.
@@ -201,25 +190,14 @@ class LayeredAir:
 
     Sound takes straight legs at the mean slowness along them, exact for polynomials of the height. That ways are bent
     makes them earlier by some ``g² d³ / (24 c³)``, g the change of the speed by height: 0.13 mm at 1 K/m over 10 m.
-
-    Attributes
-    ----------
-    slowness : tuple of float
-        Chebyshev's coefficients over `extent`, s/m.
-    extent : tuple of float
-        Heights, m.
-    slowest, fastest : float
-        Bounds on the speed of sound, in any direction, m/s.
-    wind, fluctuation : tuple or None, Fluctuation or None
-        As of `UniformAir`.
     """
 
-    slowness: tuple[float, ...]
-    extent: tuple[float, float]
-    slowest: float
-    fastest: float
-    wind: tuple[float, float, float] | None
-    fluctuation: Fluctuation | None
+    slowness: tuple[float, ...]  # Chebyshev's coefficients over `extent`, s/m
+    extent: tuple[float, float]  # heights, m
+    slowest: float  # bounds on the speed of sound, in any direction, m/s
+    fastest: float  # likewise
+    wind: tuple[float, float, float] | None  # as of `UniformAir`
+    fluctuation: Fluctuation | None  # likewise
 
     def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats:
         """Return means (..., terms) of Chebyshev polynomials of the height."""
@@ -287,18 +265,11 @@ def straight(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
 def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], delay: Floats, times: Floats) -> Floats:
     """Return the delays (P, T) of ways of any kind at times of reception (T,), s, by Newton's method.
 
-    Parameters
-    ----------
-    travel : callable
-        Takes paths p (n,), indices t (n,) of times and times of emission (n,), s; returns the travel times (n,), s, and
-        by how much these fall per second as the source moves on, the Mach number (n,) towards the way.
-    delay : ndarray (P, T)
-        Where to begin, such as the quasi-static value, s.
-    times : ndarray (T,)
-        s.
+    Shapes: delay (P, T) s.
 
-    Notes
-    -----
+    travel: takes paths p (n,), indices t (n,) of times and times of emission (n,), s; returns the travel times (n,), s,
+    and by how much these fall per second as the source moves on, the Mach number (n,) towards the way.
+
     For a source below the speed of sound there is one solution.
     """
     delay = np.array(delay)
@@ -320,21 +291,8 @@ def arrivals_by(
 ) -> Arrivals:  # fmt: skip
     """Return what ways between one source and one receiver bring.
 
-    Parameters
-    ----------
-    ways_to : callable
-        Takes places (T, 3) of the receiver, m; returns the `Ways` to them.
-    medium : Medium
-        What sound travels in.
-    ends : tuple of Motion
-        Of the source and the receiver.
-    times : ndarray (T,)
-        Of reception, s.
-    motion, amplitude : str
-        See `PathFamily.arrivals`.
+    Shapes: times (T,) s.
 
-    Notes
-    -----
     The delay solves ``delay = travel time from x_s(t - delay) to x_r(t)``. A point source of the linear wave equation
     is received as ``s(t - delay) / (d (1 - M))``, M its Mach number along the way at emission (Morse and Ingard,
     Theoretical Acoustics, 1968, section 11.2); d is the length of the way along the wavefront's normal: less in wind.
@@ -414,19 +372,8 @@ def contract_delay(
 ) -> Floats:
     """Return the delays (n,) of a source of which only positions are known, s.
 
-    Parameters
-    ----------
-    medium : Medium
-        What sound travels in.
-    position : callable
-        Takes times (n,), s; returns the source's places (n, 3), m.
-    mirrored, heard_at : ndarray (n, 3)
-        The receiver as the source sees it and in the room, m.
-    times : ndarray (n,)
-        Of reception, s.
+    Shapes: mirrored, heard_at (n, 3) m; times (n,) s.
 
-    Notes
-    -----
     Each step is a contraction by the Mach number of the source.
     """
     delay: Floats = np.zeros(len(times))
@@ -444,16 +391,13 @@ def delay_bounds(
 ) -> tuple[Floats, Floats]:
     """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
 
-    Parameters
-    ----------
-    speeds : SpeedBounds
-        Of sound.
-    length : ndarray (n,)
-        Of the ways at some instant of reception, with source and receiver where they are then, m.
-    slack : float or ndarray (n,)
-        By how much both ends may be off, together, at the times of reception that matter, m.
-    source_speed : float or ndarray (n,)
-        Largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
+    Shapes: source_speed (n,) m/s.
+
+    length: of the ways at some instant of reception, with source and receiver where they are then, m.
+
+    slack: by how much both ends may be off, together, at the times of reception that matter, m.
+
+    source_speed: largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
     """
     low = np.maximum(length - slack, 0.0) / (speeds.fastest + source_speed)
     high = (length + slack) / (speeds.slowest - source_speed)

@@ -35,17 +35,10 @@ _GRAZING = 1e-9  # least cosine of an angle of incidence
 class SceneResponse:
     """What air, walls and transducers of a scene do at some frequencies: what responses of all paths are made of.
 
-    A response is received over emitted pressure by frequency, without the delay; a delay tau would be
-    ``exp(-2j pi f tau)``.
+    A response is received over emitted pressure by frequency, without the delay; a delay tau would be ``exp(-2j pi f
+    tau)``.
 
-    Parameters
-    ----------
-    scene : Scene
-        Holds air, walls and directivities.
-    source : int
-        Whose sound it is: phases are those that its delays leave.
-    frequencies : ndarray (F,)
-        As emitted, Hz.
+    Shapes: frequencies (F,) Hz.
 
     Attributes
     ----------
@@ -177,17 +170,9 @@ def is_complex(scene: Scene) -> bool:
 def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]]) -> Floats:
     """Return the normals of a path's walls as seen from the source's own room.
 
-    Parameters
-    ----------
-    normals : ndarray (W, 3)
-        Unit normals of the walls.
-    walls : ndarray (P, N) int
-        Walls of each path from the source's side, filled up with -1.
+    Shapes: normals (W, 3); walls (P, N).
 
-    Returns
-    -------
-    ndarray (P, N, 3)
-        Each mirrored by the walls before it, the last of them first; zero where there is no wall.
+    result: each mirrored by the walls before it, the last of them first; zero where there is no wall.
     """
     met = np.concatenate([normals, np.zeros((1, 3))])[walls]
     unfolded = met.copy()

@@ -26,17 +26,6 @@ _SLICE = 20_000  # knots looked at at a time
 def knot_rate(source: Source, end: float, tolerance: float) -> float:
     """Return knots per second such that positions, and the axis of a directivity, are right between them.
 
-    Parameters
-    ----------
-    source : Source
-        Whose trajectory from 0 to its end matters.
-    end : float
-        Last emission time that matters, s.
-    tolerance : float
-        Largest error of a position, m.
-
-    Notes
-    -----
     Orientations between waypoints turn at constant rates that jump; there the largest rate is taken, and what remains
     is an error of the axis over one knot.
     """
@@ -51,24 +40,9 @@ def motion_knots(
 ) -> tuple[Floats, float]:
     """Return cubics of position and axis from `start` to `end`, and the time of the first knot.
 
-    Parameters
-    ----------
-    source : Source
-        The source.
-    start, end : float
-        Range of emission times, s.
-    rate : float
-        Knots per second; knots stand at its whole multiples whatever the range.
+    Shapes: result (knots, 24 or 36).
 
-    sideways : bool
-        Whether the second axis is wanted too.
-
-    Returns
-    -------
-    knots : ndarray (knots, 24 or 36)
-        For position and axis, and second axis: coefficients [power][xyz] in units of the knot's length.
-    first : float
-        Time of the first knot, s.
+    knots: for position and axis, and second axis: coefficients [power][xyz] in units of the knot's length.
     """
     first = math.floor(start * rate)
     times = np.arange(first, math.ceil(end * rate) + 2, dtype=np.float64) / rate

@@ -49,22 +49,15 @@ class TrajectoryTables:
 
     Attributes
     ----------
-    places : ndarray (rows, 3) int64
-        First knot, first speed and number of knots of each.
-    scales : ndarray (rows, 3)
-        Time of the first knot (s), knots per second, largest speed (m/s).
-    knots : ndarray (knots, 12)
-        Coefficients [power][xyz] of the cubic from each knot to the next, m.
-    speeds : ndarray (speeds,)
-        Bounds of the speed from each knot to the next, of pairs of them, and so on, m/s.
     mounts : ndarray (rows, 4)
-        Unit normal of the wall that each sits in, and offset of the plane a step in front of it, m; zero in the open.
+        Unit normal of the wall that each sits in, and offset of the plane a step in front of it, m; zero in the
+        open.
     """
 
-    places: NDArray[np.int64]
-    scales: Floats
-    knots: Floats
-    speeds: Floats
+    places: NDArray[np.int64]  # (rows, 3) first knot, first speed and number of knots of each
+    scales: Floats  # (rows, 3) time of the first knot (s), knots per second, largest speed (m/s)
+    knots: Floats  # (knots, 12) coefficients [power][xyz] of the cubic from each knot to the next, m
+    speeds: Floats  # (speeds,) bounds of the speed from each knot to the next, of pairs of them, and so on, m/s
     mounts: Floats
 
     def position(self, row: NDArray[np.int64], time: Floats) -> Floats:
@@ -129,13 +122,7 @@ class TrajectoryTables:
 def trajectory_tables(
     source: Motion, receivers: Sequence[Motion], mounts: Sequence[Mount | None] = ()
 ) -> TrajectoryTables:
-    """Return the tables of one source and its receivers, from time 0 to the end of each; no mounts when left out.
-
-    Raises
-    ------
-    InputError
-        If a motion is too long to be tabled.
-    """
+    """Return the tables of one source and its receivers, from time 0 to the end of each; no mounts when left out."""
     tables = [_knots("sources.trajectory", source)]
     tables += [_knots(f"receivers[{i}].trajectory", motion) for i, motion in enumerate(receivers)]
     levels = [_speeds(knots, rate) for knots, _, rate in tables]
@@ -159,13 +146,7 @@ def trajectory_tables(
 
 
 def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:
-    """Return cubics (n, 12), time of the first knot and knots per second.
-
-    Raises
-    ------
-    InputError
-        If a motion is too long for so many knots that it is known between them.
-    """
+    """Return cubics (n, 12), time of the first knot and knots per second."""
     if motion.is_static:
         still = np.zeros((1, 12))
         still[0, :3] = motion.position(0.0)

@@ -29,14 +29,12 @@ class TwoSidedPaths(PathFamily, ABC):
     ----------
     before_matrix, before_offset : ndarray (paths, 3, 3), (paths, 3)
         The image of the source by the walls before the place is at ``before_matrix @ x + before_offset``.
-    after_matrix, after_offset : ndarray (paths, 3, 3), (paths, 3)
-        The same of the receiver, by the walls after the place from its own side.
     """
 
     before_matrix: Floats
     before_offset: Floats
-    after_matrix: Floats
-    after_offset: Floats
+    after_matrix: Floats  # (paths, 3, 3) the same of the receiver, by the walls after the place from its own side
+    after_offset: Floats  # likewise
 
     def reflect(
         self, response: Floats | Complexes, index: NDArray[np.int64], found: Arrivals, at: SceneResponse

@@ -21,20 +21,12 @@ def path_vertices(
 ) -> Floats:
     """Return the corners of paths from their sources by their walls to a receiver.
 
-    Parameters
-    ----------
-    planes : tuple of ndarray (W, 3), (W,)
-        Unit normals and offsets of all walls, m.
-    walls : ndarray (P, N) int
-        Walls of each path from the source's side, filled up with -1; those at right angles to each other, as in a
-        shoebox, may stand in another order than they are met in.
-    source, receiver : ndarray (P, 3)
-        Where each path was emitted, and is received, m.
+    Shapes: walls (P, N); source, receiver (P, 3) m.
 
-    Returns
-    -------
-    ndarray (P, N + 2, 3)
-        Source, points of reflection, receiver, and NaN where a path has fewer walls.
+    walls: walls of each path from the source's side, filled up with -1; those at right angles to each other, as in a
+    shoebox, may stand in another order than they are met in.
+
+    result: source, points of reflection, receiver, and NaN where a path has fewer walls.
     """
     normal, offset = planes
     walls = _in_order(planes, walls, source, receiver)

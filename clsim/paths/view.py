@@ -65,19 +65,7 @@ class Viewable(Protocol):
 
 
 def view_scene(paths: Viewable, page: Path, *, title: str = "scene", **options: Any) -> None:
-    """Write a page that shows the room, the trajectories and the paths over time.
-
-    Parameters
-    ----------
-    paths : PathSet
-        What is shown, with its scene.
-    page : Path
-        Of the HTML file.
-    title : str
-        Above the picture.
-    **options
-        As in `viewed`.
-    """
+    """Write a page that shows the room, the trajectories and the paths over time."""
     text = paths_page(paths, title=title, **options)
     with atomic_path(page) as temporary:
         temporary.write_text(text, "utf-8")
@@ -104,22 +92,10 @@ def viewed(
 ) -> View:
     """Return the room, the trajectories and the paths over time, as they are drawn.
 
-    Parameters
-    ----------
-    paths : PathSet
-        What is shown, with its scene.
-    duration : float
-        Of the run, s.
-    frames : int
-        Instants between 0 and `duration` to choose from; of those between which nothing moves only the first is kept.
-    limit : int
-        Paths that are drawn at a time, the strongest; levels are told against the strongest of them.
-    motion : {"retarded", "quasi-static"}
-        As in `render`.
-    amplitude : {"wave-equation", "static", "convective"}
-        As in `render`.
-    progress : callable, optional
-        Called with 1 for every frame.
+    frames: instants between 0 and `duration` to choose from; of those between which nothing moves only the first is
+    kept.
+
+    limit: paths that are drawn at a time, the strongest; levels are told against the strongest of them.
     """
     scene = paths.scene
     things = [*scene.named_ends(), *scene.named_scatterers()]

@@ -33,13 +33,6 @@ _SAME_EVENT = 1e-5  # s
 def warn_of_small_faces(paths: PathSet) -> None:
     """Warn once of the loudest reflection by a face that is smaller than the Fresnel zone of the path over it.
 
-    Parameters
-    ----------
-    paths : PathSet
-        Without edges.
-
-    Notes
-    -----
     The radius of the first Fresnel zone is ``√(λ d₁ d₂ / (d₁ + d₂))`` for the lengths d₁ and d₂ of the path before and
     after the face (M. Born and E. Wolf, "Principles of Optics", section 8.2), at the centre frequency of the signal. A
     path is looked at in the middle of its interval.

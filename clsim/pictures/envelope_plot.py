@@ -32,20 +32,7 @@ def envelope_spectrogram(
 ) -> None:
     """Draw the level of a complex envelope over time and frequency off the carrier.
 
-    Parameters
-    ----------
-    envelope : ndarray (n,) complex
-        Pa.
-    sampling_rate, carrier : float
-        Hz.
-    path : path-like
-        Of the PNG.
-    title : str
-        Above the picture.
-    segment : int, optional
-        Samples of a window; 0.1 s when left out.
-    shown : float, optional
-        Frequencies off the carrier that are shown, Hz; all when left out.
+    Shapes: envelope (n,) Pa.
     """
     figure, axes = new_figure(5.0)
     axes.grid(visible=False)

@@ -44,24 +44,7 @@ def spectrogram_picture(
 ) -> None:
     """Draw level over time and frequency.
 
-    Parameters
-    ----------
-    pressure : array (n,)
-        Anything that can be cut, Pa; it is read piece by piece.
-    sampling_rate : float
-        Hz.
-    path : path-like
-        Of the PNG.
-    title : str
-        Above the picture.
-    band : (low, high), optional
-        Frequencies shown, Hz; all when left out.
-    overlay : list of (times, frequencies, label), optional
-        Curves drawn over it, s and Hz.
-    segment : int, optional
-        Samples of a window; chosen from the band when left out.
-    unit : {"Pa", "V"}
-        Of the samples; levels are re 20 µPa or 1 V.
+    Shapes: pressure (n,) Pa; band (low, high) Hz; overlay (times, frequencies, label).
     """
     figure, axes = new_figure(5.0)
     draw_spectrogram(
@@ -138,22 +121,7 @@ def envelope_picture(
 ) -> None:
     """Draw the Hilbert envelope over time, with the predicted arrivals.
 
-    Parameters
-    ----------
-    pressure : ndarray (n,)
-        Pa.
-    sampling_rate : float
-        Hz.
-    path : path-like
-        Of the PNG.
-    title : str
-        Above the picture.
-    arrivals : list of (time, label, direct)
-        Predicted times, s.
-    unit : str
-        Of the samples.
-    beside : (label, ndarray (n,)), optional
-        Another signal, whose envelope is filled behind.
+    Shapes: pressure (n,) Pa; arrivals (time, label, direct) s; beside (n,).
     """
     figure, axes = new_figure(4.5)
     times = np.arange(len(pressure)) / sampling_rate * 1e3

@@ -45,21 +45,12 @@ def spectrogram(
 ) -> Spectrogram:
     """Return the level of sound over time and frequency.
 
-    Parameters
-    ----------
-    pressure : array (n,)
-        Anything that can be cut, Pa; it is read piece by piece.
-    sampling_rate : float
-        Hz.
-    band : (low, high)
-        Hz.
-    segment : int, optional
-        Samples of a window. When left out, time and frequency are resolved to the same share of the picture.
+    Shapes: pressure (n,) Pa; band (low, high) Hz.
 
-    Notes
-    -----
-    A sine of root mean square `p` has the level ``20 log10(p / 20 µPa)``, whatever the window. A pixel is the mean
-    over the windows inside it and the largest of the frequencies inside it, so that neither moves a line's level.
+    segment: samples of a window. When left out, time and frequency are resolved to the same share of the picture.
+
+    A sine of root mean square `p` has the level ``20 log10(p / 20 µPa)``, whatever the window. A pixel is the mean over
+    the windows inside it and the largest of the frequencies inside it, so that neither moves a line's level.
     """
     count = len(pressure)
     width = max(band[1] - band[0], 1e-3)

@@ -104,27 +104,7 @@ def page_text(
 ) -> str:
     """Return the text of one HTML page that holds everything, the drawing library included.
 
-    Parameters
-    ----------
-    title : str
-        Above the picture.
-    walls, ends : sequence
-        The room; sources and receivers.
-    times : ndarray (F,)
-        Of the frames, increasing, s.
-    frames : sequence of ViewedPaths
-        One per time.
-    notes : sequence of str
-        Lines below the title.
-    edges : ndarray (E, 2, 3), optional
-        Ends of the edges at which sound is diffracted, m.
-    bodies : sequence of ViewedBody
-        What moves as a whole.
-
-    Raises
-    ------
-    InputError
-        If lengths differ, times do not increase or a path has another number of vertices than its order asks for.
+    Shapes: times (F,) s; edges (E, 2, 3) m.
     """
     _check_times(times, ends, frames)
     for i, frame in enumerate(frames):

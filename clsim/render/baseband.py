@@ -55,14 +55,7 @@ class Baseband(NamedTuple):
 
 
 def as_baseband(value: object, rate: float) -> Baseband:
-    """Return what is asked for with its sampling rate, for signals of a sampling rate.
-
-    Raises
-    ------
-    InputError
-        If it is no carrier and bandwidth, the band does not fit between 0 Hz and half the rate, or the sampling rate
-        does not fit.
-    """
+    """Return what is asked for with its sampling rate, for signals of a sampling rate."""
     if not isinstance(value, tuple | list) or len(value) not in (2, 3):
         raise InputError("baseband", f"must be a carrier and a bandwidth, Hz, but is {value!r:.80}")
     carrier = as_number("baseband.carrier", value[0], above=0.0, below=0.5 * rate, unit="Hz")
@@ -102,26 +95,8 @@ def half_band(
 ) -> tuple[float, float]:
     """Return by how far an emitted frequency may lie off the carrier, Hz, and the signal's share beyond, dB.
 
-    Parameters
-    ----------
-    index : int
-        Of the signal, for messages.
-    signal : Signal
-        What is emitted.
-    spectrum : (ndarray (F,), ndarray (F,))
-        Its frequencies, Hz, and the energy at each.
-    baseband : Baseband
-        The band at the receivers.
-    max_rate : float
-        Fastest change of a delay, s/s.
+    Shapes: spectrum (F,) Hz.
 
-    Raises
-    ------
-    InputError
-        If the Doppler shift alone is wider than the band, or -40 dB or more of the signal's energy lie outside.
-
-    Notes
-    -----
     An emitted frequency f is received within ``f (1 +- max_rate)``: all are within ``bandwidth / 2`` of the carrier if
     ``|f - carrier| (1 + max_rate) <= bandwidth / 2 - carrier max_rate``.
     """
@@ -167,13 +142,7 @@ def blocks_of(sampling_rate: float, carrier: float, max_rate: float) -> tuple[in
 
 
 def check_ends(scene: Scene) -> None:
-    """Refuse receivers whose transducer or electronics work on the sound itself.
-
-    Raises
-    ------
-    InputError
-        If one has a transducer, or electronics beyond a clock.
-    """
+    """Refuse receivers whose transducer or electronics work on the sound itself."""
     for i, receiver in enumerate(scene.receivers):
         if receiver.transducer is not None:
             raise InputError(

@@ -35,15 +35,9 @@ def diffuse_tail(plan: Plan) -> DiffuseTail | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiffuseTail:
-    """The tails of all sources.
+    """The tails of all sources."""
 
-    Attributes
-    ----------
-    plan : Plan
-        Which has them.
-    """
-
-    plan: Plan
+    plan: Plan  # which has them
 
     @property
     def name(self) -> str:

@@ -35,19 +35,13 @@ class Mixer:
 
     Attributes
     ----------
-    every : int
-        Samples of the sound in one of the envelope.
-    turn : Fraction
-        Part of a turn of the carrier in one sample of the envelope beyond whole ones.
-    half_length : int
-        Samples of the envelope that are looked at to either side.
     taps : ndarray (2 half_length, K, 2, every)
         By sample of the envelope, filter, real and imaginary part, and sample of the sound.
     """
 
-    every: int
-    turn: Fraction
-    half_length: int
+    every: int  # samples of the sound in one of the envelope
+    turn: Fraction  # part of a turn of the carrier in one sample of the envelope beyond whole ones
+    half_length: int  # samples of the envelope that are looked at to either side
     taps: Floats
 
     def __call__(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
@@ -76,24 +70,12 @@ class Mixer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnvelopeFilters(SourceFilters):
-    """One source's complex envelope and the filters for it; what is removed lies outside the band on either side.
+    """One source's complex envelope and the filters for it; what is removed lies outside the band on either side."""
 
-    Attributes
-    ----------
-    carrier : float
-        Hz.
-    half : float
-        Frequencies off the carrier that are held, Hz.
-    mixer : Mixer
-        Applies the functions of the basis.
-    plain : Mixer
-        Applies none.
-    """
-
-    carrier: float
-    half: float
-    mixer: Mixer
-    plain: Mixer
+    carrier: float  # hz
+    half: float  # frequencies off the carrier that are held, Hz
+    mixer: Mixer  # applies the functions of the basis
+    plain: Mixer  # applies none
 
     @property
     def cycles(self) -> float:
@@ -158,11 +140,6 @@ def design_envelope(emission: Emission) -> EnvelopeFilters:
     """Return a source's complex envelope, with filters for its band and for how its paths move.
 
     The options' interpolator is `Bandlimited`.
-
-    Raises
-    ------
-    InputError
-        If the signal does not lie in the band, or as in `design_source_filters`.
     """
     signal, options = emission.signal, emission.options
     assert options.baseband is not None
@@ -180,21 +157,7 @@ def design_envelope(emission: Emission) -> EnvelopeFilters:
 def envelope_filters(emission: Emission, half: float, low_pass: Floats, removed_db: float) -> EnvelopeFilters:
     """Return the filters for the envelope of a source's signal through a low-pass about the options' carrier.
 
-    Parameters
-    ----------
-    emission : Emission
-        Whose options' interpolator is `Bandlimited`.
-    half : float
-        Frequencies off the carrier that are held, Hz.
-    low_pass : ndarray (n,)
-        Without delay, of odd length, at the signal's sampling rate.
-    removed_db : float
-        Share of the signal's energy outside, dB.
-
-    Raises
-    ------
-    InputError
-        As in `design_source_filters`.
+    Shapes: low_pass (n,).
     """
     options = emission.options
     assert options.baseband is not None

@@ -24,28 +24,16 @@ class Bank:
 
     Attributes
     ----------
-    taps : ndarray (branches, length)
-        Coefficient of ``mu**q`` of each tap.
-    centre : int
-        Index of the tap without delay.
-    shift : float
-        Delay at ``mu = 0``: 0 or 0.5 samples.
-    edge : float
-        End of the signal's band, rad per sample.
-    mu_max : float
-        Largest ``|mu|`` that occurs.
-    subblock : int
-        Neighbouring samples that share a whole delay.
     error_db : float
         Largest deviation from a pure delay over all delays and the signal's band, times its importance, dB.
     """
 
-    taps: Floats
-    centre: int
-    shift: float
-    edge: float
-    mu_max: float
-    subblock: int
+    taps: Floats  # (branches, length) coefficient of ``mu**q`` of each tap
+    centre: int  # index of the tap without delay
+    shift: float  # delay at ``mu = 0``: 0 or 0.5 samples
+    edge: float  # end of the signal's band, rad per sample
+    mu_max: float  # largest ``|mu|`` that occurs
+    subblock: int  # neighbouring samples that share a whole delay
     error_db: float
 
     @property

@@ -14,22 +14,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def within_memory(field: str, what: str, wanted: float) -> Iterator[None]:
-    """Refuse what needs more memory than the machine has, and tell what needed it where less than that is free.
-
-    Parameters
-    ----------
-    field : str
-        What makes it large.
-    what : str
-        What needs it.
-    wanted : float
-        Bytes.
-
-    Raises
-    ------
-    InputError
-        Before the block, or instead of a MemoryError within.
-    """
+    """Refuse what needs more memory than the machine has, and tell what needed it where less than that is free."""
     rule = f"must ask for less memory: {what} needs about {wanted / 2**20:.0f} MiB"
     there = machine_memory()
     if wanted > there:

@@ -281,21 +281,11 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NarrowPart:
-    """What some sources emit about one carrier, rendered as complex envelope and upsampled at each receiver.
+    """What some sources emit about one carrier, rendered as complex envelope and upsampled at each receiver."""
 
-    Attributes
-    ----------
-    plan : Plan
-        Of the envelopes.
-    sources : tuple of int
-        Which sources.
-    upsampler : Upsampler
-        Converts received envelopes to sound.
-    """
-
-    plan: Plan
-    sources: tuple[int, ...]
-    upsampler: Upsampler
+    plan: Plan  # of the envelopes
+    sources: tuple[int, ...]  # which sources
+    upsampler: Upsampler  # converts received envelopes to sound
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,15 +298,13 @@ class Allocation:
         Indices of the pairs at rest, which are convolved with their impulse responses.
     narrow : tuple of NarrowPart
         Bands that are rendered as complex envelopes, for all other pairs of their sources.
-    tails : tuple of SourceTail or None
-        Diffuse tail by source; empty without tails.
     notes : tuple of str
         Why a method is not used although it would be cheaper or was requested, a sentence each.
     """
 
     convolved: frozenset[int] = frozenset()
     narrow: tuple[NarrowPart, ...] = ()
-    tails: tuple[SourceTail | None, ...] = ()
+    tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     notes: tuple[str, ...] = ()
 
     def convolves(self, tracks: Tracks, source: int) -> bool:

@@ -23,15 +23,7 @@ _Kind = Literal["highpass", "lowpass"]
 
 
 class ReceiverChain:
-    """What receivers of a plan do to the pressure; pieces must come in order.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of which.
-    receivers : range, optional
-        Which of its receivers; all when left out.
-    """
+    """What receivers of a plan do to the pressure; pieces must come in order."""
 
     def __init__(self, plan: Plan, receivers: range | None = None) -> None:
         self._plan, self._here = plan, receivers or range(plan.receiver_count)
@@ -45,13 +37,7 @@ class ReceiverChain:
         return tuple(self._ends[i].clipped if i in self._ends else 0 for i in self._here)
 
     def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[Any]:
-        """Return what these receivers record of the pressure (receivers, n) in Pa at them from sample `start` on.
-
-        Raises
-        ------
-        InputError
-            If a sample is not finite.
-        """
+        """Return what these receivers record of the pressure (receivers, n) in Pa at them from sample `start` on."""
         with np.errstate(over="ignore"):  # what float32 does not hold is refused
             out = np.array(pressure, dtype=self._plan.sample_type)
             for i, end in self._ends.items():

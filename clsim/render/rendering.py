@@ -20,18 +20,7 @@ if TYPE_CHECKING:
 
 
 class PressureSum:
-    """What a plan's contributions add up to, chunk by chunk.
-
-    Parameters
-    ----------
-    plan : Plan
-        From `plan_render`.
-
-    Raises
-    ------
-    DeviceError
-        If the plan's device is missing, even where nothing needs it.
-    """
+    """What a plan's contributions add up to, chunk by chunk."""
 
     def __init__(self, plan: Plan) -> None:
         if plan.options.engine == "opencl":

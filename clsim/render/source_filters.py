@@ -52,38 +52,23 @@ class Emission:
 
     Attributes
     ----------
-    source : int
-        Its index.
-    signal : Signal
-        What it emits, at the sampling rate.
-    start : float
-        Time at which that begins, s.
-    sound : ShortTimeSpectra
-        Of what is rendered of it.
-    tracks : Tracks
-        Paths of all sources.
     options : RenderOptions
         Say the sampling rate, the interpolator, and how responses are held: by the reference engine within -100 dB.
-    until : float
-        End of the run, s.
-    static : bool
-        All its paths are convolved, so that nothing needs functions of frequency.
     spectrum : callable
-        Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first asked.
-    drawn : callable
-        Returns paths at which responses are looked at; likewise.
+        Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first
+        asked.
     """
 
-    source: int
-    signal: Signal
-    start: float
-    sound: ShortTimeSpectra
-    tracks: Tracks
+    source: int  # its index
+    signal: Signal  # what it emits, at the sampling rate
+    start: float  # time at which that begins, s
+    sound: ShortTimeSpectra  # of what is rendered of it
+    tracks: Tracks  # paths of all sources
     options: RenderOptions
-    until: float
-    static: bool
+    until: float  # end of the run, s
+    static: bool  # all its paths are convolved, so that nothing needs functions of frequency
     spectrum: Callable[[], tuple[Floats, Floats]]
-    drawn: Callable[[], Draw]
+    drawn: Callable[[], Draw]  # returns paths at which responses are looked at; likewise
 
     @property
     def field(self) -> str:
@@ -96,13 +81,7 @@ class Emission:
         return self.tracks.max_rate(self.source)
 
     def basis(self, band: tuple[float, float], rate: float) -> Basis:
-        """Return the functions of frequency that its paths need, within a band at most, both in Hz.
-
-        Raises
-        ------
-        InputError
-            If a wall or a directivity is not known over the signal's band, or asks for too many functions.
-        """
+        """Return the functions of frequency that its paths need, within a band at most, both in Hz."""
         (least, high), sound, options, of_scene = band, self.sound, self.options, self.tracks.of_scene
         flat = flat_basis(self.signal.centre_frequency)
         if of_scene is None or not len(sound.energy):  # silence needs nothing
@@ -130,37 +109,24 @@ class SourceFilters:
 
     Attributes
     ----------
-    signal : Signal
-        At the sampling rate of the recording.
-    start : float
-        Time at which it begins, s.
-    banks : tuple of Bank
-        Branch filters, for each function of the basis; fewer for those that add little.
-    basis : Basis
-        Functions of frequency that carry the responses of its paths.
     filters : ndarray (K, L)
         The functions of the basis behind the band limit, as filters of odd length about their middle tap.
     band_limit : ndarray (M,)
         Low-pass without delay that removes what lies above the band, of odd length; a single 1 where nothing does.
-    band : float
-        Highest frequency that the bank holds, Hz.
-    swiftness : float
-        Frequency by which an error of a delay is heard, Hz.
-    oversampling : int
-        Samples of the branch signals in one of the recording, 1 or 2.
     removed_db : float
-        Share of the signal's energy that is removed, above the band and where the band limit falls, dB; -inf for none.
+        Share of the signal's energy that is removed, above the band and where the band limit falls, dB; -inf for
+        none.
     """
 
-    signal: Signal
-    start: float
-    banks: tuple[Bank, ...]
-    basis: Basis
+    signal: Signal  # at the sampling rate of the recording
+    start: float  # time at which it begins, s
+    banks: tuple[Bank, ...]  # branch filters, for each function of the basis; fewer for those that add little
+    basis: Basis  # functions of frequency that carry the responses of its paths
     filters: Floats
     band_limit: Floats
-    band: float
-    swiftness: float
-    oversampling: int
+    band: float  # highest frequency that the bank holds, Hz
+    swiftness: float  # frequency by which an error of a delay is heard, Hz
+    oversampling: int  # samples of the branch signals in one of the recording, 1 or 2
     removed_db: float
 
     @property
@@ -283,13 +249,7 @@ class SourceFilters:
 
 
 def design_source_filters(emission: Emission) -> SourceFilters:
-    """Return a source's signal, with filters for its band and for how its paths move.
-
-    Raises
-    ------
-    InputError
-        If a wall or a directivity is not known over the signal's band, or asks for too many functions.
-    """
+    """Return a source's signal, with filters for its band and for how its paths move."""
     signal, sound, interpolator = emission.signal, emission.sound, emission.options.interpolator
     sampling_rate, max_rate = signal.sampling_rate, emission.max_rate
     times = _oversampling(sound, interpolator, max_rate, sampling_rate)

@@ -28,17 +28,7 @@ _ROUNDS = 3  # of looking for the time of emission: each leaves the Mach number 
 
 
 class SourceSignals:
-    """Emissions of one source of a plan.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of the rendering.
-    source : int
-        Which one.
-    tail : SourceTail
-        Its tail.
-    """
+    """Emissions of one source of a plan."""
 
     def __init__(self, plan: Plan, source: int, tail: SourceTail) -> None:
         of_scene = plan.tracks.of_scene

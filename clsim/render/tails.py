@@ -23,18 +23,10 @@ _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 @dataclass(frozen=True, slots=True)
 class FoundTails:
-    """The tails of a scene's sources.
+    """The tails of a scene's sources."""
 
-    Attributes
-    ----------
-    of_sources : tuple of SourceTail or None
-        By source; empty if none was asked for.
-    told : tuple of str
-        Why some have none.
-    """
-
-    of_sources: tuple[SourceTail | None, ...] = ()
-    told: tuple[str, ...] = ()
+    of_sources: tuple[SourceTail | None, ...] = ()  # by source; empty if none was asked for
+    told: tuple[str, ...] = ()  # why some have none
 
     @property
     def duration(self) -> float:
@@ -46,13 +38,7 @@ NO_TAILS = FoundTails()
 
 
 def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float], None] | None = None) -> FoundTails:
-    """Return the tails that options ask for.
-
-    Raises
-    ------
-    InputError
-        If the room is open, or a mesh needs a package that is missing.
-    """
+    """Return the tails that options ask for."""
     if options.tail == "off":
         return NO_TAILS
     scene = paths.scene

@@ -371,13 +371,7 @@ def _checked_heights(value: ArrayLike) -> tuple[float, float]:
 
 
 def _layers(air: Air) -> tuple[Air, ...]:
-    """Return the air at as many heights as polynomials need; none if it is the same everywhere.
-
-    Warns
-    -----
-    ClsimWarning
-        If the largest polynomials do not hold it.
-    """
+    """Return the air at as many heights as polynomials need; none if it is the same everywhere."""
     terms = _FEWEST_TERMS
     while True:
         layers, more = _at_places(air, terms), _at_places(air, 2 * terms)

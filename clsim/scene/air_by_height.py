@@ -19,13 +19,7 @@ MOST_TERMS = 33  # of polynomials
 
 
 def told_by_height(field: str, value: Any, **rule: Any) -> ByHeight:
-    """Return a number, a pair of numbers, or a function of heights; pairs of the same number are that.
-
-    Raises
-    ------
-    InputError
-        If it is none, or a number breaks the rule, see `as_number`.
-    """
+    """Return a number, a pair of numbers, or a function of heights; pairs of the same number are that."""
     if callable(value):
         function: Callable[[Floats], Any] = value
         return function
@@ -38,13 +32,7 @@ def told_by_height(field: str, value: Any, **rule: Any) -> ByHeight:
 
 
 def at_heights(field: str, told: ByHeight, where: tuple[float, float], heights: Floats) -> Floats:
-    """Return values at heights (n,) in m of what was told; pairs hold at two heights, and on a straight line.
-
-    Raises
-    ------
-    InputError
-        If a function returns something else than a finite number for each height.
-    """
+    """Return values at heights (n,) in m of what was told; pairs hold at two heights, and on a straight line."""
     if isinstance(told, tuple):
         return told[0] + (told[1] - told[0]) * (heights - where[0]) / (where[1] - where[0])
     if not callable(told):

@@ -225,13 +225,7 @@ class Body:
 
 
 def with_carriers(ends: Sequence[End], bodies: Sequence[Body]) -> tuple[End, ...]:
-    """Return ends with their ways through the room: of those that bodies carry, what follows from these.
-
-    Raises
-    ------
-    InputError
-        If there is no body of the name.
-    """
+    """Return ends with their ways through the room: of those that bodies carry, what follows from these."""
     found = {body.name: body.trajectory for body in bodies}
     carried = []
     for i, end in enumerate(ends):

@@ -38,21 +38,7 @@ def check_bodies(
 ) -> None:
     """Refuse bodies that end before a signal, are as fast as sound, or go through walls, each other or other things.
 
-    Parameters
-    ----------
-    room : Room
-        In which they are.
-    bodies : sequence of (str, Body)
-        With the names of their fields.
-    others : sequence of (str, Source or Receiver or Scatterer)
-        The same.
-    slowest : float
-        Speed of sound, m/s.
-
-    Raises
-    ------
-    InputError
-        With time and name.
+    Shapes: bodies (str, Body); others (str, Source or Receiver or Scatterer).
     """
     last = max((item.end for _, item in others if isinstance(item, Source)), default=0.0)
     mesh = room.as_mesh() if bodies else None

@@ -21,20 +21,7 @@ _ALONG = 1e-6  # cosine below which a direction runs along a wall
 
 
 def find_mount(room: Room, end: End | Scatterer) -> Mount | None:
-    """Return the wall that an end sits in, and on which side; None for one that is not flush.
-
-    Parameters
-    ----------
-    room : Room
-        Where it is.
-    end : Source, Receiver or Scatterer
-        At 0 s.
-
-    Raises
-    ------
-    InputError
-        If it is on no wall or on an edge of two, or the side is not given or not that of the room.
-    """
+    """Return the wall that an end sits in, and on which side; None for one that is not flush."""
     if end.flush is False:
         return None
     place = np.asarray(end.trajectory.position(np.zeros(1)))

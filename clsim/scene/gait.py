@@ -22,41 +22,26 @@ _SPEEDS = 25  # between which angles are linear, over the range of speeds of a w
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gait:
-    """A walk at n instants; angles in rad, of the right side (row 0) and the left (row 1), translations in leg lengths.
+    """A walk at n instants; angles in rad, right side in row 0, left in row 1, translations in leg lengths."""
 
-    Attributes
-    ----------
-    hip, knee, ankle, shoulder, elbow : ndarray (2, n)
-        Flexion, that of the ankle with the toes up.
-    lean, thorax : ndarray (n,)
-        Of the trunk: backwards, and its turn to the left.
-    turn, tilt : ndarray (n,)
-        Of the pelvis: to the left, and how far its left is above its right.
-    forward, left, up : ndarray (n,)
-        Where the pelvis is, from where one walks at an even speed and a height.
-    """
-
-    hip: Floats
-    knee: Floats
-    ankle: Floats
-    shoulder: Floats
-    elbow: Floats
-    lean: Floats
-    thorax: Floats
-    turn: Floats
-    tilt: Floats
-    forward: Floats
-    left: Floats
-    up: Floats
+    hip: Floats  # (2, n) flexion, that of the ankle with the toes up
+    knee: Floats  # likewise
+    ankle: Floats  # likewise
+    shoulder: Floats  # likewise
+    elbow: Floats  # likewise
+    lean: Floats  # (n,) of the trunk: backwards, and its turn to the left
+    thorax: Floats  # likewise
+    turn: Floats  # (n,) of the pelvis: to the left, and how far its left is above its right
+    tilt: Floats  # likewise
+    forward: Floats  # (n,) where the pelvis is, from where one walks at an even speed and a height
+    left: Floats  # likewise
+    up: Floats  # likewise
 
 
 def cycle_duration(relative_speed: Floats) -> Floats:
     """Return how long two steps take, leg lengths over speed ``1.346 / sqrt(v)``, for one leg length, s.
 
-    Parameters
-    ----------
-    relative_speed : ndarray (n,)
-        Leg lengths a second.
+    Shapes: relative_speed (n,).
 
     Examples
     --------
@@ -69,12 +54,7 @@ def cycle_duration(relative_speed: Floats) -> Floats:
 def gait_at(phase: Floats, relative_speed: Floats) -> Gait:
     """Return the walk at phases and speeds.
 
-    Parameters
-    ----------
-    phase : ndarray (n,)
-        In cycles: the right heel meets the ground at whole numbers.
-    relative_speed : ndarray (n,)
-        Leg lengths a second, 0.1 to 3.
+    Shapes: phase (n,); relative_speed (n,).
     """
     v, both = relative_speed, np.stack([phase, phase + 0.5]) % 1.0
     slow, wave = np.minimum(v, 0.5), 2.0 * np.pi * phase

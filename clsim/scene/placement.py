@@ -161,12 +161,6 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     """Refuse ends that the walls of a closed room part from the others; warn of those that a hole alone joins to them.
 
     A mesh that is open, or whose holes are large, has no inside, and a convex room is left by nobody.
-
-    Warns
-    -----
-    ClsimWarning
-        If all ends are outside of a watertight mesh: they hear it as a thing in the open. If some, not all, are outside
-        of a mesh with small holes.
     """
     if room.is_convex:
         return

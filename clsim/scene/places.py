@@ -24,16 +24,7 @@ _SPARE = 1.0 + 1e-9  # for the rounding of distances
 def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount | None = None) -> int | None:
     """Return the first instant at which a motion is out of the room or in a wall, or about to go through one.
 
-    Parameters
-    ----------
-    room : Room
-        Where it may be.
-    motion : Motion
-        What moves.
-    instants : Instants
-        Between them the motion is taken to be straight.
-    mount : Mount, optional
-        The wall that it sits in: refused is then what is off that, or beyond its edges, as well.
+    mount: the wall that it sits in: refused is then what is off that, or beyond its edges, as well.
     """
 
     def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
@@ -59,16 +50,7 @@ def first_approach(
 ) -> tuple[int, int] | None:
     """Return the first instant about which a motion comes nearer to others than allowed, and to which of them.
 
-    Parameters
-    ----------
-    motion : Motion
-        What moves.
-    others : Motion or ndarray (n, 3)
-        Another one, or places, m.
-    nearest : float
-        Distance that is allowed, m.
-    instants : Instants
-        Half a step before and after each, motion is taken to be straight.
+    Shapes: others (n, 3) m.
     """
     to_whom: dict[int, int] = {}
     half = 0.5 * instants.step
@@ -103,12 +85,7 @@ def first_approach(
 def nearest_within(apart: Floats, velocity: Floats, half: float) -> tuple[Floats, Floats]:
     """Return the least distances (n,), m, within a time before and after, s, and when from now, of straight motions.
 
-    Parameters
-    ----------
-    apart, velocity : ndarray (n, 3)
-        From one to the other, m, and how fast that changes, m/s.
-    half : float
-        s.
+    Shapes: apart, velocity (n, 3) m.
     """
     speed_squared = np.maximum(np.sum(velocity**2, axis=1), 1e-300)
     shift = np.clip(-np.sum(apart * velocity, axis=1) / speed_squared, -half, half)

@@ -33,14 +33,7 @@ def pose_times(start: float, end: float) -> Floats:
 def through_poses(times: Floats, places: Floats, quaternions: Floats) -> Trajectory:
     """Return the motion through poses.
 
-    Parameters
-    ----------
-    times : ndarray (n,)
-        Of `pose_times`, s.
-    places : ndarray (n, 3)
-        m.
-    quaternions : ndarray (n, 4)
-        Of length 1, x y z w; between two of them turns are even.
+    Shapes: times (n,) s; places (n, 3) m; quaternions (n, 4).
     """
     curve = spline_through(times[::_EVERY], places[::_EVERY], "not-a-knot")
     turning = turning_between(read_only(times), quaternions)
@@ -50,12 +43,9 @@ def through_poses(times: Floats, places: Floats, quaternions: Floats) -> Traject
 def quaternions_along(along: Floats, aside: Floats | None = None) -> Floats:
     """Return orientations (n, 4), x y z w, whose z goes along directions and whose y goes aside.
 
-    Parameters
-    ----------
-    along : ndarray (n, 3)
-        Of any length.
-    aside : ndarray (n, 3), optional
-        What is not along it counts. Left out for what is round: it then turns about itself as little as it can.
+    Shapes: along (n, 3); aside (n, 3).
+
+    aside: what is not along it counts. Left out for what is round: it then turns about itself as little as it can.
 
     Examples
     --------

@@ -35,22 +35,7 @@ _RULES = {
 
 
 def explain(error: ValidationError, content: Any, model: type[BaseModel]) -> InputError:
-    """Return one of pydantic's complaints in our words, with the field's path.
-
-    Parameters
-    ----------
-    error : ValidationError
-        What pydantic says of `content`.
-    content : dict
-        What the file holds.
-    model : type
-        Of the whole file.
-
-    Returns
-    -------
-    InputError
-        To be raised by the caller.
-    """
+    """Return one of pydantic's complaints in our words, with the field's path."""
     # A misspelt key comes before what is then missing; of a number or a list of numbers, what is wrong within the list;
     # of a text where a word or something else may stand, the word.
     complaints: list[Any] = error.errors(include_url=False)

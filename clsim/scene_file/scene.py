@@ -197,27 +197,13 @@ class SceneModel(Model):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneFile:
-    """A scene as read from a file.
+    """A scene as read from a file."""
 
-    Attributes
-    ----------
-    scene : Scene
-        What it describes.
-    paths : dict
-        Arguments of `find_paths`, but for the scene.
-    render : dict
-        Keyword arguments of `render`.
-    model : SceneModel
-        The file itself, defaults included.
-    base : Path
-        Folder to which the file's paths are relative.
-    """
-
-    scene: Scene
-    paths: dict[str, Any]
-    render: dict[str, Any]
-    model: SceneModel
-    base: Path
+    scene: Scene  # what it describes
+    paths: dict[str, Any]  # arguments of `find_paths`, but for the scene
+    render: dict[str, Any]  # keyword arguments of `render`
+    model: SceneModel  # the file itself, defaults included
+    base: Path  # folder to which the file's paths are relative
 
     __repr__ = short_repr
 
@@ -236,13 +222,7 @@ class SceneFile:
 
 
 def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
-    """Return the scene that the content of a scene file describes.
-
-    Raises
-    ------
-    InputError
-        If a field breaks a rule.
-    """
+    """Return the scene that the content of a scene file describes."""
     try:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
@@ -262,17 +242,7 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
 
 
 def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
-    """Return the text of a scene file with every default written out, that works from another folder.
-
-    Parameters
-    ----------
-    file : SceneFile
-        What was read.
-    folder : Path
-        Where the text will be kept: paths are made relative to it.
-    **resolved
-        Values of ``[render]`` that were chosen for this run.
-    """
+    """Return the text of a scene file with every default written out, that works from another folder."""
     import tomli_w
 
     content = file.model.model_dump(exclude_none=True, warnings=False)

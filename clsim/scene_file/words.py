@@ -15,16 +15,6 @@ _WORDS = {"True": "true", "False": "false"}
 def as_toml(text: str) -> str:
     """Return a message with the arguments of its advice as a scene file has them.
 
-    Parameters
-    ----------
-    text : str
-        A message.
-
-    Returns
-    -------
-    str
-        The same in the words of the file; what is so already stays.
-
     Examples
     --------
     >>> print(as_toml('bridge it by max_gap= or repair=("gaps",); or say outside="hold", True or False'))

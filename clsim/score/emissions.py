@@ -23,13 +23,7 @@ _LATE = 1e-10  # s, of rounding, by which a receiver's trajectory may be exceede
 
 
 def heard_scene(recording: Recording, what: str) -> PathSet:
-    """Return the paths of a recording that a score of some kind is made of.
-
-    Raises
-    ------
-    InputError
-        If it is no recording, has none, or is a complex envelope.
-    """
+    """Return the paths of a recording that a score of some kind is made of."""
     recording = as_recording(recording)
     if recording.carrier is not None:
         raise InputError("recording", f"must be sound for {what}, but is the envelope about {recording.carrier:g} Hz")
@@ -39,13 +33,7 @@ def heard_scene(recording: Recording, what: str) -> PathSet:
 
 
 def source_index(paths: PathSet, source: int | str) -> int:
-    """Return the index of a source, by index or name.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Return the index of a source, by index or name."""
     return as_index("source", source, [one.name for one in paths.scene.sources])
 
 

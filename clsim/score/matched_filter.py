@@ -26,39 +26,19 @@ _BATCH = 2**22  # samples that are filtered at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedFilter:
-    """The filter of a pulse at a sampling rate.
+    """The filter of a pulse at a sampling rate."""
 
-    Attributes
-    ----------
-    pulse : ndarray (n,)
-        Its samples.
-    sampling_rate : float
-        Hz.
-    energy : float
-        Sum of their squares over the sampling rate, Pa² s.
-    centre : float
-        Mean frequency of its energy, Hz.
-    bandwidth : float
-        Root mean square of the frequency about it, Hz.
-    """
-
-    pulse: Floats
-    sampling_rate: float
-    energy: float
-    centre: float
-    bandwidth: float
+    pulse: Floats  # (n,) its samples
+    sampling_rate: float  # hz
+    energy: float  # sum of their squares over the sampling rate, Pa² s
+    centre: float  # mean frequency of its energy, Hz
+    bandwidth: float  # root mean square of the frequency about it, Hz
 
     __repr__ = short_repr
 
     @classmethod
     def of(cls, pulse: Signal, sampling_rate: float) -> MatchedFilter:
-        """Return the filter of a pulse.
-
-        Raises
-        ------
-        InputError
-            If the pulse is none, or silent.
-        """
+        """Return the filter of a pulse."""
         if not isinstance(pulse, Signal):
             raise InputError("pulse", f"must be a Signal, but is {pulse!r:.80}")
         at_rate = pulse.at_rate(sampling_rate)

@@ -44,31 +44,7 @@ _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 
 
 def computed(study: Study, member: Member, device: str | None, folder: Path) -> tuple[Any, Path, str]:
-    """Render a member into a group, if its sound is kept.
-
-    Parameters
-    ----------
-    study, member : Study, Member
-        Which.
-    device : str or None
-        On which; None for the scene's, or the best.
-    folder : Path
-        Empty, for the group and for what is needed in between.
-
-    Returns
-    -------
-    content : xarray.Dataset
-        All that is kept, but for the sound.
-    group : Path
-        The Zarr group that holds the sound, or will hold the content alone.
-    device : str
-        The OpenCL device that was used, by id and name; "" for none.
-
-    Raises
-    ------
-    InputError
-        If something breaks a rule.
-    """
+    """Render a member into a group, if its sound is kept."""
     file = build_scene(study.content_of(member), study.base)
     planned = plan_scene(file if device is None else file.on_device(device))
     plan, sound = planned.plan, planned.stored_sound(study.base)
@@ -153,13 +129,7 @@ def _add_paths(content: Any, table: PathTable) -> None:
 
 
 def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
-    """Add what the user's function returned: numbers, arrays, or arrays with dimensions of their own.
-
-    Raises
-    ------
-    InputError
-        If it is no dict of such.
-    """
+    """Add what the user's function returned: numbers, arrays, or arrays with dimensions of their own."""
     import xarray
 
     if not isinstance(found, dict):
@@ -182,13 +152,7 @@ def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
 
 
 def metrics_function(name: str, folder: Path) -> Callable[..., dict[str, Any]]:
-    """Return the function ``"module:function"``; a module beside the study file comes before installed ones.
-
-    Raises
-    ------
-    InputError
-        If there is none, or its module fails.
-    """
+    """Return the function ``"module:function"``; a module beside the study file comes before installed ones."""
     module, _, function = name.partition(":")
     file = folder / f"{module}.py"
     try:

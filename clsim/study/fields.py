@@ -12,18 +12,7 @@ _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)|\[(\d+|\*)\]")
 
 
 def parsed(path: str) -> list[str | int]:
-    """Return the steps of a dotted path: keys, indices, and ``"*"`` for all of a list.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-
-    Examples
-    --------
-    >>> parsed("receivers[*].trajectory.position[2]")
-    ['receivers', '*', 'trajectory', 'position', 2]
-    """
+    """Return the steps of a dotted path: keys, indices, and ``"*"`` for all of a list."""
     steps: list[str | int] = []
     at = 0
     while at < len(path):
@@ -43,18 +32,7 @@ def parsed(path: str) -> list[str | int]:
 
 
 def replaced(content: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
-    """Return the content of a scene file with another value of a field; tables that are missing are made.
-
-    Raises
-    ------
-    InputError
-        If the path leads through what is no table or list, or beyond the end of a list.
-
-    Examples
-    --------
-    >>> replaced({"receivers": [{"name": "a"}]}, "receivers[*].electronics.gain_db", 20.0)
-    {'receivers': [{'name': 'a', 'electronics': {'gain_db': 20.0}}]}
-    """
+    """Return the content of a scene file with another value of a field; tables that are missing are made."""
     content = copy.deepcopy(content)
     _put(content, parsed(path), value, "")
     return content

@@ -69,21 +69,11 @@ class _StudyModel(Model):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Member:
-    """One scene of a study.
+    """One scene of a study."""
 
-    Attributes
-    ----------
-    number : int
-        From 0.
-    parameters : dict
-        Values of what is varied, by its name.
-    changes : dict
-        The same by the fields' paths.
-    """
-
-    number: int
-    parameters: dict[str, Any]
-    changes: dict[str, Any]
+    number: int  # from 0
+    parameters: dict[str, Any]  # values of what is varied, by its name
+    changes: dict[str, Any]  # the same by the fields' paths
 
     @property
     def name(self) -> str:
@@ -93,33 +83,15 @@ class Member:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Study:
-    """A study as read from its file.
+    """A study as read from its file."""
 
-    Attributes
-    ----------
-    content : dict
-        Of the scene file.
-    base : Path
-        Folder to which the scene's paths are relative.
-    folder : Path
-        That of the study file, in which the metrics' module is looked for.
-    keep : tuple of str
-        What is kept of each member.
-    metrics : str
-        ``"module:function"``, or empty.
-    table_rate : float
-        Instants of the ground truth per second.
-    members : tuple of Member
-        All of them.
-    """
-
-    content: dict[str, Any]
-    base: Path
-    folder: Path
-    keep: tuple[str, ...]
-    metrics: str
-    table_rate: float
-    members: tuple[Member, ...]
+    content: dict[str, Any]  # of the scene file
+    base: Path  # folder to which the scene's paths are relative
+    folder: Path  # that of the study file, in which the metrics' module is looked for
+    keep: tuple[str, ...]  # what is kept of each member
+    metrics: str  # ``"module:function"``, or empty
+    table_rate: float  # instants of the ground truth per second
+    members: tuple[Member, ...]  # all of them
 
     def content_of(self, member: Member) -> dict[str, Any]:
         """Return the content of a member's scene file."""
@@ -129,13 +101,7 @@ class Study:
         return content
 
     def check(self, member: Member) -> list[Path]:
-        """Check a member's scene; return the files that it names.
-
-        Raises
-        ------
-        InputError
-            If a field breaks a rule; the message names the member too.
-        """
+        """Check a member's scene; return the files that it names."""
         try:
             return referenced_files(build_scene(self.content_of(member), self.base))
         except InputError as error:
@@ -153,20 +119,7 @@ def _reaches(path: str, field: str) -> bool:
 
 
 def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Study:
-    """Read a study file and the scene file that it names.
-
-    Parameters
-    ----------
-    path : path-like
-        A TOML file.
-    limit : int
-        Largest number of members.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, a field breaks a rule, or there are too many members.
-    """
+    """Read a study file and the scene file that it names."""
     path = Path(path)
     content = read_toml(path)
     try:
@@ -321,13 +274,7 @@ def _draws(random: _Random, fields: list[str], model: _StudyModel) -> list[Any]:
 
 
 def checked(study: Study, advance: Callable[[float], None]) -> set[Path]:
-    """Check the scenes of all members; return the files that they name.
-
-    Raises
-    ------
-    InputError
-        If one breaks a rule.
-    """
+    """Check the scenes of all members; return the files that they name."""
     files: set[Path] = set()
     for member in study.members:
         files.update(study.check(member))

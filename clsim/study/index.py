@@ -26,44 +26,21 @@ INDEX = "index.jsonl"
 
 @dataclass(frozen=True, slots=True)
 class MemberRow:
-    """What became of a member.
+    """What became of a member."""
 
-    Attributes
-    ----------
-    member : int
-        From 0.
-    parameters : dict
-        Values of what is varied, by its name.
-    status : {"finished", "failed", "waiting"}
-        What became of it.
-    seconds : float
-        That it took; 0 while it waits.
-    error : str
-        Why it failed.
-    warnings : tuple of str
-        What it warned of.
-    device : str
-        OpenCL device that rendered it, by id and name.
-    """
-
-    member: int
-    parameters: dict[str, Any]
-    status: str = "waiting"
-    seconds: float = 0.0
-    error: str = ""
-    warnings: tuple[str, ...] = field(default=())
-    device: str = ""
+    member: int  # from 0
+    parameters: dict[str, Any]  # values of what is varied, by its name
+    status: str = "waiting"  # what became of it
+    seconds: float = 0.0  # that it took; 0 while it waits
+    error: str = ""  # why it failed
+    warnings: tuple[str, ...] = field(default=())  # what it warned of
+    device: str = ""  # openCL device that rendered it, by id and name
 
 
 class Index:
     """Rows of all members, kept in a file that survives everything: it is appended to, and read leniently.
 
     A member counts as finished if its group is in the store and can be read, whatever the file says.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
     """
 
     def __init__(self, folder: Path, members: tuple[Member, ...]) -> None:

@@ -31,15 +31,7 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class MemberTasks:
-    """The members of a study, as workers do them.
-
-    Parameters
-    ----------
-    study : Study
-        Which.
-    folder : Path
-        Where its results go.
-    """
+    """The members of a study, as workers do them."""
 
     kind, several = "member", True
     loads: tuple[str, ...] = ("xarray", "dask.array", "zarr", "scipy.fft", "scipy.linalg", "pyopencl.invoker")
@@ -76,11 +68,6 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
 
     A member whose group is there already is not computed again: it was finished by a process that died before it could
     say so. The group appears whole or not at all.
-
-    Raises
-    ------
-    OSError
-        If the disk is full: then all others would fail too. Whatever else goes wrong is said in the row.
     """
     study = _settings(folder)
     member = study.members[number]

@@ -12,13 +12,7 @@ if TYPE_CHECKING:
 
 
 def changed_arrays(store: Path) -> tuple[list[str], int]:
-    """List arrays of a store, or the store, whose chunks cannot be read or have other checksums; count all of them.
-
-    Raises
-    ------
-    InputError
-        If a package that reads the store is missing.
-    """
+    """List arrays of a store, or the store, whose chunks cannot be read or have other checksums; count all of them."""
     check_packages("folder", "zarr", "store", "zarr")
     import zarr
 

@@ -46,52 +46,29 @@ class TailEnergy:
     Attributes
     ----------
     energy : ndarray (T, M, B)
-        By bin of time, direction of arrival and band: of the received over that of what was emitted, Pa² s / (Pa² s).
-    departed : ndarray (Q,)
-        Shares of it by direction of departure.
-    images : ndarray (T, B)
-        What images hold beside it, likewise.
+        By bin of time, direction of arrival and band: of the received over that of what was emitted, Pa² s / (Pa²
+        s).
     """
 
     energy: NDArray[np.float32]
-    departed: Floats
-    images: Floats
+    departed: Floats  # (Q,) shares of it by direction of departure
+    images: Floats  # (T, B) what images hold beside it, likewise
 
 
 @dataclass(frozen=True, eq=False)
 class SourceTail:
-    """The tail of one source at all receivers.
+    """The tail of one source at all receivers."""
 
-    Attributes
-    ----------
-    centres : ndarray (B,)
-        Of the bands, Hz.
-    time_step : float
-        Of the bins of time, s.
-    zones, receiver_zones : Zones
-        Of the source, and of all receivers.
-    pairs : dict
-        `TailEnergy` by index of the source's zone and of the receivers'.
-    arrivals, departures : ndarray (M, 3), (Q, 3)
-        Directions.
-    rays : int
-        That were traced for each zone of the source, at most.
-    error_db : float
-        Standard error of energies in windows of 20 ms, dB.
-    seed : int
-        Of rays and noise.
-    """
-
-    centres: Floats
-    time_step: float
-    zones: Zones
-    receiver_zones: Zones
-    pairs: dict[tuple[int, int], TailEnergy]
-    arrivals: Floats
-    departures: Floats
-    rays: int
-    error_db: float
-    seed: int
+    centres: Floats  # (B,) of the bands, Hz
+    time_step: float  # of the bins of time, s
+    zones: Zones  # of the source, and of all receivers
+    receiver_zones: Zones  # likewise
+    pairs: dict[tuple[int, int], TailEnergy]  # `TailEnergy` by index of the source's zone and of the receivers'
+    arrivals: Floats  # (M, 3) directions
+    departures: Floats  # likewise
+    rays: int  # that were traced for each zone of the source, at most
+    error_db: float  # standard error of energies in windows of 20 ms, dB
+    seed: int  # of rays and noise
 
     @property
     def duration(self) -> float:
@@ -127,27 +104,13 @@ class SourceTail:
 
 @dataclass(frozen=True, slots=True)
 class TailOptions:
-    """How a tail is found.
+    """How a tail is found."""
 
-    Attributes
-    ----------
-    max_order : int
-        Of the images beside it.
-    directions : int
-        From which it arrives.
-    error_db : float
-        Standard error of its energies that is asked for, dB.
-    seed : int
-        Of rays and noise.
-    rays : int
-        That are traced at a time, four times at least.
-    """
-
-    max_order: int
-    directions: int = 64
-    error_db: float = 0.25
-    seed: int = 0
-    rays: int = 2048
+    max_order: int  # of the images beside it
+    directions: int = 64  # from which it arrives
+    error_db: float = 0.25  # standard error of its energies that is asked for, dB
+    seed: int = 0  # of rays and noise
+    rays: int = 2048  # that are traced at a time, four times at least
 
 
 def find_tail(
@@ -160,25 +123,7 @@ def find_tail(
 ) -> SourceTail:
     """Return the tail of a source by rays.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene, in a closed room.
-    source : int
-        Whose tail.
-    band : (low, high)
-        Of the signal, Hz.
-    zones : pair of Zones
-        Of the source and of the receivers.
-    options : TailOptions
-        Order of images, directions, error, seed.
-    progress : callable, optional
-        Called now and then with the share of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If the room is open, or a mesh needs embreex.
+    Shapes: band (low, high) Hz.
     """
     of_source, of_receivers = zones
     centres = band_centres(*band)

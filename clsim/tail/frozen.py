@@ -22,13 +22,7 @@ if TYPE_CHECKING:
 def frozen_tails(
     paths: PathSet, source: int, at: float, sampling_rate: float, band: ResponseBand, seed: int
 ) -> tuple[list[ImpulseResponse], SourceTail]:
-    """Return the tail of a source at every receiver at a time, s, within a band, and what it is made of.
-
-    Raises
-    ------
-    InputError
-        If the room is open, or a mesh needs a package that is missing.
-    """
+    """Return the tail of a source at every receiver at a time, s, within a band, and what it is made of."""
     scene = paths.scene
     receivers = Zones.frozen(scene.receivers, scene.room, at, beams=False)
     zones = Zones.frozen([scene.sources[source]], scene.room, at, beams=True), receivers

@@ -21,29 +21,15 @@ _POINTS = 4096  # by which the volume of a sphere inside the room is measured
 class Listener:
     """A sphere in a room and the energy density in it, of sources of 1 Pa at 1 m for 1 s.
 
-    Parameters
-    ----------
-    centre : ndarray (3,)
-        m.
-    radius : float
-        m.
-    volume : float
-        Of the part inside the room, m³.
-    arrivals, departures : ndarray (M, 3), (Q, 3)
-        Directions among which energy is shared: those that it comes from, and in which it left the source.
-    time_step : float
-        Of the bins, as a way, m.
-    shape : (T, B)
-        Bins of time and bands.
+    Shapes: centre (3,) m; arrivals, departures (M, 3); shape (T, B).
+
+    arrivals, departures: directions among which energy is shared: those that it comes from, and in which it left the
+    source.
 
     Attributes
     ----------
     tail : ndarray (T, M, B)
         Energy by time, direction of arrival and band of what no image holds, Pa² s / (Pa² s).
-    images : ndarray (T, B)
-        Likewise of what images hold.
-    departed : ndarray (Q, B)
-        Of the tail, by direction of departure.
     """
 
     centre: Floats
@@ -54,8 +40,8 @@ class Listener:
     time_step: float
     shape: tuple[int, int]
     tail: Floats = field(init=False)
-    images: Floats = field(init=False)
-    departed: Floats = field(init=False)
+    images: Floats = field(init=False)  # (T, B) likewise of what images hold
+    departed: Floats = field(init=False)  # (Q, B) of the tail, by direction of departure
     _held: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]] = field(init=False, default_factory=list)
     _count: int = field(init=False, default=0)
 
@@ -115,31 +101,15 @@ class Listener:
 
 @dataclass(eq=False)
 class Rays:
-    """Rays under way, n of them.
+    """Rays under way, n of them."""
 
-    Attributes
-    ----------
-    origin, direction : ndarray (n, 3)
-        Where they last met a wall, m, and unit vectors.
-    travelled : ndarray (n,)
-        Their way so far, m.
-    energy : ndarray (n, B)
-        That of a source of 1 Pa at 1 m over the rays, without the air's absorption.
-    order : ndarray (n,) int
-        Reflections so far.
-    scattered : ndarray (n,) bool
-        Whether one of these was scattered.
-    departure : ndarray (n,) int
-        In which of some directions they left.
-    """
-
-    origin: Floats
-    direction: Floats
-    travelled: Floats
-    energy: Floats
-    order: NDArray[np.int64]
-    scattered: NDArray[np.bool_]
-    departure: NDArray[np.int64]
+    origin: Floats  # (n, 3) where they last met a wall, m, and unit vectors
+    direction: Floats  # likewise
+    travelled: Floats  # (n,) their way so far, m
+    energy: Floats  # (n, B) that of a source of 1 Pa at 1 m over the rays, without the air's absorption
+    order: NDArray[np.int64]  # (n,) reflections so far
+    scattered: NDArray[np.bool_]  # (n,) whether one of these was scattered
+    departure: NDArray[np.int64]  # (n,) in which of some directions they left
 
     def kept(self, rows: NDArray[np.bool_]) -> Rays:
         """Return some of them."""

@@ -87,13 +87,7 @@ class Between:
 
 
 class HostWaves:
-    """Sums streams on the host: the definition of right.
-
-    Parameters
-    ----------
-    between : Between
-        Filters.
-    """
+    """Sums streams on the host: the definition of right."""
 
     def __init__(self, between: Between) -> None:
         self._half = between.half

@@ -31,41 +31,18 @@ _RINGING = 1024  # samples in which the onset of low bands rings, before time 0
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Responses of streams, K of them.
+    """Responses of streams, K of them."""
 
-    Attributes
-    ----------
-    taps : ndarray (K, L)
-        Received over emitted pressure.
-    lead : int
-        Samples of them before that of time 0.
-    departure : ndarray (K,) int
-        In which direction each leaves the source, of the tail's.
-    output : ndarray (K,) int
-        To which of what is heard each adds.
-    """
-
-    taps: NDArray[np.float32]
-    lead: int
-    departure: NDArray[np.int64]
-    output: NDArray[np.int64]
+    taps: NDArray[np.float32]  # (K, L) received over emitted pressure
+    lead: int  # samples of them before that of time 0
+    departure: NDArray[np.int64]  # (K,) in which direction each leaves the source, of the tail's
+    output: NDArray[np.int64]  # (K,) to which of what is heard each adds
 
 
 def plane_waves(tail: SourceTail, pair: tuple[int, int], source: int, rate: float, *, moves: bool) -> Responses:
     """Return the responses of a zone's streams, one for each direction of arrival, at the middle of the zone.
 
-    Parameters
-    ----------
-    tail : SourceTail
-        The tail.
-    pair : (int, int)
-        Zones of source and receiver.
-    source : int
-        Index.
-    rate : float
-        Sampling rate, Hz.
-    moves : bool
-        Whether the source does: then each stream leaves it in one direction.
+    Shapes: pair (int, int).
     """
     energy = tail.pairs[pair]
     rng = np.random.default_rng([tail.seed, source, *pair, _SHAPED])
@@ -79,17 +56,10 @@ def at_one_place(
 ) -> Responses:
     """Return the responses at a zone's middle, where nothing but one end that stands still hears it.
 
-    Parameters
-    ----------
-    tail, pair, source, rate
-        As of `plane_waves`.
-    weights : ndarray (M, B)
-        The receiver's gain of energy by direction of arrival and band.
-    moves : bool
-        Whether the source does: then there is a stream for each direction of departure.
+    Shapes: weights (M, B).
 
-    Notes
-    -----
+    moves: whether the source does: then there is a stream for each direction of departure.
+
     Sums of independent noise are noise: where no delay changes, directions of arrival need not be told apart.
     """
     energy = tail.pairs[pair]
@@ -104,18 +74,7 @@ def at_one_place(
 def combined(waves: Responses, delays: Floats, gains: Floats, centres: Floats, rate: float) -> Responses:
     """Return what plane waves add up to at places that stand still.
 
-    Parameters
-    ----------
-    waves : Responses
-        Of M directions.
-    delays : ndarray (R, M)
-        By which each reaches each place later than the middle of the zone, s.
-    gains : ndarray (R, M, B)
-        Of receivers there, of pressure, at the centres of bands.
-    centres : ndarray (B,)
-        Of the bands, Hz.
-    rate : float
-        Sampling rate, Hz.
+    Shapes: delays (R, M) s; gains (R, M, B); centres (B,) Hz.
     """
     from scipy.fft import irfft, next_fast_len, rfft
 

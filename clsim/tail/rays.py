@@ -32,33 +32,15 @@ _LONGEST = 10.0  # s
 
 @dataclass(frozen=True, eq=False)
 class Tracer:
-    """A room in which rays are traced from one place.
+    """A room in which rays are traced from one place."""
 
-    Attributes
-    ----------
-    walls : RoomRays
-        Where rays meet walls.
-    normals : ndarray (walls, 3)
-        Of the walls.
-    energies : WallEnergies
-        What these do.
-    origin : ndarray (3,)
-        Of the rays, m.
-    emitted : callable
-        Returns the energy (n, B) that is sent in directions (n, 3), 1 on the axis.
-    departures : ndarray (Q, 3)
-        Directions among which departures are told apart.
-    max_order : int
-        Of images: energy that was only mirrored, so often at most, is theirs.
-    """
-
-    walls: RoomRays
-    normals: Floats
-    energies: WallEnergies
-    origin: Floats
-    emitted: Emitted
-    departures: Floats
-    max_order: int
+    walls: RoomRays  # where rays meet walls
+    normals: Floats  # (walls, 3) of the walls
+    energies: WallEnergies  # what these do
+    origin: Floats  # (3,) of the rays, m
+    emitted: Emitted  # returns the energy (n, B) that is sent in directions (n, 3), 1 on the axis
+    departures: Floats  # (Q, 3) directions among which departures are told apart
+    max_order: int  # of images: energy that was only mirrored, so often at most, is theirs
 
     @cached_property
     def _groups(self) -> list[NDArray[np.int64]]:

@@ -20,24 +20,12 @@ _ANGLES = 128  # cells of the root of the cosine of incidence
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallEnergies:
-    """Energy sent back by kind of wall, angle and band.
+    """Energy sent back by kind of wall, angle and band."""
 
-    Attributes
-    ----------
-    kind : ndarray (walls,) int
-        Of which material each wall is.
-    returned : ndarray (kinds, angles, B)
-        Share of energy that comes back.
-    scattered : ndarray (kinds, angles, B)
-        Share of that which leaves the mirror's direction.
-    air : ndarray (B,)
-        Absorption of energy by the air, 1/m.
-    """
-
-    kind: NDArray[np.int64]
-    returned: Floats
-    scattered: Floats
-    air: Floats
+    kind: NDArray[np.int64]  # (walls,) of which material each wall is
+    returned: Floats  # (kinds, angles, B) share of energy that comes back
+    scattered: Floats  # (kinds, angles, B) share of that which leaves the mirror's direction
+    air: Floats  # (B,) absorption of energy by the air, 1/m
 
     @classmethod
     def of(cls, scene: Scene, centres: Floats) -> WallEnergies:

@@ -38,13 +38,7 @@ class RoomRays(Protocol):
 
 
 def room_rays(room: Room) -> RoomRays:
-    """Return what finds the walls of a closed room.
-
-    Raises
-    ------
-    InputError
-        If the room is open, or embreex is missing for a mesh.
-    """
+    """Return what finds the walls of a closed room."""
     if room.volume is None:
         raise InputError(
             "tail", "must be 'off' in a room that is not closed, for energy leaves it: the mesh is not watertight "

@@ -36,25 +36,6 @@ class Emissions(Protocol):
 class Streams:
     """Streams of one zone of receivers, of all zones of a source.
 
-    Parameters
-    ----------
-    emissions : Emissions
-        What the source emits.
-    make : callable
-        Returns the `Responses` of a zone of the source.
-    zones : int
-        How many the source has.
-    count : int
-        Of streams.
-    longest : int
-        Samples of the longest response.
-    samples : int
-        That will be asked for, in all.
-    lead : int
-        Of all responses.
-
-    Notes
-    -----
     Blocks lie on a grid that begins with sample 0, and each is computed from the emitted signal alone: whatever is
     asked for, in which order and by which process, a sample is the same to the last bit. By overlap-save (A. V.
     Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed., 2010, section 8.7.3).

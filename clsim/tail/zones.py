@@ -27,24 +27,12 @@ _RATE, _MOST_TIMES = 50.0, 200_000  # Hz, and instants at which ways are looked 
 
 @dataclass(frozen=True, eq=False)
 class Zones:
-    """Zones along the ways of some ends.
+    """Zones along the ways of some ends."""
 
-    Attributes
-    ----------
-    radius : float
-        m.
-    poses : ndarray (Z, 3) or (Z, 9)
-        Their middles over the radius, and, where beams turn, two axes over 30 degrees.
-    beams : bool
-        Whether beams turn.
-    turns : ndarray (Z, 4)
-        Orientation in the middle, unit quaternions.
-    """
-
-    radius: float
-    poses: Floats
-    beams: bool
-    turns: Floats
+    radius: float  # m
+    poses: Floats  # (Z, 3) their middles over the radius, and, where beams turn, two axes over 30 degrees
+    beams: bool  # whether beams turn
+    turns: Floats  # (Z, 4) orientation in the middle, unit quaternions
 
     def __len__(self) -> int:
         return len(self.poses)

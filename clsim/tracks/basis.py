@@ -18,34 +18,27 @@ class Basis:
 
     Attributes
     ----------
-    nodes : ndarray (M,)
-        Frequencies at which responses are taken, Hz.
     projection : ndarray (K, parts M)
         From responses at the nodes to gains; two parts, real and imaginary ones, for complex responses.
     functions : ndarray (K, parts M)
         The functions at the nodes, weighted like `weight`: what is left of a response without them was lost.
     weight : ndarray (M,)
         Of the nodes' frequencies, so that the mean square over nodes is that over the signal's spectrum.
-    filters : ndarray (K, L)
-        The functions as filters of odd length, about their middle tap.
-    sizes : ndarray (K,)
-        Most that each function adds to what is heard at any instant, relative to that.
-    strengths : ndarray (K,)
-        Root mean square of each weighted function over the nodes.
     loudness : ndarray (W,)
         Inverse of the energy that is heard of each short window of the signal, as a mean over the run.
     asked_db, error_db : float
         Asked and reached bound of the error of the sum of all paths at a receiver, in the root mean square over the
-        spectrum of what sounds within some 40 ms, relative to that sum, dB; the reached one for both where it was told.
+        spectrum of what sounds within some 40 ms, relative to that sum, dB; the reached one for both where it was
+        told.
     """
 
-    nodes: Floats
+    nodes: Floats  # (M,) frequencies at which responses are taken, Hz
     projection: Floats
     functions: Floats
     weight: Floats
-    filters: Floats
-    sizes: Floats
-    strengths: Floats
+    filters: Floats  # (K, L) the functions as filters of odd length, about their middle tap
+    sizes: Floats  # (K,) most that each function adds to what is heard at any instant, relative to that
+    strengths: Floats  # (K,) root mean square of each weighted function over the nodes
     loudness: Floats
     asked_db: float
     error_db: float

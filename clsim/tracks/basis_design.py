@@ -56,36 +56,6 @@ def scene_basis(
 ) -> Basis:
     """Return the fewest functions that hold the responses of a source's paths within an error.
 
-    Parameters
-    ----------
-    tracks : SceneTracks
-        The paths and how they move.
-    source : int
-        Index of the source.
-    band_at : callable
-        Returns the band of its signal at a number of frequencies.
-    drawn : Draw
-        Paths at which responses are looked at.
-    until : float
-        End of the run, s.
-    sampling_rate : float
-        Hz.
-    error_db : float
-        Asked bound of the sum of all paths, dB relative to what is heard.
-
-    Raises
-    ------
-    InputError
-        If responses change too fast over frequency for 1161 points, 96 functions, or filters of 4097 taps, and are not
-        even held within -40 dB.
-
-    Warns
-    -----
-    ClsimWarning
-        If they are, but not within the asked error.
-
-    Notes
-    -----
     Phases of paths are as good as random, so that what a receiver hears, and the error of it, are the roots of sums of
     squares over its paths. Responses are sampled over paths and instants of the run, likelier the stronger they are and
     weighted by how likely that was, so that sums over samples stand for those over paths. The functions are their

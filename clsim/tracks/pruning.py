@@ -30,18 +30,9 @@ _SHARE = 1e-4  # of the signal's energy at either end, which is not looked at
 def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTracks, str]:
     """Return the tracks of the paths that may matter, and what is said of the others.
 
-    Parameters
-    ----------
-    tracks : SceneTracks
-        Of all paths.
-    below_db : float
-        Level relative to the strongest arrival at the same receiver; a path is left out if a bound of its gain stays
-        below it from 0 s to `until`.
-    until : float
-        End of the run, s.
+    below_db: level relative to the strongest arrival at the same receiver; a path is left out if a bound of its gain
+    stays below it from 0 s to `until`.
 
-    Notes
-    -----
     The bound of a gain is the product of spreading and air over the shortest distance that peak speeds allow within
     each quarter of a second (or 5 cm of motion, where that takes longer and no path comes or goes), of the reflection
     factors (1 where they depend on the angle), and of the directivities' largest gains, at nine frequencies of the

@@ -46,25 +46,13 @@ _FAINT = 0.01  # weight of frequencies with next to nothing where a delay is loo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """Where a signal has energy.
+    """Where a signal has energy."""
 
-    Attributes
-    ----------
-    low, high : float
-        Ends, Hz.
-    frequencies : ndarray (F,)
-        Chebyshev points from high to low, Hz.
-    energy : ndarray (W, F)
-        Of short windows of the signal near them, relative to what sounds about the window.
-    late : float
-        Delay that is taken out of responses, s.
-    """
-
-    low: float
-    high: float
-    frequencies: Floats
-    energy: Floats
-    late: float = 0.0
+    low: float  # ends, Hz
+    high: float  # likewise
+    frequencies: Floats  # (F,) Chebyshev points from high to low, Hz
+    energy: Floats  # (W, F) of short windows of the signal near them, relative to what sounds about the window
+    late: float = 0.0  # delay that is taken out of responses, s
 
     @property
     def turn(self) -> Complexes:
@@ -152,38 +140,20 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picked:
-    """Paths of a pair at an instant, picked for what they are heard with, and how many each stands for.
+    """Paths of a pair at an instant, picked for what they are heard with, and how many each stands for."""
 
-    Attributes
-    ----------
-    paths : PairPaths
-        Which.
-    found : Arrivals
-        Theirs at that instant.
-    times : ndarray (1,)
-        The instant, s.
-    scale : ndarray (P, 1)
-        Root of how many paths each stands for, over the level of all of the pair.
-    """
-
-    paths: PairPaths
-    found: Arrivals
-    times: Floats
-    scale: Floats
+    paths: PairPaths  # which
+    found: Arrivals  # theirs at that instant
+    times: Floats  # (1,) the instant, s
+    scale: Floats  # (P, 1) root of how many paths each stands for, over the level of all of the pair
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Draw:
-    """Paths of a source at instants of the run: whatever its signal and band are, the same.
+    """Paths of a source at instants of the run: whatever its signal and band are, the same."""
 
-    Attributes
-    ----------
-    rows, held_out : tuple of Picked
-        Of which functions are made, and at which they are checked.
-    """
-
-    rows: tuple[Picked, ...]
-    held_out: tuple[Picked, ...]
+    rows: tuple[Picked, ...]  # of which functions are made, and at which they are checked
+    held_out: tuple[Picked, ...]  # likewise
 
     @classmethod
     def of(cls, tracks: Tracks, source: int, until: float) -> Draw:

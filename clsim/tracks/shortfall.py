@@ -21,51 +21,20 @@ _UNSURE_DB = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """How well the steps from responses to filters hold them over a source's band, dB.
+    """How well the steps from responses to filters hold them over a source's band, dB."""
 
-    Attributes
-    ----------
-    source : int
-        Index.
-    low, high : float
-        The band, Hz.
-    sampling_rate : float
-        Hz.
-    looked_at : int
-        Frequencies of the band at which responses were looked at.
-    resolved_db : float
-        Error between these frequencies.
-    functions : int
-        Functions of frequency.
-    functions_db : float
-        Error of responses as sums of them.
-    at_centre : bool
-        Responses are those at one frequency: no error was asked for, so that none is refused.
-    """
-
-    source: int
-    low: float
-    high: float
-    sampling_rate: float
-    looked_at: int = 0
-    resolved_db: float = -math.inf
-    functions: int = 0
-    functions_db: float = -math.inf
-    at_centre: bool = False
+    source: int  # index
+    low: float  # the band, Hz
+    high: float  # likewise
+    sampling_rate: float  # hz
+    looked_at: int = 0  # frequencies of the band at which responses were looked at
+    resolved_db: float = -math.inf  # error between these frequencies
+    functions: int = 0  # functions of frequency
+    functions_db: float = -math.inf  # error of responses as sums of them
+    at_centre: bool = False  # responses are those at one frequency: no error was asked for, so that none is refused
 
     def within(self, asked_db: float, filters: BandFilters | None = None) -> float:
-        """Return the error that is reached, dB, with filters if they are there already.
-
-        Raises
-        ------
-        InputError
-            If it is neither the asked one nor -40 dB at least.
-
-        Warns
-        -----
-        ClsimWarning
-            If it is not the asked one.
-        """
+        """Return the error that is reached, dB, with filters if they are there already."""
         reached = max(self.resolved_db, self.functions_db, -math.inf if filters is None else filters.error_db)
         if reached <= asked_db:
             return reached

@@ -16,13 +16,7 @@ if TYPE_CHECKING:
 
 
 def checked_samples(times: Any, delays: Any, gains: Any) -> tuple[Floats, Floats, Floats]:
-    """Return times (T,), s, and delays, s, and gains (paths, T), NaN where a path is not heard.
-
-    Raises
-    ------
-    InputError
-        If shapes differ, times do not increase from 0 s or before, a delay is negative, or gains are missing.
-    """
+    """Return times (T,), s, and delays, s, and gains (paths, T), NaN where a path is not heard."""
     times = as_floats("times", times, (None,))
     if len(times) < 2 or times[0] > 0.0 or np.any(np.diff(times) <= 0.0):
         raise InputError("times", f"must increase strictly from 0 s or before, but begin {times[:3].tolist()}")
@@ -39,13 +33,7 @@ def checked_samples(times: Any, delays: Any, gains: Any) -> tuple[Floats, Floats
 
 
 def checked_indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
-    """Return the source or the receiver of each of so many paths; the first one of all where nothing is given.
-
-    Raises
-    ------
-    InputError
-        If they are no whole numbers, or not as many.
-    """
+    """Return the source or the receiver of each of so many paths; the first one of all where nothing is given."""
     if values is None:
         return np.zeros(count, dtype=np.int64)
     out = np.asarray(values)
@@ -55,13 +43,7 @@ def checked_indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
 
 
 def heard_intervals(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
-    """Return path, first and one past last sample of every interval in which a path is heard.
-
-    Raises
-    ------
-    InputError
-        If there is none, or one is a single sample.
-    """
+    """Return path, first and one past last sample of every interval in which a path is heard."""
     found = []
     for p, row in enumerate(heard):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))

@@ -34,20 +34,12 @@ _TOGETHER = 65536  # paths looked at at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairTracks:
-    """Paths from one source to one receiver.
+    """Paths from one source to one receiver."""
 
-    Attributes
-    ----------
-    source, receiver : int
-        Indices.
-    start, end : ndarray (paths,)
-        Interval of reception in which each path is heard, s.
-    """
-
-    source: int
-    receiver: int
-    start: Floats
-    end: Floats
+    source: int  # indices
+    receiver: int  # likewise
+    start: Floats  # (paths,) interval of reception in which each path is heard, s
+    end: Floats  # likewise
 
     def __len__(self) -> int:
         return len(self.start)
@@ -420,13 +412,7 @@ class SampledTracks(Tracks):
 
 
 def as_tracks(value: object) -> Tracks:
-    """Return tracks.
-
-    Raises
-    ------
-    InputError
-        If they are none.
-    """
+    """Return tracks."""
     if not isinstance(value, Tracks):
         raise InputError("tracks", f"must be Tracks, but is {value!r:.80}")
     return value

@@ -18,30 +18,17 @@ _LONGEST = 1.0  # s
 
 
 def as_transition(value: object) -> float:
-    """Return the length of the transition, s; 0 for none.
-
-    Raises
-    ------
-    InputError
-        If it is no number from 0 to 1 s.
-    """
+    """Return the length of the transition, s; 0 for none."""
     return as_number("transition", value, at_least=0.0, at_most=_LONGEST, unit="s")
 
 
 def heard(times: Floats, start: Floats, end: Floats, transition: float) -> Floats:
     """Return the weight (paths, times) of paths that are heard from `start` to `end` (paths,).
 
-    Parameters
-    ----------
-    times : ndarray (T,)
-        Times of reception, s.
-    start, end : ndarray (P,)
-        Boundaries, s; at each the weight is half way.
-    transition : float
-        Length of the raised cosine, s; 0 for none: 1 from `start` on and 0 from `end` on.
+    Shapes: times (T,) s; start, end (P,) s.
 
-    Notes
-    -----
+    transition: length of the raised cosine, s; 0 for none: 1 from `start` on and 0 from `end` on.
+
     A gate splatters: a 40 kHz tone that is switched leaves -49 dB at 5 kHz off, over 1 ms -90 dB. Weights of paths that
     follow each other add up to 1, however short each is.
     """

@@ -33,21 +33,7 @@ _PERIOD = 1.0  # s between notes in the journal, at least: what a killed run los
 def render_sound(
     results: ResultFolder, plan: Plan, store: SoundStore, identity: dict[str, Any], workers: Workers | None = None
 ) -> list[Path]:
-    """Render into a store, from the beginning or from where the journal says; return what was moved to its place.
-
-    Parameters
-    ----------
-    results : ResultFolder
-        Held, and begun with this identity.
-    plan : Plan
-        What to render.
-    store : SoundStore
-        In the folder of what is not whole yet.
-    identity : dict
-        Of the run, for the journal.
-    workers : Workers, optional
-        Who do it; this process when left out. Either goes on where the other was.
-    """
+    """Render into a store, from the beginning or from where the journal says; return what was moved to its place."""
     names = [path.name for path in store.paths]
     if all(map(results.is_whole, names)):
         return []

@@ -41,25 +41,13 @@ _SIZE = np.array([6.0, 5.0, 3.0])
 
 @dataclass(frozen=True, slots=True)
 class DeviceReport:
-    """What became of a device's test.
+    """What became of a device's test."""
 
-    Attributes
-    ----------
-    info : DeviceInfo
-        The device.
-    apart_db : dict
-        By scene, how far it is from the reference engine, dB of what is heard.
-    render_rate, tracks_rate : float
-        Path-samples a second, of the sum over paths and of the tracks by themselves.
-    first_seconds : float
-        That the first call took, building kernels included.
-    """
-
-    info: DeviceInfo
-    apart_db: dict[str, float]
-    render_rate: float
-    tracks_rate: float
-    first_seconds: float
+    info: DeviceInfo  # the device
+    apart_db: dict[str, float]  # by scene, how far it is from the reference engine, dB of what is heard
+    render_rate: float  # path-samples a second, of the sum over paths and of the tracks by themselves
+    tracks_rate: float  # likewise
+    first_seconds: float  # that the first call took, building kernels included
 
     @property
     def passed(self) -> bool:
@@ -82,25 +70,7 @@ class DeviceReport:
 
 
 def put_to_test(wanted: str | None = None, tell: Callable[[str], None] = lambda text: None) -> DeviceReport:
-    """Put a device to the test.
-
-    Parameters
-    ----------
-    wanted : str, optional
-        As the argument ``device`` of `render`; the best one when left out.
-    tell : callable, optional
-        Takes a line for each scene as it is done.
-
-    Returns
-    -------
-    DeviceReport
-        Parity and rates.
-
-    Raises
-    ------
-    DeviceError
-        If there is no such device, or it fails.
-    """
+    """Put a device to the test."""
     info, _ = find_device(wanted)
     apart, begun, first = {}, time.perf_counter(), 0.0
     for name, plan in _plans(info.id).items():

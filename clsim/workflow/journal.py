@@ -20,13 +20,7 @@ State = dict[str, "NDArray[Any]"]
 
 
 class Journal:
-    """A small file beside the sound; it is always whole, and on the disk itself.
-
-    Parameters
-    ----------
-    folder : Path
-        Of what is not whole yet.
-    """
+    """A small file beside the sound; it is always whole, and on the disk itself."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "journal.npz"
@@ -46,13 +40,7 @@ class Journal:
             write(temporary, identity=np.array(json.dumps(identity)), done=np.array(done), **state)
 
     def load(self) -> tuple[dict[str, Any], int, State]:
-        """Return identity, number of samples and state.
-
-        Raises
-        ------
-        InputError
-            If the file is none.
-        """
+        """Return identity, number of samples and state."""
         try:
             with self._path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 columns = dict(file.items())

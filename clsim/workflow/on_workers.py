@@ -42,27 +42,7 @@ def render_on_workers(
 ) -> None:
     """Render a plan into a store by workers, from where it was.
 
-    Parameters
-    ----------
-    workers : Workers
-        Who do it.
-    folder : Path
-        Of what is not whole yet, which they see.
-    plan : Plan
-        What to render.
-    store : SoundStore
-        Created; one that is written by regions.
-    begun : (int, dict)
-        Samples that are there, and what was remembered behind them.
-    note : callable
-        Called with the same, whenever more is there without a gap, on the disk itself.
-    advance : callable
-        Called with samples that were rendered.
-
-    Raises
-    ------
-    ClsimError
-        If a piece cannot be rendered, or workers are lost.
+    note: called with the same, whenever more is there without a gap, on the disk itself.
     """
     here = workers.count()
     handed = Handed.of(plan, store, _BLOCKS * (here or _UNKNOWN))
@@ -114,17 +94,6 @@ class Pieces:
     Pieces are numbered stretch by stretch: pressure first, then each block of receivers in which something rings on.
     Behind all of these stands what several stretches are made of alike. A chain is a block's pieces, or those of
     pressure where a contribution remembers something.
-
-    Parameters
-    ----------
-    handed : Handed
-        What workers have.
-    file : PlanFile
-        From which.
-    done : int
-        Samples that are there.
-    state : dict of ndarray, of any shape
-        What was remembered behind them.
     """
 
     kind, several = "piece", False

@@ -19,24 +19,12 @@ PICTURES = ("paths", "spectrogram", "echogram")  # of each, the first only where
 
 @dataclass(frozen=True, slots=True)
 class RunOutputs:
-    """What a run may write into its folder.
+    """What a run may write into its folder."""
 
-    Attributes
-    ----------
-    receivers : list of str
-        Names of the receivers, as files are called.
-    sound : list of str
-        Files or folders of the sound.
-    table : str
-        The path table; empty if none is wanted.
-    drawn : list of str
-        Receivers whose pictures are drawn, by their names.
-    """
-
-    receivers: list[str]
-    sound: list[str]
-    table: str
-    drawn: list[str]
+    receivers: list[str]  # names of the receivers, as files are called
+    sound: list[str]  # files or folders of the sound
+    table: str  # the path table; empty if none is wanted
+    drawn: list[str]  # receivers whose pictures are drawn, by their names
 
     @classmethod
     def of(cls, file: SceneFile, store: str, table: str, *, pictures: bool) -> RunOutputs:

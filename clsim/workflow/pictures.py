@@ -41,20 +41,7 @@ def draw_pictures(
 ) -> None:
     """Draw the missing pictures; one that fails is a warning, and the others are drawn.
 
-    Parameters
-    ----------
-    planned : PlannedScene
-        Whose paths are drawn.
-    times : ndarray (T,)
-        Those of the path table, s.
-    store : SoundStore
-        Of the sound, which is in its place.
-    results : ResultFolder
-        Where pictures are made.
-    outputs : RunOutputs
-        The receivers of which there are pictures.
-    missing : list of str
-        Names of results that are not there yet.
+    Shapes: times (T,) s.
     """
     left_out = len(outputs.receivers) - len(outputs.drawn)
     if left_out:

@@ -52,13 +52,7 @@ def versions() -> dict[str, str]:
 
 
 def device_of(plan: Plan) -> str:
-    """Return the kind of device on which a plan is rendered here, with its driver.
-
-    Raises
-    ------
-    DeviceError
-        If it is missing.
-    """
+    """Return the kind of device on which a plan is rendered here, with its driver."""
     if plan.options.engine != "opencl":
         return "none"
     info, _ = find_device(plan.options.device)
@@ -71,40 +65,24 @@ class Piece:
 
     Attributes
     ----------
-    first, last : int
-        Samples, the last one not among them.
-    receivers : range or None
-        Whose ends are to take the pressure; None for the pressure itself.
     shared : str or None
         Name of what they and others are made of alike, which is all that is to be made; None for all else.
     """
 
-    first: int
-    last: int
-    receivers: range | None = None
+    first: int  # samples, the last one not among them
+    last: int  # likewise
+    receivers: range | None = None  # whose ends are to take the pressure; None for the pressure itself
     shared: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Handed:
-    """What all workers of a run have of it.
+    """What all workers of a run have of it."""
 
-    Attributes
-    ----------
-    plan : Plan
-        What is rendered.
-    store : SoundStore
-        Into which; created.
-    blocks : tuple of range
-        Receivers whose samples are written together.
-    blas_threads : int
-        Of the linear algebra, where the run is begun: on others it may round otherwise.
-    """
-
-    plan: Plan
-    store: SoundStore
-    blocks: tuple[range, ...]
-    blas_threads: int
+    plan: Plan  # what is rendered
+    store: SoundStore  # into which; created
+    blocks: tuple[range, ...]  # receivers whose samples are written together
+    blas_threads: int  # of the linear algebra, where the run is begun: on others it may round otherwise
 
     @classmethod
     def of(cls, plan: Plan, store: SoundStore, blocks: int) -> Handed:
@@ -120,18 +98,10 @@ class Handed:
 
 @dataclass(frozen=True, slots=True)
 class PlanFile:
-    """A file from which workers take a run; what they write for each other stands beside it.
+    """A file from which workers take a run; what they write for each other stands beside it."""
 
-    Attributes
-    ----------
-    path : str
-        The same on all machines.
-    digest : str
-        SHA-256 of what it holds.
-    """
-
-    path: str
-    digest: str
+    path: str  # the same on all machines
+    digest: str  # SHA-256 of what it holds
 
     @classmethod
     def write(cls, folder: Path, handed: Handed) -> PlanFile:
@@ -142,13 +112,7 @@ class PlanFile:
         return cls(str(path), hashlib.sha256(content).hexdigest())
 
     def load(self) -> Handed:
-        """Return what it holds.
-
-        Raises
-        ------
-        ClsimError
-            If it holds another plan.
-        """
+        """Return what it holds."""
         content = Path(self.path).read_bytes()
         if hashlib.sha256(content).hexdigest() != self.digest:
             raise ClsimError(f"{self.path} must hold the plan of this run, but holds another one")
@@ -174,17 +138,7 @@ class PlanFile:
 
 
 def check_worker(plan: PlanFile, device: str, wanted: dict[str, str]) -> tuple[str, bool]:
-    """Return what keeps a worker from rendering like the others, or "", and whether that is its device.
-
-    Parameters
-    ----------
-    plan : PlanFile
-        What it will render.
-    device : str
-        From `device_of`, where the run is begun.
-    wanted : dict of str
-        From `versions`, there.
-    """
+    """Return what keeps a worker from rendering like the others, or "", and whether that is its device."""
     for name, mine in versions().items():
         if mine != wanted[name]:
             return f"must have {name} {wanted[name]}, with which the run was begun, but has {mine}", False
@@ -199,26 +153,7 @@ def check_worker(plan: PlanFile, device: str, wanted: dict[str, str]) -> tuple[s
 
 
 def do_piece(plan: PlanFile, piece: Piece, state: State, device: str | None) -> Row:
-    """Render a piece into the store, on the disk itself; return its row with what the next one is to remember.
-
-    Parameters
-    ----------
-    plan : PlanFile
-        Of the run.
-    piece : Piece
-        Which.
-    state : dict of ndarray, of any shape
-        What the piece before remembered; empty where nothing is.
-    device : str or None
-        Of this machine; None for the plan's, or the best.
-
-    Raises
-    ------
-    ClsimError
-        If the run is over, or what is rendered breaks a rule.
-    OSError
-        If the disk is full.
-    """
+    """Render a piece into the store, on the disk itself; return its row with what the next one is to remember."""
     begun = time.process_time()
     with _busy, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")

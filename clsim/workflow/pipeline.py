@@ -41,21 +41,11 @@ _OF_SCENE = {field.name for field in fields(Scene)}  # as the tables of a scene 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedScene:
-    """A scene file, its paths, and the plan of rendering them.
+    """A scene file, its paths, and the plan of rendering them."""
 
-    Attributes
-    ----------
-    file : SceneFile
-        What was read.
-    paths : PathSet
-        All of its paths.
-    plan : Plan
-        Of rendering them as the file says.
-    """
-
-    file: SceneFile
-    paths: PathSet
-    plan: Plan
+    file: SceneFile  # what was read
+    paths: PathSet  # all of its paths
+    plan: Plan  # of rendering them as the file says
 
     def path_table(self, times: Floats, receiver: int | None = None) -> PathTable:
         """Return the table of all paths, or of those to one receiver, as they are rendered, by time of reception, s."""
@@ -87,20 +77,7 @@ class PlannedScene:
 
 
 def plan_scene(file: SceneFile, progress: Progress = no_progress) -> PlannedScene:
-    """Return the paths of a scene file and the plan of rendering them.
-
-    Parameters
-    ----------
-    file : SceneFile
-        From `load_scene`.
-    progress : callable
-        As `clsim.workflow.console.progress`.
-
-    Raises
-    ------
-    InputError
-        If something breaks a rule; the field is that of the scene file.
-    """
+    """Return the paths of a scene file and the plan of rendering them."""
     paths = find_scene_paths(file, progress)
     with _errors_within("render"):
         options = RenderOptions(**file.render)
@@ -110,18 +87,7 @@ def plan_scene(file: SceneFile, progress: Progress = no_progress) -> PlannedScen
 
 
 def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathSet:
-    """Return the paths of a scene file; parameters as in `plan_scene`.
-
-    Raises
-    ------
-    InputError
-        If something breaks a rule; the field is that of the scene file.
-
-    Warns
-    -----
-    ClsimWarning
-        If no path reaches a receiver.
-    """
+    """Return the paths of a scene file; parameters as in `plan_scene`."""
     try:
         with _errors_within("paths"), progress("finding paths", 1.0) as advance:
             paths = find_paths(file.scene, **file.paths, progress=shares(advance))
@@ -145,27 +111,7 @@ def _errors_within(table: str) -> Iterator[None]:
 
 
 def table_times(plan: Plan, rate: float, field: str) -> Floats:
-    """Return the times of tables and ground truth, s: ``k / rate``, fewer where tables would grow beyond all use.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of the recording, in which they lie.
-    rate : float
-        Hz.
-    field : str
-        What asks for the rate.
-
-    Raises
-    ------
-    InputError
-        If the rate is not above 0 and at most the sampling rate.
-
-    Warns
-    -----
-    ClsimWarning
-        If they are fewer.
-    """
+    """Return the times of tables and ground truth, s: ``k / rate``, fewer where tables would grow beyond all use."""
     if not 0.0 < rate <= plan.sampling_rate:
         raise InputError(field, f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
     count = int(plan.duration * rate) + 1

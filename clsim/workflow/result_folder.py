@@ -31,16 +31,7 @@ _STORE_FOLDER = re.compile(r"\w+(/c(/\d+)*)?")
 class ResultFolder:
     """The folder of one run; what it may write is known beforehand.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the results go.
-    names : sequence of str
-        Of all that may be written.
-    inputs : sequence of Path
-        What is read; never written over.
-    resume, force : bool
-        Whether to go on with what is there, or to put something else in its place; not both.
+    resume, force: whether to go on with what is there, or to put something else in its place; not both.
 
     Attributes
     ----------
@@ -64,14 +55,7 @@ class ResultFolder:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the folder for this process alone; refuse what is not ours, and clear up when the block ends.
-
-        Raises
-        ------
-        InputError
-            If something is in the way: of others, an input, a link, results or an unfinished run of which nobody said
-            what becomes of them.
-        """
+        """Hold the folder for this process alone; refuse what is not ours, and clear up when the block ends."""
         check_folder(self.folder)
         self._look_before()
         made = [path for path in [self.folder, *self.folder.parents] if not path.exists()]
@@ -91,13 +75,7 @@ class ResultFolder:
                     path.rmdir()
 
     def begin(self, identity: dict[str, Any]) -> None:
-        """Say which run this is; what is in the folder of another one is gone on with by none.
-
-        Raises
-        ------
-        InputError
-            If another run is to be gone on with; the message says in what it differs.
-        """
+        """Say which run this is; what is in the folder of another one is gone on with by none."""
         self._identity = json.loads(json.dumps(identity))
         if self._resume:
             old = self._record.identity if self._record.files else self._identity
@@ -119,13 +97,7 @@ class ResultFolder:
         return mine and fingerprint(self.folder / name) == self._record.files[name]
 
     def take(self, names: Sequence[str], *, finished: bool = False) -> list[Path]:
-        """Move whole results from `work` to where they belong; return their paths.
-
-        Raises
-        ------
-        InputError
-            If something of others has come in the way.
-        """
+        """Move whole results from `work` to where they belong; return their paths."""
         names = [name for name in names if (self.work / name).exists()]
         if not names and self._record.finished:
             return []

@@ -31,24 +31,7 @@ class Sink(Protocol):
 
 
 def render_into(sinks: Sequence[Sink], plan: Plan, rendering: Rendering, first: int = 0) -> Iterator[int]:
-    """Render a plan into sinks, in bounded memory; yield how many samples are there behind each chunk.
-
-    Parameters
-    ----------
-    sinks : sequence of Sink
-        Open as long as the iteration lasts.
-    plan : Plan
-        What to render.
-    rendering : Rendering
-        Of this plan, with all that it remembers of the samples before.
-    first : int
-        Sample to begin with, the first one of a chunk.
-
-    Raises
-    ------
-    InputError
-        If there is not enough memory; the field is that of the scene file.
-    """
+    """Render a plan into sinks, in bounded memory; yield how many samples are there behind each chunk."""
     with within_memory(plan.largest_field, "rendering", plan.memory_bytes), ExitStack() as stack:
         for sink in sinks:
             sink.open()

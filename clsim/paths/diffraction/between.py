@@ -33,15 +33,7 @@ _INSIDE = 1e-6  # of the room's size; what is nearer to the outline of all ways 
 
 
 class FaceLegs:
-    """Ways between two edges, on the faces that these share.
-
-    Parameters
-    ----------
-    visibility : EdgeVisibility
-        Of candidates.
-    walls : Walls
-        Of the room.
-    """
+    """Ways between two edges, on the faces that these share."""
 
     def __init__(self, visibility: EdgeVisibility, walls: Walls) -> None:
         self._visibility, self._walls = visibility, walls

@@ -29,22 +29,14 @@ class DoubleEdgePaths(EdgePaths):
 
     Attributes
     ----------
-    last_frame : ndarray (paths, 4, 3)
-        Start of the second edge, m, and its vectors.
-    last_n : ndarray (paths,)
-        Its exterior angle over π.
-    last_faces : ndarray (paths, 2) int
-        Its walls.
-    last_lit : ndarray (paths, 4) int8
-        Of its terms, as `lit`.
     shared : ndarray (paths, 2) int
         Which face of the first and of the second edge both share: 0 for the 0-face, 1 for the n-face.
     """
 
-    last_frame: Floats
-    last_n: Floats
-    last_faces: NDArray[np.int64]
-    last_lit: NDArray[np.int8]
+    last_frame: Floats  # (paths, 4, 3) start of the second edge, m, and its vectors
+    last_n: Floats  # (paths,) its exterior angle over π
+    last_faces: NDArray[np.int64]  # (paths, 2) its walls
+    last_lit: NDArray[np.int8]  # (paths, 4) of its terms, as `lit`
     shared: NDArray[np.int64]
 
     columns: ClassVar[tuple[str, ...]] = (

@@ -22,29 +22,13 @@ def joined_over_ends(
 ) -> tuple[Rows, Floats, Floats, Sides]:
     """Join the pieces of paths over ends of edges between two changes of side of the end.
 
-    Parameters
-    ----------
-    path : ndarray (n,) int
-        Which path each piece belongs to; pieces are in the order of paths and times.
-    begin, end : ndarray (n,)
-        Of each piece, s.
-    lit : ndarray (n, 4) int8
-        Sides of its terms.
-    side : ndarray (n,) int8
-        That of the end.
-    beside : ndarray (n, 2) int8
-        Those of source and receiver beside the faces.
+    Shapes: path (n,); begin, end (n,) s; lit (n, 4); side (n,); beside (n, 2); result (m,), (m,) s, (m, 4).
 
-    Returns
-    -------
-    pieces : ndarray (m,) int
-        First of those that each row is made of.
-    begin, end : ndarray (m,)
-        Of each row, s.
-    lit : ndarray (m, 4) int8
-        Sides of the terms as the end changes sides: beyond that the field depends on them, elsewhere not. Times `BOTH`
-        where the term passes its own boundary at the same time: the line of sight passes the corner itself, and the
-        paths over both edges there cancel in what each would add by going round its boundary on one side.
+    path: which path each piece belongs to; pieces are in the order of paths and times.
+
+    lit: sides of the terms as the end changes sides: beyond that the field depends on them, elsewhere not. Times `BOTH`
+    where the term passes its own boundary at the same time: the line of sight passes the corner itself, and the paths
+    over both edges there cancel in what each would add by going round its boundary on one side.
     """
     follows = np.append(False, (path[1:] == path[:-1]) & (begin[1:] == end[:-1]))[: len(path)]
     turns = follows & np.append(False, side[1:] != side[:-1])[: len(path)]

@@ -45,33 +45,26 @@ class EdgePaths(TwoSidedPaths):
 
     Attributes
     ----------
-    frame : ndarray (paths, 4, 3)
-        Start of the edge, m, and its vectors `across`, `out` and `along`, see `Edges`.
-    n : ndarray (paths,)
-        Exterior angle over π.
-    faces : ndarray (paths, 2) int
-        Walls of the 0-face and the n-face.
     lit : ndarray (paths, 4) int8
-        1 for terms whose partner is seen, -1 for those whose partner is not, 0 for terms that are left out. Over ends
-        of edges, as the end changes sides, and 2 or -2 where both do at once, see `joined_over_ends`.
+        1 for terms whose partner is seen, -1 for those whose partner is not, 0 for terms that are left out. Over
+        ends of edges, as the end changes sides, and 2 or -2 where both do at once, see `joined_over_ends`.
     end_place : ndarray (paths,)
         How far along the edge the end is that a path runs over, m; NaN for those over the edge itself.
     end_side : ndarray (paths,) int8
         1 while the shortest way over the line of the edge meets the edge, -1 while it passes the end.
     beside : ndarray (paths, 2) int8
-        -1 where source or receiver goes on beyond the 0-face, 1 where beyond the n-face, 0 where as far beyond both.
-    edge_names : tuple of str
-        Of all edges of the room.
+        -1 where source or receiver goes on beyond the 0-face, 1 where beyond the n-face, 0 where as far beyond
+        both.
     """
 
-    frame: Floats
-    n: Floats
-    faces: NDArray[np.int64]
+    frame: Floats  # (paths, 4, 3) start of the edge, m, and its vectors `across`, `out` and `along`, see `Edges`
+    n: Floats  # (paths,) exterior angle over π
+    faces: NDArray[np.int64]  # (paths, 2) walls of the 0-face and the n-face
     lit: NDArray[np.int8]
     end_place: Floats
     end_side: NDArray[np.int8]
     beside: NDArray[np.int8]
-    edge_names: tuple[str, ...]
+    edge_names: tuple[str, ...]  # of all edges of the room
 
     columns: ClassVar[tuple[str, ...]] = (
         "before_matrix", "before_offset", "after_matrix", "after_offset", "frame", "n", "faces", "lit",
@@ -102,8 +95,6 @@ class EdgePaths(TwoSidedPaths):
     ) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver.
 
-        Notes
-        -----
         The way over the edge is the shortest one, so the change of the apex does not change its length: rates are those
         of two legs to a place at rest.
         """
@@ -132,8 +123,6 @@ class EdgePaths(TwoSidedPaths):
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, spreading, air, walls, directivities.
 
-        Notes
-        -----
         The phases of the transition are those at the time of emission, stretched by ``1 / (1 - M)`` as all that a
         moving source emits.
         """
@@ -239,13 +228,12 @@ class EndsOfEdges:
     Attributes
     ----------
     side : ndarray (P,) int8
-        1 where the shortest way is taken to meet the edge, -1 where it passes the end; 0 of paths over the edge itself.
-    root : ndarray (P, T)
-        Root of the detour by the end, √m; negative where the shortest way is on the other side.
+        1 where the shortest way is taken to meet the edge, -1 where it passes the end; 0 of paths over the edge
+        itself.
     """
 
     side: NDArray[np.int8]
-    root: Floats
+    root: Floats  # (P, T) root of the detour by the end, √m; negative where the shortest way is on the other side
 
     @staticmethod
     def of(
@@ -324,21 +312,8 @@ def partner_factors(
 ) -> list[Any]:
     """Multiply the reflection factors (P, T, F) of each term's partner; None for terms whose partners have none.
 
-    Parameters
-    ----------
-    n : ndarray (P,)
-        Exterior angles over π.
-    faces : ndarray (P, 2) int
-        Walls of the 0-face and the n-face.
-    angles : tuple of ndarray (P, T)
-        θ of source and receiver.
-    slope : ndarray (P, T)
-        Sine of the angle between way and edge.
-    at : SceneResponse
-        Of which source, and at which frequencies.
+    Shapes: n (P,); faces (P, 2); slope (P, T).
 
-    Notes
-    -----
     Our own derivation: on the boundary of a partner the angle from a face of one leg to the edge gives all angles of
     incidence, in steps of nπ; elsewhere both ends share what is left to the boundary.
     """

@@ -27,27 +27,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeSearch:
-    """Answers one query for paths over the edges of a room: on a device with float64, or by its NumPy twin.
+    """Answers one query for paths over the edges of a room: on a device with float64, or by its NumPy twin."""
 
-    Attributes
-    ----------
-    query : VisibilityQuery
-        Room, ends and resolution.
-    edges : Edges
-        Of the room.
-    device : DeviceSearch, optional
-        Of the same query; NumPy when None.
-    """
-
-    query: VisibilityQuery
-    edges: Edges
-    device: DeviceSearch | None
+    query: VisibilityQuery  # room, ends and resolution
+    edges: Edges  # of the room
+    device: DeviceSearch | None  # of the same query; NumPy when None
 
     def find(self, candidates: EdgeCandidates) -> Intervals:
         """Return the intervals in which candidates are there.
 
-        Notes
-        -----
         The side of the receiver is looked at while that of the source is there: most candidates are gone by then. The
         way between two edges comes last, on the host: mostly nothing stands there.
         """

@@ -28,48 +28,18 @@ MOST_TOGETHER = 10_000_000  # evaluations of all paths of a batch: their interva
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """Stretches of candidates between boundaries of their terms.
+    """Stretches of candidates between boundaries of their terms."""
 
-    Attributes
-    ----------
-    candidates : EdgeCandidates
-        The paths.
-    row : ndarray (n,) int
-        Of the candidates.
-    begin, end : ndarray (n,)
-        s.
-    sides : ndarray (n, 11) int8
-        See `EdgeVisibility.sides`.
-    """
-
-    candidates: EdgeCandidates
-    row: NDArray[np.int64]
-    begin: Floats
-    end: Floats
-    sides: NDArray[np.int8]
+    candidates: EdgeCandidates  # the paths
+    row: NDArray[np.int64]  # (n,) of the candidates
+    begin: Floats  # (n,) s
+    end: Floats  # likewise
+    sides: NDArray[np.int8]  # (n, 11) see `EdgeVisibility.sides`
 
 
 def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell: Callable[[], None]) -> Pieces:
     """Find the intervals in which candidates are active, and cut them at the boundaries of their terms.
 
-    Parameters
-    ----------
-    finder : EdgeSearch
-        What finds the intervals.
-    candidates : EdgeCandidates
-        The paths.
-    order : int
-        Most reflections; terms whose partners have more are left out.
-    tell : callable
-        Called every now and then.
-
-    Raises
-    ------
-    InputError
-        If a path needs more than `MOST_EVALUATIONS`, or all need more than `MOST_TOGETHER`.
-
-    Notes
-    -----
     Certified subdivision, as of `find_intervals`. While a path runs along a boundary, as where source, receiver and
     edge are in a plane of symmetry, no clearance is enough: an interval of `GRAZE_TIME` is one piece there if its sides
     are the same at both ends and in the middle.

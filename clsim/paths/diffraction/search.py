@@ -56,22 +56,8 @@ _FARTHEST = 8  # resolutions, the same where that is more
 def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> EdgePaths:
     """Return every path over one edge with up to `max_order` reflections before and after it.
 
-    Parameters
-    ----------
-    scene : Scene
-        What sounds where.
-    search : PathSearch
-        What is asked.
-    others : tuple of PathFamily
-        Paths without edges: where an edge path takes over from one of them, that one's time is taken.
+    others: paths without edges: where an edge path takes over from one of them, that one's time is taken.
 
-    Raises
-    ------
-    InputError
-        If the order is out of range, or there are more paths or beams than the limits.
-
-    Notes
-    -----
     A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
     """
     rows, order, within = _rows_of(scene, search, others, _candidates)
@@ -84,20 +70,8 @@ def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...])
 def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> DoubleEdgePaths:
     """Return every path over two edges that share a face with up to `max_order` reflections before and after them.
 
-    Parameters
-    ----------
-    scene : Scene
-        What sounds where.
-    search : PathSearch
-        What is asked.
-    others : tuple of PathFamily
-        Paths without edges and over one: where a path over two edges takes over from one of them, that one's time is
-        taken.
-
-    Raises
-    ------
-    InputError
-        If the order is out of range, or there are more paths or beams than the limits.
+    others: paths without edges and over one: where a path over two edges takes over from one of them, that one's time
+    is taken.
     """
     if scene.air.layers or scene.air.fluctuation is not None:
         raise InputError("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")

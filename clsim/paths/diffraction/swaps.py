@@ -26,15 +26,6 @@ _ROUNDS = 4  # of finding the time of emission
 def with_swaps(family: Family, within: float) -> Family:
     """Return the paths with one time for the end of one and the beginning of another where they are the same event.
 
-    Parameters
-    ----------
-    family : EdgePaths
-        Whose intervals were found path by path.
-    within : float
-        How far apart both may have been found, s.
-
-    Notes
-    -----
     This is where two walls are met in another order, or where the apex goes on from an edge to the next one or to its
     corner: both paths are as long as each other then. Pieces of one path meet already; where a path over an end of an
     edge changes sides, the path over the edge itself begins or ends.

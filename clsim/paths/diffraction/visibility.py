@@ -45,30 +45,14 @@ CONTRACTED = 1e-13  # s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeCandidates:
-    """Sequences of walls, an edge or one of its ends, and walls, that paths may take: n of them.
+    """Sequences of walls, an edge or one of its ends, and walls, that paths may take: n of them."""
 
-    Attributes
-    ----------
-    before : ndarray (n, N) int32
-        Walls before the edge from the source's side.
-    after : ndarray (n, M) int32
-        Walls after the edge from the receiver's side.
-    edge : ndarray (n, 2) int
-        Of the room, from the source's side; the same twice for paths over one edge.
-    face : ndarray (n, 2) int
-        Which face of each both share, 0 for its 0-face, 1 for its n-face; -1 for paths over one edge.
-    end : ndarray (n,) int
-        0 for its start, 1 for its stop, -1 for the edge itself.
-    receiver : ndarray (n,) int
-        To which.
-    """
-
-    before: NDArray[np.int32]
-    after: NDArray[np.int32]
-    edge: Rows
-    face: Rows
-    end: Rows
-    receiver: Rows
+    before: NDArray[np.int32]  # (n, N) walls before the edge from the source's side
+    after: NDArray[np.int32]  # (n, M) walls after the edge from the receiver's side
+    edge: Rows  # (n, 2) of the room, from the source's side; the same twice for paths over one edge
+    face: Rows  # (n, 2) which face of each both share, 0 for its 0-face, 1 for its n-face; -1 for paths over one edge
+    end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself
+    receiver: Rows  # (n,) to which
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,49 +61,27 @@ class EdgeStance:
 
     Attributes
     ----------
-    ends : tuple of ndarray (n, 3)
-        The source at emission, and the receiver, m.
-    angles : tuple of ndarray (n,)
-        Of their images, each about its edge.
-    distances : tuple of ndarray (n,)
-        From its line, m.
-    across : tuple of ndarray (n,)
-        How far the other end is beyond each edge, rolled out, m.
     ways : tuple of EdgeWay
         The shortest over the lines of the edges, as each edge sees it; emission is by the way over the end of those
         that run over one.
-    places : tuple of ndarray (n,)
-        Where each path meets each edge, m from its start.
-    apexes : tuple of ndarray (n, 3)
-        The same in the room.
-    reach : ndarray (n,)
-        How far both ends may move within what was asked, m.
     """
 
-    ends: tuple[Floats, Floats]
-    angles: tuple[Floats, Floats]
-    distances: tuple[Floats, Floats]
-    across: tuple[Floats, Floats]
+    ends: tuple[Floats, Floats]  # the source at emission, and the receiver, m
+    angles: tuple[Floats, Floats]  # of their images, each about its edge
+    distances: tuple[Floats, Floats]  # from its line, m
+    across: tuple[Floats, Floats]  # how far the other end is beyond each edge, rolled out, m
     ways: tuple[EdgeWay, EdgeWay]
-    places: tuple[Floats, Floats]
-    apexes: tuple[Floats, Floats]
-    reach: Floats
+    places: tuple[Floats, Floats]  # where each path meets each edge, m from its start
+    apexes: tuple[Floats, Floats]  # the same in the room
+    reach: Floats  # (n,) how far both ends may move within what was asked, m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeVisibility:
-    """Tells of candidates whether they are there, and which partners are seen.
+    """Tells of candidates whether they are there, and which partners are seen."""
 
-    Attributes
-    ----------
-    edges : Edges
-        Of the room.
-    candidates : EdgeCandidates
-        What is asked about.
-    """
-
-    edges: Edges
-    candidates: EdgeCandidates
+    edges: Edges  # of the room
+    candidates: EdgeCandidates  # what is asked about
 
     def stance(self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats) -> EdgeStance:
         """Return where candidates `which` (n,) run at times (n,), with what their ends move within `half`, s."""

@@ -20,18 +20,10 @@ _CONVERGED = 1e-15  # s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeView:
-    """How the edges of P paths see one end: as coordinates along `across`, `out` and `along` of each edge.
+    """How the edges of P paths see one end: as coordinates along `across`, `out` and `along` of each edge."""
 
-    Attributes
-    ----------
-    turn : ndarray (P, 3, 3)
-        From directions in the room to those in each edge's frame, seen by the walls between.
-    shift : ndarray (P, 3)
-        Where the room's origin is seen, m.
-    """
-
-    turn: Floats
-    shift: Floats
+    turn: Floats  # (P, 3, 3) from directions in the room to those in each edge's frame, seen by the walls between
+    shift: Floats  # (P, 3) where the room's origin is seen, m
 
     @staticmethod
     def of(matrix: Floats, offset: Floats, frame: Floats) -> EdgeView:
@@ -56,18 +48,10 @@ class EdgeView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RolledOut:
-    """How edges see what is beyond others with which they share a face, all rolled out into the plane of that face.
+    """How edges see what is beyond others with which they share a face, all rolled out into the plane of that face."""
 
-    Attributes
-    ----------
-    offset : ndarray (P, 2)
-        r and z of what is at r = z = 0 about the other edge, m.
-    matrix : ndarray (P, 2, 2)
-        From r and z about the other edge.
-    """
-
-    offset: Floats
-    matrix: Floats
+    offset: Floats  # (P, 2) r and z of what is at r = z = 0 about the other edge, m
+    matrix: Floats  # (P, 2, 2) from r and z about the other edge
 
     @staticmethod
     def of(frame: Floats, inward: Floats, other: Floats, other_inward: Floats) -> RolledOut:
@@ -88,28 +72,18 @@ class EdgeWays:
 
     Attributes
     ----------
-    source, receiver : ndarray (3, P, T)
-        Coordinates of both images, that of the source at emission, m.
     places : tuple of ndarray (P, T)
         Where each way meets the first edge and the last, which may be the same, m from its start.
-    emission_time : ndarray (P, T)
-        s.
-    delay, length : ndarray (P, T)
-        s, and m.
-    sound : Passage
-        What the air makes of it.
-    mach : ndarray (P, T)
-        Of the source towards the way.
     """
 
-    source: Floats
-    receiver: Floats
+    source: Floats  # (3, P, T) coordinates of both images, that of the source at emission, m
+    receiver: Floats  # likewise
     places: tuple[Floats, Floats]
-    emission_time: Floats
-    delay: Floats
-    length: Floats
-    sound: Passage
-    mach: Floats
+    emission_time: Floats  # (P, T) s
+    delay: Floats  # (P, T) s, and m
+    length: Floats  # likewise
+    sound: Passage  # what the air makes of it
+    mach: Floats  # (P, T) of the source towards the way
 
     @property
     def parts(self) -> tuple[Floats, Floats]:
@@ -125,27 +99,14 @@ def edge_ways(
 ) -> EdgeWays:  # fmt: skip
     """Return the ways of P paths between a source and a receiver.
 
-    Parameters
-    ----------
-    views : tuple of EdgeView
-        Of the source, and of the receiver.
-    beyond : tuple of RolledOut, optional
-        How the first edge sees what is beyond the last one, and this what is beyond the first, of paths over two.
-    end_place : ndarray (P,)
-        Of the ends that paths run over, m; NaN for paths over the edge itself, by the shortest way.
-    source : Motion
-        How the source moves.
-    receiver : ndarray (T, 3)
-        Where the receiver is, m.
-    times : ndarray (T,)
-        Of reception, s.
-    medium : Medium
-        What sound travels in.
-    retarded : bool
-        Whether the source is where it was when the sound was emitted, or where it is at reception.
+    Shapes: end_place (P,) m; receiver (T, 3) m; times (T,) s.
 
-    Notes
-    -----
+    beyond: how the first edge sees what is beyond the last one, and this what is beyond the first, of paths over two.
+
+    end_place: of the ends that paths run over, m; NaN for paths over the edge itself, by the shortest way.
+
+    retarded: whether the source is where it was when the sound was emitted, or where it is at reception.
+
     As the way over the edge itself is the shortest, the change of its apex does not change it: Newton's steps for the
     time of emission take the source's speed along the first part.
     """

@@ -60,31 +60,19 @@ class Line:
 
     Attributes
     ----------
-    share : ndarray (n, N)
-        At which mirrors are met, from 0 at the source to 1 at the receiver if they are met in order.
-    rise : ndarray (n, N)
-        How much the height over each mirror changes along the whole line, m.
-    length : ndarray (n,)
-        Of the line, m.
     place, time : ndarray (n, N + 2, 3), (n, N + 2)
         In the room, m, and after the reception, s: emission, where mirrors are met, reception.
-    start, stop : ndarray (n, N, 3)
-        What mirror k reflects, S_{k-1}, and where it is reflected to, R_k, in the room, m.
-    tame : ndarray (n, N) bool
-        Whether events lie where mirrors are taken from their motion.
-    now : ndarray (n,)
-        Times of reception, s.
     """
 
-    share: Floats
-    rise: Floats
-    length: Floats
+    share: Floats  # (n, N) at which mirrors are met, from 0 at the source to 1 at the receiver if they are met in order
+    rise: Floats  # (n, N) how much the height over each mirror changes along the whole line, m
+    length: Floats  # (n,) of the line, m
     place: Floats
     time: Floats
-    start: Floats
-    stop: Floats
-    tame: Bools
-    now: Floats
+    start: Floats  # (n, N, 3) what mirror k reflects, S_{k-1}, and where it is reflected to, R_k, in the room, m
+    stop: Floats  # likewise
+    tame: Bools  # (n, N) whether events lie where mirrors are taken from their motion
+    now: Floats  # (n,) times of reception, s
 
 
 def straightened(mirrors: Mirrors, walls: NDArray[Any], events: Events, now: Floats, medium: UniformAir) -> Line:
@@ -141,28 +129,14 @@ def _mirrored(plane: tuple[Floats, Floats, Floats], event: Floats, c: float) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """At most how fast what decides about n paths of N mirrors changes, by the time of reception.
+    """At most how fast what decides about n paths of N mirrors changes, by the time of reception."""
 
-    Attributes
-    ----------
-    dilation : ndarray (n, N + 2)
-        Of times of events to those of reception.
-    place : ndarray (n, N + 2)
-        Of emission, where mirrors are met, and reception in the room, m/s.
-    share : ndarray (n, N)
-        Of the shares at which mirrors are met, 1/s.
-    start, stop : ndarray (n, N)
-        Of the heights over mirrors of what they reflect, and of where to, m/s.
-    holds : ndarray (n,)
-        For how long these are bounds, s; 0 where they are none.
-    """
-
-    dilation: Floats
-    place: Floats
-    share: Floats
-    start: Floats
-    stop: Floats
-    holds: Floats
+    dilation: Floats  # (n, N + 2) of times of events to those of reception
+    place: Floats  # (n, N + 2) of emission, where mirrors are met, and reception in the room, m/s
+    share: Floats  # (n, N) of the shares at which mirrors are met, 1/s
+    start: Floats  # (n, N) of the heights over mirrors of what they reflect, and of where to, m/s
+    stop: Floats  # likewise
+    holds: Floats  # (n,) for how long these are bounds, s; 0 where they are none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,16 +157,9 @@ class _Mirrored:
 def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium: UniformAir, there: Bools) -> Drift:
     """Return how fast the lines of paths change.
 
-    Parameters
-    ----------
-    mirrors, walls, medium
-        As for `straightened`.
-    line : Line
-        Of the paths.
-    pace : Pace
-        Of all that moves.
-    there : ndarray (n,) bool
-        Paths that meet all faces: until they do no more, their mirrors are no faster than bodies.
+    Shapes: there (n,).
+
+    there: paths that meet all faces: until they do no more, their mirrors are no faster than bodies.
     """
     c = medium.speed_of_sound
     wind = float(np.linalg.norm(medium.wind or (0.0, 0.0, 0.0)))

@@ -36,22 +36,12 @@ _BEYOND = 1.0  # lengths of the edge, by which places of paths that are not ther
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chains:
-    """What P paths meet: mirrors, an edge or one of its ends, and mirrors, all from the source's side.
+    """What P paths meet: mirrors, an edge or one of its ends, and mirrors, all from the source's side."""
 
-    Attributes
-    ----------
-    before, after : ndarray (P, N) int32
-        Mirrors before the edge and after it, filled up with -1.
-    edge : ndarray (P,) int
-        Which, of `EdgeLines`.
-    end : ndarray (P,) int
-        0 for its start, 1 for its stop, -1 for the edge itself.
-    """
-
-    before: NDArray[np.int32]
-    after: NDArray[np.int32]
-    edge: NDArray[np.int64]
-    end: NDArray[np.signedinteger[Any]]
+    before: NDArray[np.int32]  # (P, N) mirrors before the edge and after it, filled up with -1
+    after: NDArray[np.int32]  # likewise
+    edge: NDArray[np.int64]  # (P,) which, of `EdgeLines`
+    end: NDArray[np.signedinteger[Any]]  # (P,) 0 for its start, 1 for its stop, -1 for the edge itself
 
     def part(self, rows: NDArray[Any]) -> Chains:
         """Return some of them."""
@@ -64,28 +54,19 @@ class EdgeEvents:
 
     Attributes
     ----------
-    along : ndarray (P, T)
-        Where on the edge it is diffracted, m from its start.
-    time : ndarray (P, T)
-        When, s.
-    first, last : Events
-        Of the way from the source to that point, and of the one from it to the receiver.
     source, receiver : tuple of ndarray (P, T)
-        r, θ and z about the edge of the images of emission and reception, from the point on it, as the edge sees them.
-    doppler : ndarray (P, T)
-        Frequency at the edge, as it sees it, over that emitted.
-    carried : ndarray (P, T)
-        What the wind makes of that where all rests in the room.
+        r, θ and z about the edge of the images of emission and reception, from the point on it, as the edge sees
+        them.
     """
 
-    along: Floats
-    time: Floats
-    first: Events
-    last: Events
+    along: Floats  # (P, T) where on the edge it is diffracted, m from its start
+    time: Floats  # (P, T) when, s
+    first: Events  # of the way from the source to that point, and of the one from it to the receiver
+    last: Events  # likewise
     source: tuple[Floats, Floats, Floats]
     receiver: tuple[Floats, Floats, Floats]
-    doppler: Floats
-    carried: Floats
+    doppler: Floats  # (P, T) frequency at the edge, as it sees it, over that emitted
+    carried: Floats  # (P, T) what the wind makes of that where all rests in the room
 
     def put(self, rows: NDArray[np.int64], other: EdgeEvents) -> None:
         """Write others in place of some of the paths."""
@@ -103,41 +84,23 @@ def _arrays(value: Any) -> list[Floats]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeSolver:
-    """What ways over edges are looked for among, between one source and one receiver.
+    """What ways over edges are looked for among, between one source and one receiver."""
 
-    Attributes
-    ----------
-    mirrors : Mirrors
-        Of the scene.
-    lines : EdgeLines
-        Its edges.
-    ends : tuple of Motion
-        Of the source and of the receiver.
-    medium : UniformAir
-        What sound travels in; in wind all is seen from the air's own frame, where the law is the same.
-    retarded : bool
-        Whether all is where it was when the sound passed, or rests where it is at reception.
-    rounds : int
-        Of the search for events at mirrors, at the most.
-    """
-
-    mirrors: Mirrors
-    lines: EdgeLines
-    ends: tuple[Motion, Motion]
-    medium: UniformAir
-    retarded: bool = True
-    rounds: int = _ROUNDS
+    mirrors: Mirrors  # of the scene
+    lines: EdgeLines  # its edges
+    ends: tuple[Motion, Motion]  # of the source and of the receiver
+    medium: UniformAir  # what sound travels in; in wind all is seen from the air's own frame, where the law is the same
+    retarded: bool = True  # whether all is where it was when the sound passed, or rests where it is at reception
+    rounds: int = _ROUNDS  # of the search for events at mirrors, at the most
 
     def find(self, chains: Chains, times: Floats) -> EdgeEvents:
         """Return how sound that is received at times (T,) or (P, T) goes over edges, s.
 
-        Notes
-        -----
-        As the edge sees it, both images rest, and the shortest way over the line of the edge meets it where
-        `edge_way` says; where the images lie changes with that place only as mirrors, source and edge move meanwhile,
-        so that each step leaves some Mach number of what was left, and its square at the end. Where times are many and
-        near to each other places are found at every fourth of them first, and quintic splines through these are where
-        the others begin.
+        As the edge sees it, both images rest, and the shortest way over the line of the edge meets it where `edge_way`
+        says; where the images lie changes with that place only as mirrors, source and edge move meanwhile, so that each
+        step leaves some Mach number of what was left, and its square at the end. Where times are many and near to each
+        other places are found at every fourth of them first, and quintic splines through these are where the others
+        begin.
         """
         now = np.array(np.broadcast_to(times, (len(chains.edge), np.shape(times)[-1])))
         along = np.repeat(0.5 * self.lines.length[chains.edge, None], now.shape[1], axis=1)

@@ -38,19 +38,15 @@ class EdgeArrivals(Arrivals):
 
     Attributes
     ----------
-    cosine : ndarray (P, T, N)
-        Of the angle of incidence at each mirror, those before the edge first.
     emitted_at, heard_at : ndarray (P, T, 3)
         r, θ and z of the images of both ends as the edge sees them, from where sound is diffracted.
-    doppler, carried : ndarray (P, T)
-        See `EdgeEvents`.
     """
 
-    cosine: Floats
+    cosine: Floats  # (P, T, N) of the angle of incidence at each mirror, those before the edge first
     emitted_at: Floats
     heard_at: Floats
-    doppler: Floats
-    carried: Floats
+    doppler: Floats  # (P, T) see `EdgeEvents`
+    carried: Floats  # likewise
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,31 +59,26 @@ class MovingEdgePaths(MovingPaths):
     ----------
     before, after : ndarray (paths, N) int
         Mirrors before the edge and after it, both from the source's side, filled up with -1; see `Mirrors`.
-    edge : ndarray (paths,) int
-        Which, of `EdgeLines`.
-    over_end : ndarray (paths,) int8
-        0 for paths over its start, 1 over its stop, -1 over the edge itself.
     lit : ndarray (paths, 4) int8
         1 for terms whose partner is seen, -1 for those whose partner is not, 0 for terms that are left out.
     end_side : ndarray (paths,) int8
         1 while the shortest way over the line of the edge meets the edge, -1 while it passes the end that the path
         runs over, 0 for paths over the edge itself.
     beside : ndarray (paths, 2) int8
-        -1 where source or receiver is on the side of the 0-face, 1 where on that of the n-face: angles beyond go on.
-    model : str
-        Of the field at an edge.
+        -1 where source or receiver is on the side of the 0-face, 1 where on that of the n-face: angles beyond go
+        on.
     """
 
     interactions: NDArray[np.signedinteger[Any]] = field(init=False, repr=False)
     objects: NDArray[np.signedinteger[Any]] = field(init=False, repr=False)
     before: NDArray[np.int32]
     after: NDArray[np.int32]
-    edge: NDArray[np.int64]
-    over_end: NDArray[np.int8]
+    edge: NDArray[np.int64]  # (paths,) which, of `EdgeLines`
+    over_end: NDArray[np.int8]  # (paths,) 0 for paths over its start, 1 over its stop, -1 over the edge itself
     lit: NDArray[np.int8]
     end_side: NDArray[np.int8]
     beside: NDArray[np.int8]
-    model: str
+    model: str  # of the field at an edge
 
     columns: ClassVar[tuple[str, ...]] = ("before", "after", "edge", "over_end", "lit", "end_side", "beside")
     costly: ClassVar[bool] = True
@@ -125,14 +116,7 @@ class MovingEdgePaths(MovingPaths):
     def events(self, rows: Rows, times: Floats, motion: str = "retarded") -> EdgeEvents:
         """Return where and when paths between one source and one receiver are diffracted, and reflected.
 
-        Parameters
-        ----------
-        rows : slice or ndarray (P,) int
-            The paths.
-        times : ndarray (T,) or (P, T)
-            Of reception, s.
-        motion : {"retarded", "quasi-static"}
-            As for `arrivals`.
+        Shapes: rows (P,); times (T,) s.
         """
         index = np.arange(len(self))[rows]
         source, receiver = self.ends(index)
@@ -147,8 +131,6 @@ class MovingEdgePaths(MovingPaths):
     ) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver.
 
-        Notes
-        -----
         As the edge sees it the field falls with the length L of the way between both images there, and with how much
         later it is there for a second of emission: ``1 / (L dt/dt_e)``, the inverse of the frequency at the edge over
         that emitted. What is left out is of the order of V² / c² of the edge (angles of its faces), and of what it
@@ -182,8 +164,6 @@ class MovingEdgePaths(MovingPaths):
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): the field at the edge, air, mirrors, directivities.
 
-        Notes
-        -----
         The phases of the transition are those of the frequency that the edge hears.
         """
         index, here = np.arange(len(self))[rows], cast("EdgeArrivals", found)

@@ -32,28 +32,16 @@ class EdgeLines:
     ----------
     frames : ndarray (E, 4, 3)
         Start, m, and the vectors `across`, `out` and `along`, see `Edges`; of bodies in their own coordinates.
-    length, n : ndarray (E,)
-        m, and exterior angles over π.
-    faces : ndarray (E, 2) int
-        Mirrors that are the 0-face and the n-face, see `Mirrors`.
-    free : ndarray (E, 2) bool
-        Whether start and stop are in the air.
-    owner : ndarray (E,) int
-        Index of the body, `ROOM` for edges of the room.
-    names : tuple of str
-        Of each.
-    bodies : tuple of Body
-        Of the scene.
     """
 
     frames: Floats
-    length: Floats
-    n: Floats
-    faces: NDArray[np.int64]
-    free: NDArray[np.bool_]
-    owner: NDArray[np.int64]
-    names: tuple[str, ...]
-    bodies: tuple[Body, ...]
+    length: Floats  # (E,) m, and exterior angles over π
+    n: Floats  # likewise
+    faces: NDArray[np.int64]  # (E, 2) mirrors that are the 0-face and the n-face, see `Mirrors`
+    free: NDArray[np.bool_]  # (E, 2) whether start and stop are in the air
+    owner: NDArray[np.int64]  # (E,) index of the body, `ROOM` for edges of the room
+    names: tuple[str, ...]  # of each
+    bodies: tuple[Body, ...]  # of the scene
 
     @staticmethod
     def of(scene: Scene) -> EdgeLines:

@@ -26,16 +26,13 @@ def pieces(
 ) -> tuple[Rows, Floats, Floats, Codes]:
     """Return rows (n,), when each begins and ends to be as a code says (n,), s, and the codes (n,), 0 or more.
 
-    Parameters
-    ----------
-    codes : callable
-        Takes rows (P,) and times (P, T), s; returns how each path is at each of its times, below 0 where it is not
-        there.
-    looks : sequence of (rows, times)
-        Rows (P,) with the times (T,) at which to look at them, s; each row once. What comes and goes between two of
-        the times is missed unless something else changes there, too.
-    resolution : float
-        To which begins and ends are found, s.
+    Shapes: looks (rows, times) s.
+
+    codes: takes rows (P,) and times (P, T), s; returns how each path is at each of its times, below 0 where it is not
+    there.
+
+    looks: rows (P,) with the times (T,) at which to look at them, s; each row once. What comes and goes between two of
+    the times is missed unless something else changes there, too.
     """
     found, gaps = (
         [(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int8))],

@@ -43,18 +43,8 @@ _END, _HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> MovingEdgePaths:
     """Return every path over one edge of which the edge or a mirror belongs to a body.
 
-    Parameters
-    ----------
-    search : BodySearch
-        Of the scene.
-    others : tuple of PathFamily
-        Paths without edges, and over those of the room: where an edge path takes over from one of them, that one's time
-        is taken.
-
-    Raises
-    ------
-    InputError
-        If there are more than the limit, or more beams than can be looked at.
+    others: paths without edges, and over those of the room: where an edge path takes over from one of them, that one's
+    time is taken.
     """
     finder, scene = _EdgeFinder(search), search.scene
     found = [finder.paths(s, r) for s in range(len(scene.sources)) for r in range(len(scene.receivers))]
@@ -131,8 +121,6 @@ class _EdgeFinder:
     def _find_reached(self, source: int, receiver: int | None, span: tuple[float, float]) -> list[NDArray[np.int32]]:
         """Return for each edge the mirrors (n, order) by which one end may reach it, both from the source's side.
 
-        Notes
-        -----
         Beams run from a ball that holds the end to balls that hold the edges, about one pose of the bodies, with the
         slack of `BodySearch` for what moves off it.
         """

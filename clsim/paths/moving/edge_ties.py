@@ -23,15 +23,6 @@ _SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 def tied(family: MovingEdgePaths, others: Sequence[PathFamily]) -> MovingEdgePaths:
     """Return the paths with the times at which others begin or end where that is the same event.
 
-    Parameters
-    ----------
-    family : MovingEdgePaths
-        Whose intervals were found path by path.
-    others : sequence of PathFamily
-        Their times are kept.
-
-    Notes
-    -----
     Where sound goes over from one path to another both take the same time: an edge path and the one that passes its
     edge, or is reflected at it, and a path over an edge and that over the end of it.
     """

@@ -43,37 +43,27 @@ class Events:
 
     Attributes
     ----------
-    delay, rate : ndarray (P, T)
-        s, and its derivative by the time of reception.
-    distance : ndarray (P, T)
-        From the image of the emission to the receiver in the air's frame, m.
     stretch, carried : ndarray (P, T)
         By how much the time of reception grows with that of emission for a receiver that rests in the air; what the
         wind makes of it where all rests in the room.
-    mach : ndarray (P, T)
-        Of the source along its way.
-    departure, arrival : ndarray (P, T, 3)
-        Normals of the wavefront: as it leaves, and back from the receiver.
     place, time : ndarray (P, T, N + 2, 3), (P, T, N + 2)
         Emission, reflections and reception in the room, m and s; those of no mirror at that before.
     share : ndarray (P, T, N)
         Where the line from the receiver's side to the image meets each mirror: between 0 and 1 if it does.
-    cosine : ndarray (P, T, N)
-        Of the angle of incidence.
     """
 
-    delay: Floats
-    rate: Floats
-    distance: Floats
+    delay: Floats  # (P, T) s, and its derivative by the time of reception
+    rate: Floats  # likewise
+    distance: Floats  # (P, T) from the image of the emission to the receiver in the air's frame, m
     stretch: Floats
     carried: Floats
-    mach: Floats
-    departure: Floats
-    arrival: Floats
+    mach: Floats  # (P, T) of the source along its way
+    departure: Floats  # (P, T, 3) normals of the wavefront: as it leaves, and back from the receiver
+    arrival: Floats  # likewise
     place: Floats
     time: Floats
     share: Floats
-    cosine: Floats
+    cosine: Floats  # (P, T, N) of the angle of incidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,30 +95,14 @@ def find_events(
 ) -> Events:
     """Return the events of paths by mirrors.
 
-    Parameters
-    ----------
-    mirrors : Mirrors
-        Of the scene.
-    walls : ndarray (P, N) int
-        Mirrors of each path from the source's side, filled up with -1.
-    motion : tuple of Motion
-        Of the source and of the receiver.
-    medium : UniformAir
-        What sound travels in; in wind all is seen from the air's own frame, where the law is the same.
-    times : ndarray (T,) or (P, T)
-        Of reception, s.
-    retarded : bool
-        Whether all is where it was when the sound passed, or rests where it is at reception.
-    rounds : int
-        At the most; those that are there need few.
+    Shapes: walls (P, N); times (T,) s.
 
-    Returns
-    -------
-    Events
-        Also of paths that are not there: what would be seen if mirrors had no edges.
+    medium: what sound travels in; in wind all is seen from the air's own frame, where the law is the same.
 
-    Notes
-    -----
+    retarded: whether all is where it was when the sound passed, or rests where it is at reception.
+
+    result: also of paths that are not there: what would be seen if mirrors had no edges.
+
     Where times are many and near to each other, events are looked for at every fourth of them first: quintic splines
     through these are where the others begin, and change no more than how many rounds that takes.
 

@@ -26,19 +26,7 @@ _SLICE = 20_000  # knots looked at at a time
 def face_rate(mirrors: Mirrors, end: float, tolerance: float) -> float:
     """Return knots per second such that the faces of all bodies are right between them.
 
-    Parameters
-    ----------
-    mirrors : Mirrors
-        Of the scene.
-    end : float
-        Last time that matters, s.
-    tolerance : float
-        Largest error of where a face is, m.
-
-    Returns
-    -------
-    float
-        1/s. The largest one there is where turns jump, as between waypoints: that leaves an error over one knot.
+    result: 1/s. The largest one there is where turns jump, as between waypoints: that leaves an error over one knot.
     """
     moving = [body for body in mirrors.bodies if not body.is_static]
     if not moving:
@@ -57,24 +45,10 @@ def face_knots(
 ) -> tuple[Floats, float]:
     """Return cubics of mirrors from `start` to `end`, and the time of the first knot.
 
-    Parameters
-    ----------
-    mirrors : Mirrors
-        Of the scene.
-    faces : ndarray (n,) int
-        Which; walls of the room rest.
-    start, end : float
-        Range of times, s.
-    rate : float
-        Knots per second; knots stand at its whole multiples whatever the range.
+    Shapes: faces (n,); result (n, knots, 16) m.
 
-    Returns
-    -------
-    knots : ndarray (n, knots, 16)
-        Of the plane ``normal @ x = offset``, m: coefficients [power][xyz] of the normal in units of the knot's length,
-        and [power] of the offset.
-    first : float
-        Time of the first knot, s.
+    knots: of the plane ``normal @ x = offset``, m: coefficients [power][xyz] of the normal in units of the knot's
+    length, and [power] of the offset.
     """
     first = math.floor(start * rate)
     times = np.arange(first, math.ceil(end * rate) + 2, dtype=np.float64) / rate

@@ -28,15 +28,9 @@ _AT_A_TIME = 16384  # nodes that are looked at together: what is worked on stays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyArrivals(Arrivals):
-    """What paths by bodies bring, with what their responses need.
+    """What paths by bodies bring, with what their responses need."""
 
-    Attributes
-    ----------
-    cosine : ndarray (P, T, N)
-        Of the angle of incidence at each mirror.
-    """
-
-    cosine: Floats
+    cosine: Floats  # (P, T, N) of the angle of incidence at each mirror
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +70,7 @@ class BodyPaths(MovingPaths):
     def events(self, rows: Rows, times: Floats, motion: str = "retarded") -> Events:
         """Return where and when paths between one source and one receiver are reflected.
 
-        Parameters
-        ----------
-        rows : slice or ndarray (P,) int
-            The paths.
-        times : ndarray (T,) or (P, T)
-            Of reception, s.
-        motion : {"retarded", "quasi-static"}
-            As for `arrivals`.
+        Shapes: rows (P,); times (T,) s.
         """
         source, receiver = self.ends(rows)
         medium = self.medium(int(self.source[rows][0]))
@@ -96,8 +83,6 @@ class BodyPaths(MovingPaths):
     ) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver.
 
-        Notes
-        -----
         The pressure is that of the image of the source: it falls with the distance d from the image event, and by the
         time of reception over that of emission, ``s(t - delay) / (d dt/dt_e)``, in which the Doppler factors of the
         source and of all mirrors are. Other conditions on moving faces differ by the order of their Mach number.

@@ -40,17 +40,7 @@ _EARLIER = 1.25  # of a delay, and more, before which sound of a stretch of time
 
 
 def behind_bodies(search: BodySearch, family: PathFamily, progress: Progress = lambda share: None) -> PathFamily:
-    """Return the paths of a kind that is reflected by no body without what bodies hide, rows cut as it takes.
-
-    Parameters
-    ----------
-    search : BodySearch
-        Of the scene.
-    family : PathFamily
-        As if there were no bodies.
-    progress : callable
-        Takes the share of the work that is done.
-    """
+    """Return the paths of a kind that is reflected by no body without what bodies hide, rows cut as it takes."""
     rows: list[Any] = [np.empty(0, dtype=np.int64)]
     begins, ends = [np.empty(0)], [np.empty(0)]
     pairs = list(family.pairs())
@@ -147,8 +137,6 @@ class _Look:
     def look(self, rows: Rows, times: Floats, half: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
         """Return whether paths (n,) are free, for how long that is certain, s, and how fast what decides is, m/s.
 
-        Notes
-        -----
         Walls rest: every point at a fixed share of a path moves by no more than its ends, see `certainty`, and a corner
         along the wall by as much again over the cosine of the angle of incidence.
         """

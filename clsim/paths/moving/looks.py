@@ -30,21 +30,7 @@ _TOGETHER = 32  # looks between which paths are smooth
 
 
 def looks(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: float, step: float) -> Floats:
-    """Return times of reception (n,), from one to the next of which all that moves goes no farther than a step, s.
-
-    Parameters
-    ----------
-    bodies : sequence of Body
-        Their fastest points count.
-    ends : sequence of Motion
-        Of a source and a receiver.
-    last : float
-        Until when, from 0 s on, s.
-    longest : float
-        How long sound is on its way at most, s: what moves meanwhile counts.
-    step : float
-        By the sum of the ways of all of them, m.
-    """
+    """Return times of reception (n,), from one to the next of which all that moves goes no farther than a step, s."""
     from scipy.ndimage import maximum_filter1d
 
     instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
@@ -64,19 +50,13 @@ def intervals(
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Return when paths are there: places among `rows` (n,) in order, begins and ends (n,), s.
 
-    Parameters
-    ----------
-    status : callable
-        Takes rows (P,) and times (P, T), s; returns whether each path is there at each of its times.
-    rows : ndarray (P,) int
-        Paths to look at.
-    times : ndarray (T,)
-        Looks, s; what comes and goes between two of them is missed.
-    resolution : float
-        To which begins and ends are found, s.
-    nearby : callable
-        Takes rows (P,) and some of the times; returns what takes places among these rows (n,) and times (n, T) within
-        these for about `status`. Where that finds a change, two looks say whether it is one; else it is found by looks.
+    Shapes: rows (P,); times (T,) s.
+
+    status: takes rows (P,) and times (P, T), s; returns whether each path is there at each of its times.
+
+    nearby: takes rows (P,) and some of the times; returns what takes places among these rows (n,) and times (n, T)
+    within these for about `status`. Where that finds a change, two looks say whether it is one; else it is found by
+    looks.
     """
     there = np.zeros((len(rows), len(times)), dtype=bool)
     found: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64),) * 2 + (np.empty(0),)]

@@ -35,36 +35,16 @@ _EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of ti
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MirrorLook:
-    """How paths by mirrors (P, N) from a source to receivers are at a time.
+    """How paths by mirrors (P, N) from a source to receivers are at a time."""
 
-    Attributes
-    ----------
-    obstacles : Obstacles
-        Of the scene.
-    source : Motion
-        Of the source.
-    receivers : sequence of Motion
-        Of the receivers.
-    medium : UniformAir
-        What sound travels in.
-    rates : EndRates
-        How fast all that moves is.
-    surfaces : ndarray (P, N) int
-        Mirrors from the source's side, filled up with -1.
-    receiver : ndarray (P,) int
-        Of each path.
-    step : float
-        How far all that moves may go where nothing is certain until the next look, m.
-    """
-
-    obstacles: Obstacles
-    source: Motion
-    receivers: Sequence[Motion]
-    medium: UniformAir
-    rates: EndRates
-    surfaces: NDArray[np.int32]
-    receiver: Rows
-    step: float
+    obstacles: Obstacles  # of the scene
+    source: Motion  # of the source
+    receivers: Sequence[Motion]  # of the receivers
+    medium: UniformAir  # what sound travels in
+    rates: EndRates  # how fast all that moves is
+    surfaces: NDArray[np.int32]  # (P, N) mirrors from the source's side, filled up with -1
+    receiver: Rows  # (P,) of each path
+    step: float  # how far all that moves may go where nothing is certain until the next look, m
 
     def status(self, rows: Rows, times: Floats) -> Bools:
         """Return whether paths (n,) are there at times (n,)."""
@@ -127,8 +107,6 @@ class MirrorLook:
     def _behind(self, walls: NDArray[np.int32], line: Line, pace: Pace, delay: Floats) -> Floats:
         """Return for how long a face that moves surely has source and receiver on both its sides, (n,) s.
 
-        Notes
-        -----
         That is asked of paths that one moving face alone reflects: all images by walls rest as the ends do, and
         whenever sound may meet the face, it is in a pose that differs from one of these by no more than it moves.
         """

@@ -33,20 +33,11 @@ class Planes:
     """Flat mirrors, each as it is about one event, of any shape (...).
 
     The mirror is where ``normal @ x = offset + speed t``, with times counted from some instant.
-
-    Attributes
-    ----------
-    normal : ndarray (..., 3)
-        Unit vectors; zero for no mirror.
-    offset : ndarray (...)
-        m.
-    speed : ndarray (...)
-        Along the normal, m/s.
     """
 
-    normal: Floats
-    offset: Floats
-    speed: Floats
+    normal: Floats  # (..., 3) unit vectors; zero for no mirror
+    offset: Floats  # (...) m
+    speed: Floats  # (...) along the normal, m/s
 
     def height(self, time: Floats, place: Floats) -> Floats:
         """Return how far events at times (...), s, and places (..., 3), m, are in front of them, m."""
@@ -55,25 +46,13 @@ class Planes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mirrors:
-    """All mirrors of a scene: the walls of the room, and behind them the faces of its bodies.
+    """All mirrors of a scene: the walls of the room, and behind them the faces of its bodies."""
 
-    Attributes
-    ----------
-    normal, offset : ndarray (W, 3), (W,)
-        Planes ``normal @ x = offset``, of faces in the coordinates of their bodies, m.
-    owner : ndarray (W,) int
-        Index of the body, `ROOM` for walls of the room.
-    first : ndarray (bodies,) int
-        First face of each body.
-    bodies : tuple of Body
-        Of the scene.
-    """
-
-    normal: Floats
-    offset: Floats
-    owner: NDArray[np.int64]
-    first: NDArray[np.int64]
-    bodies: tuple[Body, ...]
+    normal: Floats  # (W, 3) planes ``normal @ x = offset``, of faces in the coordinates of their bodies, m
+    offset: Floats  # likewise
+    owner: NDArray[np.int64]  # (W,) index of the body, `ROOM` for walls of the room
+    first: NDArray[np.int64]  # (bodies,) first face of each body
+    bodies: tuple[Body, ...]  # of the scene
 
     @staticmethod
     def of(scene: Scene) -> Mirrors:
@@ -92,19 +71,8 @@ class Mirrors:
     def planes(self, walls: Integers, now: Floats, event: Floats, place: Floats | None) -> Planes:
         """Return mirrors as they are about the events in which sound meets them.
 
-        Parameters
-        ----------
-        walls : ndarray (P,) int
-            Which, -1 for none.
-        now : ndarray (P, T)
-            Instants from which times are counted, s.
-        event : ndarray (P, T)
-            When each is met, from these on, s.
-        place : ndarray (P, T, 3), optional
-            Where, m; they rest where they are at the event if left out.
+        Shapes: walls (P,); now (P, T) s; event (P, T) s; place (P, T, 3) m.
 
-        Notes
-        -----
         A face n(t) x = h(t) that turns is taken as its tangent about the event, a plane of the constant normal n and
         the speed ``h' - n' x``, which is that of the body's own point there.
         """
@@ -124,14 +92,7 @@ class Mirrors:
     def distances(self, walls: Integers, start: Floats, stop: Floats, times: Any) -> Floats:
         """Return how long ways (P,) by mirrors are that rest where they are at a time, or at times (P,), m.
 
-        Parameters
-        ----------
-        walls : ndarray (P, N) int
-            From the first one met, filled up with -1.
-        start, stop : ndarray (P, 3)
-            Ends of the ways, m.
-        times : float or ndarray (P,)
-            s.
+        Shapes: walls (P, N); start, stop (P, 3) m.
         """
         now, none = np.broadcast_to(times, len(walls))[:, None], np.zeros((len(walls), 1))
         image = start[:, None]

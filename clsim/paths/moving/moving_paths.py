@@ -54,8 +54,6 @@ class MovingPaths(PathFamily):
     def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
         """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
 
-        Notes
-        -----
         A mirror, an edge or a scatterer that moves by d makes a way longer by at most 2 d.
         """
         scene, index = self.scene, np.arange(len(self))[rows]

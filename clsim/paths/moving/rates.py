@@ -61,21 +61,15 @@ class Middle:
 
     Attributes
     ----------
-    place : ndarray (3,)
-        In the body's own coordinates, m.
     radius, lever : float
         How far points of the body are from it at most, and from axes through it about which the body turns, m.
-    limit : float
-        The same of places at which mirrors are taken from the body's motion, m.
-    fastest : float
-        Bound of the speed of any point of the body, m/s.
     """
 
-    place: Floats
+    place: Floats  # (3,) in the body's own coordinates, m
     radius: float
     lever: float
-    limit: float
-    fastest: float
+    limit: float  # the same of places at which mirrors are taken from the body's motion, m
+    fastest: float  # bound of the speed of any point of the body, m/s
 
 
 @lru_cache(maxsize=256)
@@ -91,18 +85,10 @@ def middle_of(body: Body) -> Middle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Peaks:
-    """Largest values over cells of time, over pairs of these, and so on.
+    """Largest values over cells of time, over pairs of these, and so on."""
 
-    Attributes
-    ----------
-    bounds : ndarray (cells + 1,)
-        Of the cells, s; before and beyond, the first and the last cell's values hold.
-    levels : tuple of ndarray (n, q)
-        Largest of q values over 1, 2, 4, … cells.
-    """
-
-    bounds: Floats
-    levels: tuple[Floats, ...]
+    bounds: Floats  # (cells + 1,) of the cells, s; before and beyond, the first and the last cell's values hold
+    levels: tuple[Floats, ...]  # largest of q values over 1, 2, 4, … cells
 
     @staticmethod
     def of(bounds: Floats, values: Floats) -> Peaks:
@@ -134,30 +120,22 @@ class Pace:
 
     Attributes
     ----------
-    half : ndarray (n,)
-        Half of each stretch of times of reception, s.
-    source, receiver : ndarray (n,)
-        Speeds of the ends, m/s.
-    speed, turn : ndarray (n, B)
-        Speeds of the middles of bodies, m/s, and angular velocities, rad/s.
     gain, lift : ndarray (n, B)
         Accelerations of the middles, m/s², and by how much those of other points may differ for each metre, 1/s².
     jolt, twist : ndarray (n, B)
         By how much velocities of the middles, m/s, and angular velocities, rad/s, jump within them in all.
-    held : ndarray (n, B, 2) bool
-        Whether bodies hold source and receiver where they are.
     """
 
-    half: Floats
-    source: Floats
-    receiver: Floats
-    speed: Floats
-    turn: Floats
+    half: Floats  # (n,) half of each stretch of times of reception, s
+    source: Floats  # (n,) speeds of the ends, m/s
+    receiver: Floats  # likewise
+    speed: Floats  # (n, B) speeds of the middles of bodies, m/s, and angular velocities, rad/s
+    turn: Floats  # likewise
     gain: Floats
     lift: Floats
     jolt: Floats
     twist: Floats
-    held: NDArray[np.bool_]
+    held: NDArray[np.bool_]  # (n, B, 2) whether bodies hold source and receiver where they are
 
     def part(self, rows: NDArray[np.int64]) -> Pace:
         """Return some of the stretches."""
@@ -171,25 +149,13 @@ class Pace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyRates:
-    """How fast bodies move and turn.
+    """How fast bodies move and turn."""
 
-    Attributes
-    ----------
-    bodies : tuple of Body
-        Of the scene.
-    peaks : tuple of Peaks
-        For each body those of speed, turn, gain and lift; see `Pace`.
-    jumps : tuple of ndarray (cells + 2, 2)
-        For each body sums of jolt and twist up to each bound of its cells.
-    first, last : float
-        Between which they are known, s.
-    """
-
-    bodies: tuple[Body, ...]
-    peaks: tuple[Peaks, ...]
-    jumps: tuple[Floats, ...]
-    first: float
-    last: float
+    bodies: tuple[Body, ...]  # of the scene
+    peaks: tuple[Peaks, ...]  # for each body those of speed, turn, gain and lift; see `Pace`
+    jumps: tuple[Floats, ...]  # for each body sums of jolt and twist up to each bound of its cells
+    first: float  # between which they are known, s
+    last: float  # likewise
 
     @staticmethod
     def of(bodies: Sequence[Body], longest: float, last: float) -> BodyRates:
@@ -208,24 +174,12 @@ class BodyRates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndRates:
-    """How fast bodies, a source and receivers move.
+    """How fast bodies, a source and receivers move."""
 
-    Attributes
-    ----------
-    bodies : BodyRates
-        Of all bodies.
-    source : Peaks
-        Of the speed of the source.
-    receivers : tuple of Peaks
-        Of the speeds of R receivers.
-    held : ndarray (R, B, 2) bool
-        Whether bodies hold the source and each receiver where they are.
-    """
-
-    bodies: BodyRates
-    source: Peaks
-    receivers: tuple[Peaks, ...]
-    held: NDArray[np.bool_]
+    bodies: BodyRates  # of all bodies
+    source: Peaks  # of the speed of the source
+    receivers: tuple[Peaks, ...]  # of the speeds of R receivers
+    held: NDArray[np.bool_]  # (R, B, 2) whether bodies hold the source and each receiver where they are
 
     def over(self, receiver: NDArray[np.int64], emitted: Floats, middle: Floats, half: Floats) -> Pace:
         """Return bounds for what receivers (n,) hear within `half` of times (n,), emitted from others (n,) on, s."""
@@ -269,8 +223,6 @@ def _cells(first: float, last: float, breaks: Floats) -> Floats:
 def _body_cells(body: Body, first: float, last: float) -> tuple[Peaks, Floats]:
     """Return the peaks of a body, and sums (cells + 2, 2) of its jumps.
 
-    Notes
-    -----
     The middle and the three axes go from one bound of a cell to the next as cubics with their velocities at both. A
     cubic's derivatives lie within their Bézier points. What a cubic misses, 1/384 of the fourth derivative by the
     fourth power of the cell's length, is measured in its middle; it leaves 3.1 times that over the length of the

@@ -31,15 +31,9 @@ _AT_A_TIME = 6144  # nodes that are looked at together: what is worked on stays 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyScatteredArrivals(ScatteredArrivals):
-    """What paths by scatterers and bodies bring, with what their responses need.
+    """What paths by scatterers and bodies bring, with what their responses need."""
 
-    Attributes
-    ----------
-    cosine : ndarray (P, T, N)
-        Of the angle of incidence at each mirror, those before the scatterer first.
-    """
-
-    cosine: Floats
+    cosine: Floats  # (P, T, N) of the angle of incidence at each mirror, those before the scatterer first
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,20 +43,16 @@ class BodyScatteredPaths(MovingPaths):
     Attributes
     ----------
     before, after : ndarray (paths, N) int
-        Mirrors on the way to the scatterer, and on that from it, as sound meets them, filled up with -1: walls of the
-        room, and behind them the faces of bodies.
-    scatterer : ndarray (paths,) int
-        Index in the scene.
-    nearest : ndarray (paths,)
-        Bound from below of the harmonic mean of the lengths of both legs, over 2, m.
+        Mirrors on the way to the scatterer, and on that from it, as sound meets them, filled up with -1: walls of
+        the room, and behind them the faces of bodies.
     """
 
     interactions: NDArray[np.signedinteger[Any]] = field(init=False, repr=False)
     objects: NDArray[np.signedinteger[Any]] = field(init=False, repr=False)
     before: NDArray[np.int32]
     after: NDArray[np.int32]
-    scatterer: NDArray[np.int32]
-    nearest: Floats
+    scatterer: NDArray[np.int32]  # (paths,) index in the scene
+    nearest: Floats  # (paths,) bound from below of the harmonic mean of the lengths of both legs, over 2, m
 
     columns: ClassVar[tuple[str, ...]] = ("before", "after", "scatterer", "nearest")
 
@@ -105,10 +95,8 @@ class BodyScatteredPaths(MovingPaths):
     ) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver.
 
-        Notes
-        -----
-        On the second leg what is scattered sounds as from a source that moves with the scatterer: the pressure is
-        ``1 / (d1 dt_c/dt_e) f / (d2 dt/dt_c)``, with the time of scattering t_c, and d of both legs from image events.
+        On the second leg what is scattered sounds as from a source that moves with the scatterer: the pressure is ``1 /
+        (d1 dt_c/dt_e) f / (d2 dt/dt_c)``, with the time of scattering t_c, and d of both legs from image events.
         """
         times, index = np.asarray(times, dtype=np.float64), np.arange(len(self))[rows]
         shape, mirrors = (len(index), len(times)), self.before.shape[1] + self.after.shape[1]
@@ -133,16 +121,7 @@ class BodyScatteredPaths(MovingPaths):
     def events(self, which: int, index: NDArray[np.int64], times: Floats, motion: str = "retarded") -> ScatteredEvents:
         """Return where and when paths (P,) by one scatterer between one source and one receiver are reflected.
 
-        Parameters
-        ----------
-        which : int
-            The scatterer.
-        index : ndarray (P,) int
-            The paths.
-        times : ndarray (T,)
-            Of reception, s.
-        motion : {"retarded", "quasi-static"}
-            As for `arrivals`.
+        Shapes: index (P,); times (T,) s.
         """
         source, receiver = self.ends(index)
         medium, legs = self.medium(int(self.source[index[0]])), (self.before[index], self.after[index])
@@ -223,14 +202,7 @@ class BodyScatteredPaths(MovingPaths):
     def legs(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> tuple[Floats, Floats]:
         """Return how long both legs (P,) are by centres of scatterers and bodies as they are at a time, or times (P,).
 
-        Parameters
-        ----------
-        index : ndarray (P,) int
-            The paths.
-        source, receiver : ndarray (P, 3)
-            Places of their ends, m.
-        times : float or ndarray (P,)
-            s.
+        Shapes: index (P,); source, receiver (P, 3) m.
         """
         centre = ends_at(self.scene.scatterers, self.scatterer[index], times)
         first = self.mirrors.distances(self.before[index], source, centre, times)

@@ -40,26 +40,14 @@ _FOUND = 1e-12  # s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Legs:
-    """Paths from one kind of ends to another.
+    """Paths from one kind of ends to another."""
 
-    Attributes
-    ----------
-    surfaces : ndarray (n, N) int
-        Mirrors from where sound comes, filled up with -1.
-    source, receiver : ndarray (n,) int
-        Between which.
-    start, end : ndarray (n,)
-        When they are there, by reception, s.
-    by_body : ndarray (n,) bool
-        Whether any mirror is a face of a body.
-    """
-
-    surfaces: NDArray[np.int32]
-    source: NDArray[np.int32]
-    receiver: NDArray[np.int32]
-    start: Floats
-    end: Floats
-    by_body: NDArray[np.bool_]
+    surfaces: NDArray[np.int32]  # (n, N) mirrors from where sound comes, filled up with -1
+    source: NDArray[np.int32]  # (n,) between which
+    receiver: NDArray[np.int32]  # likewise
+    start: Floats  # (n,) when they are there, by reception, s
+    end: Floats  # likewise
+    by_body: NDArray[np.bool_]  # (n,) whether any mirror is a face of a body
 
 
 def body_scattered_paths(
@@ -67,22 +55,8 @@ def body_scattered_paths(
 ) -> BodyScatteredPaths:
     """Return every path by one scatterer with up to `scattering_order` mirrors on either leg, of bodies at least one.
 
-    Parameters
-    ----------
-    scene : Scene
-        With scatterers and bodies.
-    search : PathSearch
-        What is asked.
-    before, after : tuple of SpecularPaths and BodyPaths
-        The paths by walls alone, behind bodies, and by bodies, of both `sides` of the scene.
+    before, after: the paths by walls alone, behind bodies, and by bodies, of both `sides` of the scene.
 
-    Raises
-    ------
-    InputError
-        If there are more paths than the limit.
-
-    Notes
-    -----
     Both legs are paths among walls and bodies with the scatterer's centre as an end. A leg to the scatterer that comes
     or goes when sound meets it is heard to come or go when that sound is received.
     """

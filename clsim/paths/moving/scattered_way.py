@@ -32,37 +32,22 @@ _SETTLED = 1e-3  # rad of a specular point, by the last step
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScatteredEvents:
-    """P ways by a scatterer at T times of reception.
+    """P ways by a scatterer at T times of reception."""
 
-    Attributes
-    ----------
-    first, second : Events
-        Of the leg to the scatterer, with times counted from when it is met there, and of that from it.
-    time : ndarray (P, T)
-        When it is scattered, s.
-    coming : ndarray (P, T)
-        Mach number of the scatterer off the source.
-    strength, aspects : ndarray (P, T), (P, T, aspects)
-        See `Shape`.
-    """
-
-    first: Events
-    second: Events
-    time: Floats
-    coming: Floats
-    strength: Floats
-    aspects: Floats
+    first: Events  # of the leg to the scatterer, with times counted from when it is met there, and of that from it
+    second: Events  # likewise
+    time: Floats  # (P, T) when it is scattered, s
+    coming: Floats  # (P, T) mach number of the scatterer off the source
+    strength: Floats  # (P, T) see `Shape`
+    aspects: Floats  # likewise
 
 
 class _Point:
     """A point of a scatterer as an end of either leg: it moves and turns as that does.
 
-    Parameters
-    ----------
-    motion : Motion
-        Of the scatterer.
-    offset : ndarray (P, T, 3), optional
-        Of each path and time from the centre, in the scatterer's frame, m; the centre where left out.
+    Shapes: offset (P, T, 3) m.
+
+    offset: of each path and time from the centre, in the scatterer's frame, m; the centre where left out.
     """
 
     def __init__(self, motion: Motion, offset: Floats | None) -> None:
@@ -94,35 +79,15 @@ def find_scattered(
 ) -> ScatteredEvents:
     """Return the events of ways by a scatterer, with mirrors on either leg.
 
-    Parameters
-    ----------
-    mirrors : Mirrors
-        Of the scene.
-    legs : tuple of ndarray (P, N) int
-        Mirrors on the way to the scatterer, and on that from it, in the order in which sound meets them, filled up
-        with -1.
-    scatterer : Scatterer
-        By which.
-    ends : tuple of Motion
-        Of the source and of the receiver.
-    medium : UniformAir
-        What sound travels in.
-    times : ndarray (T,)
-        Of reception, s.
-    retarded : bool
-        As in `find_events`.
+    Shapes: times (T,) s.
 
-    Raises
-    ------
-    InputError
-        If the scatterer hides all of itself from the ends.
+    legs: mirrors on the way to the scatterer, and on that from it, in the order in which sound meets them, filled up
+    with -1.
 
-    Notes
-    -----
     With the point x of the surface that reflects, the second leg is that of a source at x, the first one that of a
     receiver at x at the time when it is scattered. Of all points of the surface, the sound that is received was emitted
-    last by way of x. The images of both ends, as x sees them, have it where ``d1 + w d2`` is the shortest, with
-    ``w = (1 - M1) s2 / ((1 - M2) s1)``: Mach numbers of the surface off the first and towards the second one, and the
+    last by way of x. The images of both ends, as x sees them, have it where ``d1 + w d2`` is the shortest, with ``w =
+    (1 - M1) s2 / ((1 - M2) s1)``: Mach numbers of the surface off the first and towards the second one, and the
     slownesses of the wavefronts. That x slides over the surface changes no time: it moves as the scatterer does.
     """
     body, shape = Body(scatterer), (len(legs[0]), len(times))

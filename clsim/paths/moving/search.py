@@ -54,27 +54,13 @@ _FASTEST = 0.5  # of the speed of sound, of bodies and sources on a path togethe
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairQuery:
-    """What is looked at between one source and one receiver.
+    """What is looked at between one source and one receiver."""
 
-    Attributes
-    ----------
-    ends : tuple of Motion
-        Where they are as validity takes them.
-    medium : UniformAir
-        What sound travels in.
-    rates : EndRates
-        How fast these and the bodies are.
-    times : ndarray (T,)
-        Looks, s, where nothing is certain.
-    resolution : float
-        To which begins and ends are found, s.
-    """
-
-    ends: tuple[Motion, Motion]
-    medium: UniformAir
-    rates: EndRates
-    times: Floats
-    resolution: float
+    ends: tuple[Motion, Motion]  # where they are as validity takes them
+    medium: UniformAir  # what sound travels in
+    rates: EndRates  # how fast these and the bodies are
+    times: Floats  # (T,) looks, s, where nothing is certain
+    resolution: float  # to which begins and ends are found, s
 
     @property
     def last(self) -> float:
@@ -107,20 +93,7 @@ class _Lifted:
 
 
 class BodySearch:
-    """How paths by bodies, and what bodies hide, are looked for in a scene; see `find_paths`.
-
-    Parameters
-    ----------
-    scene : Scene
-        With bodies.
-    search : PathSearch
-        What is asked.
-
-    Raises
-    ------
-    InputError
-        If the air depends on the height or fluctuates, or bodies are too fast.
-    """
+    """How paths by bodies, and what bodies hide, are looked for in a scene; see `find_paths`."""
 
     def __init__(self, scene: Scene, search: PathSearch) -> None:
         if scene.air.layers or scene.air.fluctuation is not None:
@@ -164,18 +137,7 @@ class BodySearch:
         return self._known
 
     def paths(self, progress: Progress = lambda share: None) -> BodyPaths:
-        """Return every path by bodies.
-
-        Parameters
-        ----------
-        progress : callable
-            Takes the share of the work that is done.
-
-        Raises
-        ------
-        InputError
-            If there are more than the limit, or more beams than can be looked at.
-        """
+        """Return every path by bodies."""
         found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]] = []
         count, sources = 0, len(self.scene.sources)
         for source in range(sources):
@@ -238,11 +200,6 @@ class BodySearch:
         """Return stretches of time until a last one, s, and what is found in each, in order.
 
         In each bodies are about one pose; they are halved where there are more beams than can be looked at.
-
-        Raises
-        ------
-        InputError
-            If there are as many in the shortest, too.
         """
         waiting, found = self._spans(last)[::-1], []
         while waiting:
@@ -269,10 +226,8 @@ class BodySearch:
     ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return sequences (n, order) that hold a body, and the receiver of each, about one pose of the bodies.
 
-        Notes
-        -----
-        Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, reflections
-        at the place of the face at which it is: a line from ball to ball that is in all apertures, but bends at mirrors
+        Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, reflections at
+        the place of the face at which it is: a line from ball to ball that is in all apertures, but bends at mirrors
         that are off their pose: by 2 a where they are turned by a, by 2 V / c as they move, and by what they are
         displaced, d, at both ends of a leg. A beam reaches all that lines from its ball through its last aperture do.
         Drawn on backwards, each leg passes the source by no more than the bends before it times the way to them. So no

@@ -39,20 +39,9 @@ def intervals(
 ) -> tuple[Rows, Floats, Floats]:  # fmt: skip
     """Return when paths are there: which (n,), begins and ends (n,), s, in the order of spans.
 
-    Parameters
-    ----------
-    look : callable
-        Takes paths (n,), times (n,) and halves (n,) of the times about them that matter, s; returns whether each is
-        there, for how long before and after that is certain, s, and for how long it is taken to be so where two looks
-        so far before and after agree, s: where a path runs along what decides about it, or nothing is certain.
-    status : callable
-        The first of these alone, of paths (n,) at times (n,).
-    spans : tuple of ndarray (n,)
-        Paths, and from when to when they are looked at, s.
-    resolution : float
-        To which begins and ends are found, s.
-    progress : callable
-        Takes the share of the time that is done.
+    look: takes paths (n,), times (n,) and halves (n,) of the times about them that matter, s; returns whether each is
+    there, for how long before and after that is certain, s, and for how long it is taken to be so where two looks so
+    far before and after agree, s: where a path runs along what decides about it, or nothing is certain.
     """
     which, begin, end = spans
     parts = [np.arange(i, min(i + _AT_A_TIME, len(which))) for i in range(0, len(which), _AT_A_TIME)]

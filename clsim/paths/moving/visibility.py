@@ -45,25 +45,13 @@ class Legs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegDrift:
-    """At most how fast n legs change, by the time of reception.
+    """At most how fast n legs change, by the time of reception."""
 
-    Attributes
-    ----------
-    start, stop : ndarray (n,)
-        How fast their ends move in the room, m/s.
-    dilation : ndarray (n,)
-        Of times at which sound is on them to that of reception.
-    held : ndarray (n, B, 2) bool
-        Whether bodies hold their starts and stops where they are.
-    pace : Pace
-        Of all that moves.
-    """
-
-    start: Floats
-    stop: Floats
-    dilation: Floats
-    held: Bools
-    pace: Pace
+    start: Floats  # (n,) how fast their ends move in the room, m/s
+    stop: Floats  # likewise
+    dilation: Floats  # (n,) of times at which sound is on them to that of reception
+    held: Bools  # (n, B, 2) whether bodies hold their starts and stops where they are
+    pace: Pace  # of all that moves
 
     def part(self, rows: Rows) -> LegDrift:
         """Return that of some of them."""
@@ -90,21 +78,11 @@ class LocalDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacles:
-    """What reflects and hides in a scene.
+    """What reflects and hides in a scene."""
 
-    Attributes
-    ----------
-    mirrors : Mirrors
-        Walls and faces.
-    walls : Walls
-        Of the room.
-    convex : bool
-        Whether no wall of the room hides anything in it.
-    """
-
-    mirrors: Mirrors
-    walls: Walls
-    convex: bool
+    mirrors: Mirrors  # walls and faces
+    walls: Walls  # of the room
+    convex: bool  # whether no wall of the room hides anything in it
 
     @staticmethod
     def of(scene: Scene) -> Obstacles:
@@ -184,19 +162,12 @@ def hidden_by(
 ) -> tuple[Bools, Floats]:
     """Return which legs a body is in the way of, and for how long that is certain, (n,) s.
 
-    Parameters
-    ----------
-    body : Body
-        Which.
-    legs : Legs
-        n of them.
-    first, last : ndarray (n,) int
-        Faces of the body that they begin and end at, which are in the way of none, -1 for none.
-    drift : tuple of int and LegDrift, optional
-        Number of the body, and how fast legs change; without it nothing is certain.
+    Shapes: first, last (n,).
 
-    Notes
-    -----
+    first, last: faces of the body that they begin and end at, which are in the way of none, -1 for none.
+
+    drift: number of the body, and how fast legs change; without it nothing is certain.
+
     As the body sees it a leg is straight while the body goes evenly, and curved by ``w d² / (4 c)`` while it turns: on
     which side of a face its ends are is known, and where it passes that is found by the secant's method. What only the
     curve touches, and not the ends, is not seen.
@@ -231,12 +202,10 @@ def hidden_by(
 def local_drift(body: int | None, legs: Legs, start: Floats, stop: Floats, drift: LegDrift) -> LocalDrift:
     """Return how fast legs from places to others (n, 3), as a body sees them from its middle, change; None: the room.
 
-    Notes
-    -----
     A point x of a leg at a fixed share moves by no more than the shares of its ends. The body's own field of velocities
     is linear in x, but for how it changes while sound is on the leg, by its accelerations, and for what it is faster at
-    one end by the dilation of time. Seen from the body the leg is curved by
-    ``(2 w d T + T² (a + 2 w v + (w² + l) y)) / 8`` at the most.
+    one end by the dilation of time. Seen from the body the leg is curved by ``(2 w d T + T² (a + 2 w v + (w² + l) y)) /
+    8`` at the most.
     """
     pace, late = drift.pace, drift.dilation
     if body is None:
@@ -265,8 +234,6 @@ def _faced(
 
     Those that are `skipped` (n, faces) are in the way of none.
 
-    Notes
-    -----
     What blocks does so while both ends keep their sides and the place where the way meets the face does not cross its
     border. What is free stays so while both ends keep to one side; or while a way that goes beside the face does not
     touch its border, in the plane or in space.

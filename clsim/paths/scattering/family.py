@@ -26,22 +26,12 @@ _AT_A_TIME = 6144  # nodes that are looked at together: what is worked on stays 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScatteredArrivals(Arrivals):
-    """What paths by scatterers bring, with what their responses need.
+    """What paths by scatterers bring, with what their responses need."""
 
-    Attributes
-    ----------
-    second_length : ndarray (P, T)
-        From the scatterer to the receiver, m.
-    strength, aspects : ndarray (P, T), (P, T, aspects)
-        Of the scatterer, m, see `Shape`.
-    event_time : ndarray (P, T)
-        When it was scattered, s.
-    """
-
-    second_length: Floats
-    strength: Floats
-    aspects: Floats
-    event_time: Floats
+    second_length: Floats  # (P, T) from the scatterer to the receiver, m
+    strength: Floats  # (P, T) of the scatterer, m, see `Shape`
+    aspects: Floats  # likewise
+    event_time: Floats  # (P, T) when it was scattered, s
 
 
 def scatter(
@@ -49,18 +39,7 @@ def scatter(
 ) -> None:
     """Multiply responses (P, T, F) by the fields and the fluctuations of scatterers, in place.
 
-    Parameters
-    ----------
-    response : ndarray (P, T, F)
-        So far.
-    scene : Scene
-        With its scatterers.
-    which : ndarray (P,) int
-        That of each path.
-    here : ScatteredArrivals
-        Of the paths.
-    frequencies : ndarray (F,)
-        Hz.
+    Shapes: response (P, T, F); which (P,); frequencies (F,) Hz.
     """
     wave = 2.0 * np.pi * frequencies / scene.air.speed_of_sound
     for each in np.unique(which):
@@ -75,16 +54,9 @@ def scatter(
 def largest_scattered(scene: Scene, which: NDArray[np.int32], nearest: Floats, frequencies: Floats) -> Floats:
     """Return bounds of what scatterers send back, times the lengths of the paths (P, F).
 
-    Parameters
-    ----------
-    scene : Scene
-        With its scatterers.
-    which : ndarray (P,) int
-        That of each path.
-    nearest : ndarray (P,)
-        Bounds from below of half the harmonic mean of the distances of both ends, m.
-    frequencies : ndarray (F,)
-        Hz.
+    Shapes: which (P,); nearest (P,) m; frequencies (F,) Hz.
+
+    nearest: bounds from below of half the harmonic mean of the distances of both ends, m.
     """
     wave = 2.0 * np.pi * frequencies / scene.air.speed_of_sound
     bound = np.empty((len(which), len(wave)))
@@ -101,16 +73,12 @@ class ScatteredPaths(TwoSidedPaths):
 
     Attributes
     ----------
-    scatterer : ndarray (paths,) int
-        Index in the scene.
-    fastest : ndarray (scatterers, 2)
-        Bounds of the speeds of centres and surfaces, m/s.
     nearest : ndarray (paths,)
         Bound from below of the harmonic mean of the distances of both ends from the scatterer, over 2, m.
     """
 
-    scatterer: NDArray[np.int32]
-    fastest: Floats
+    scatterer: NDArray[np.int32]  # (paths,) index in the scene
+    fastest: Floats  # (scatterers, 2) bounds of the speeds of centres and surfaces, m/s
     nearest: Floats
 
     columns: ClassVar[tuple[str, ...]] = (
@@ -149,12 +117,10 @@ class ScatteredPaths(TwoSidedPaths):
     ) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver.
 
-        Notes
-        -----
         What a moving thing scatters is received as from a moving source: the pressure is that of two points of the wave
         equation in a row, ``1 / (d1 (1 - M_s)) f / (d2 (1 - M_c))``, with the Mach numbers of the source towards the
-        scatterer at emission, and of what scatters towards the receiver. What casts a shadow is raised by
-        ``1 - M_1`` with its Mach number off the source, as by a mirror: behind it that is the direct sound's strength.
+        scatterer at emission, and of what scatters towards the receiver. What casts a shadow is raised by ``1 - M_1``
+        with its Mach number off the source, as by a mirror: behind it that is the direct sound's strength.
         """
         times, index = np.asarray(times, dtype=np.float64), np.arange(len(self))[rows]
         shape, wide = (len(index), len(times)), {"departure": 3, "arrival": 3, "aspects": self._aspects}
@@ -255,8 +221,6 @@ class ScatteredPaths(TwoSidedPaths):
     def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
         """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
 
-        Notes
-        -----
         The way by the surface is shorter than that by the centre, by at most the diameter of a sphere that holds the
         thing. A scatterer was elsewhere by its speed times a delay when the sound met it, which both legs see.
         """

@@ -50,22 +50,6 @@ class _Pairs:
 def scattered_paths(scene: Scene, search: PathSearch, before: SpecularPaths, after: SpecularPaths) -> ScatteredPaths:
     """Return every path by one scatterer with up to `scattering_order` reflections before it and as many after it.
 
-    Parameters
-    ----------
-    scene : Scene
-        What sounds, scatters and listens where.
-    search : PathSearch
-        What is asked.
-    before, after : SpecularPaths
-        The paths by walls alone of both `sides` of the scene.
-
-    Raises
-    ------
-    InputError
-        If there are more paths than the limit.
-
-    Notes
-    -----
     Both sides are paths by walls with the scatterer's centre as an end: which walls are in the way, and when, is asked
     of the centre. A side that comes or goes when sound meets the scatterer is heard to come or go when that sound is
     received.
@@ -89,13 +73,7 @@ def scattered_paths(scene: Scene, search: PathSearch, before: SpecularPaths, aft
 
 
 def direct_ways(scene: Scene) -> ScatteredPaths:
-    """Return the paths by no wall by every scatterer, whatever is in the way.
-
-    Raises
-    ------
-    InputError
-        If the air depends on the height or fluctuates.
-    """
+    """Return the paths by no wall by every scatterer, whatever is in the way."""
     before, after = (SpecularPaths.direct(side) for side in sides(scene))
     rows = [
         _columns(before, after, _pairs(scene, before, after, (source, which, receiver)), (source, which, receiver))
@@ -107,25 +85,7 @@ def direct_ways(scene: Scene) -> ScatteredPaths:
 
 
 def sides(scene: Scene, bodies: Sequence[Body] = ()) -> tuple[Scene, Scene]:
-    """Return the scene with scatterers for receivers, and with scatterers for sources: all else was checked before.
-
-    Parameters
-    ----------
-    scene : Scene
-        With scatterers.
-    bodies : sequence of Body
-        What is to be in them.
-
-    Returns
-    -------
-    before, after : Scene
-        From sources to scatterers, and from there to receivers.
-
-    Raises
-    ------
-    InputError
-        If the air depends on the height or fluctuates, which ways by scatterers know nothing of.
-    """
+    """Return the scene with scatterers for receivers, and with scatterers for sources: all else was checked before."""
     if scene.air.layers or scene.air.fluctuation is not None:
         raise InputError("scatterers", "must be left out where the air depends on the height or fluctuates")
     signal = max((source.signal for source in scene.sources), key=lambda signal: signal.sampling_rate)

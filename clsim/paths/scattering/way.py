@@ -66,27 +66,19 @@ class Way:
 
     Attributes
     ----------
-    delay : ndarray (...)
-        Since it was emitted, s.
-    first, second : Leg
-        To the scatterer, and on from there.
     mach, coming, leaving : ndarray (...)
         Mach numbers of the source towards the scatterer, and of the scatterer off it and towards the receiver.
-    place : ndarray (..., 3)
-        Where it was scattered, m.
-    strength, aspects : ndarray (...), (..., aspects)
-        See `Shape`.
     """
 
-    delay: Floats
-    first: Leg
-    second: Leg
+    delay: Floats  # (...) since it was emitted, s
+    first: Leg  # to the scatterer, and on from there
+    second: Leg  # likewise
     mach: Floats
     coming: Floats
     leaving: Floats
-    place: Floats
-    strength: Floats
-    aspects: Floats
+    place: Floats  # (..., 3) where it was scattered, m
+    strength: Floats  # (...) see `Shape`
+    aspects: Floats  # likewise
 
 
 class Body:
@@ -158,21 +150,8 @@ def _axes(quaternions: Floats) -> Floats:
 def scattered_way(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats, retarded: bool) -> Way:
     """Return the ways (P, T) of sound by a scatterer that is received at times (T,), s.
 
-    Parameters
-    ----------
-    medium : Medium
-        What sound travels in.
-    scatterer : Scatterer
-        By which.
-    ends : Ends
-        Of the paths.
-    times : ndarray (T,)
-        Of reception, s.
-    retarded : bool
-        Whether all is where it was when the sound passed, or where it is at reception.
+    retarded: whether all is where it was when the sound passed, or where it is at reception.
 
-    Notes
-    -----
     With the place x that scatters, ``late = travel time from x(t - late) to the receiver`` and ``delay - late = travel
     time from the source at t - delay to x(t - late)``, both by Newton's method together with the specular point: as its
     way is the shortest, that it moves over the surface changes no time, and x moves as the thing does.

@@ -29,19 +29,11 @@ _SLACK = 1e-7  # of the room's size, added to spheres against rounding
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Sequences of one length, and the receivers that each may reach.
+    """Sequences of one length, and the receivers that each may reach."""
 
-    Attributes
-    ----------
-    sequence : ndarray (n, order) int32
-        Walls from the source's side.
-    row, receiver : ndarray (m,) int
-        Pairs of a row of `sequence` and a receiver.
-    """
-
-    sequence: NDArray[np.int32]
-    row: NDArray[np.int64]
-    receiver: NDArray[np.int64]
+    sequence: NDArray[np.int32]  # (n, order) walls from the source's side
+    row: NDArray[np.int64]  # (m,) pairs of a row of `sequence` and a receiver
+    receiver: NDArray[np.int64]  # likewise
 
     @staticmethod
     def joined(parts: list[Candidates]) -> Candidates:
@@ -83,20 +75,9 @@ class _Beams:
 class BeamTree:
     """All sequences up to an order from a sphere to receivers.
 
-    Parameters
-    ----------
-    walls : Walls
-        The room.
-    centre, radius : ndarray (3,), float
-        Sphere that holds the source, m.
-    receivers : BoundingSpheres
-        Where the receivers are.
-    limit : int
-        Beams after which the search is given up.
-    sides : ndarray (W,) int, optional
-        On which side of each wall paths can be, as from `air_sides`; on both when left out.
-    lookup : Lookup, optional
-        Looks up walls; in NumPy when left out.
+    Shapes: centre, radius (3,) m; sides (W,).
+
+    sides: on which side of each wall paths can be, as from `air_sides`; on both when left out.
 
     Attributes
     ----------
@@ -128,13 +109,7 @@ class BeamTree:
         self._ears = self._listening(receivers)
 
     def candidates(self, max_order: int) -> Iterator[Candidates]:
-        """Yield candidates batch by batch; depth first, so that little is held at a time.
-
-        Raises
-        ------
-        TooManyBeamsError
-            If there are more than the limit.
-        """
+        """Yield candidates batch by batch; depth first, so that little is held at a time."""
         everyone = np.arange(len(self._ears.radius))
         yield Candidates(np.empty((1, 0), np.int32), np.zeros(len(everyone), np.int64), everyone)
         if max_order == 0:

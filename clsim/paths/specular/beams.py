@@ -21,28 +21,12 @@ def beam_planes(
 ) -> Floats:
     """Return half-spaces whose intersection holds all that a ball's rays reach behind an aperture.
 
-    Parameters
-    ----------
-    centre : ndarray (n, 3)
-        Of the balls, m.
-    radius : float
-        Of all balls, m.
-    ring : ndarray (n, m, 3)
-        Corners of convex apertures, counterclockwise about `normal`; those beyond `corners` repeat the last one.
-    corners : ndarray (n,) int
-        Number of corners.
-    normal : ndarray (n, 3)
-        Unit normals of the apertures.
-    size : float
-        Of the room, m; edges too short against it to have a direction give no plane.
+    Shapes: centre (n, 3) m; ring (n, m, 3); corners (n,); normal (n, 3).
 
-    Returns
-    -------
-    ndarray (n, m + 1, 4)
-        x is inside if ``planes[..., :3] @ x >= planes[..., 3]``.
+    ring: corners of convex apertures, counterclockwise about `normal`; those beyond `corners` repeat the last one.
 
-    Notes
-    -----
+    size: of the room, m; edges too short against it to have a direction give no plane.
+
     A ray from the ball through the aperture stays, behind it, on the inner side of the plane that holds an edge and
     touches the ball from the inner side. A ball that reaches through the aperture's plane has rays to both sides, and
     one that reaches an edge's line has rays in all directions through it: these give no plane.
@@ -79,21 +63,7 @@ def beam_planes(
 def clip_rings(ring: Floats, corners: NDArray[np.int64], planes: Floats) -> tuple[Floats, NDArray[np.int64]]:
     """Return convex polygons cut by half-spaces (Sutherland and Hodgman), many at a time.
 
-    Parameters
-    ----------
-    ring : ndarray (n, m, 3)
-        Corners; those beyond `corners` repeat the last one.
-    corners : ndarray (n,) int
-        Number of corners.
-    planes : ndarray (n, p, 4)
-        Half-spaces, as from `beam_planes`.
-
-    Returns
-    -------
-    ring : ndarray (n, m', 3)
-        What is left.
-    corners : ndarray (n,) int
-        Its corners, 0 where nothing is left.
+    Shapes: ring (n, m, 3); corners (n,); planes (n, p, 4); result (n, m', 3), (n,).
     """
     for p in range(planes.shape[1]):
         plane = planes[:, p]

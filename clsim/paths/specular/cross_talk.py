@@ -24,15 +24,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossTalk(SpecularPaths):
-    """Direct paths at levels of their own.
+    """Direct paths at levels of their own."""
 
-    Attributes
-    ----------
-    level : ndarray (paths,)
-        Pressure over that of the free direct sound.
-    """
-
-    level: Floats
+    level: Floats  # (paths,) pressure over that of the free direct sound
 
     columns: ClassVar[tuple[str, ...]] = ("image_matrix", "image_offset", "level")
 
@@ -51,20 +45,7 @@ class CrossTalk(SpecularPaths):
 
 
 def direct_levels(scene: Scene, direct: DirectSound) -> Floats:
-    """Return the pressure of the direct sound (sources, receivers) over that in the open, as it is wanted.
-
-    Parameters
-    ----------
-    scene : Scene
-        Whose names the pairs have.
-    direct : bool, float or mapping
-        As in `find_paths`.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, or a level none below 0 dB.
-    """
+    """Return the pressure of the direct sound (sources, receivers) over that in the open, as it is wanted."""
     levels = np.ones((len(scene.sources), len(scene.receivers)))
     if not isinstance(direct, Mapping):
         levels[:] = _pressure("direct", direct)
@@ -83,15 +64,7 @@ def direct_levels(scene: Scene, direct: DirectSound) -> Floats:
 
 
 def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathFamily, ...]:
-    """Return paths with the direct ones at levels (sources, receivers): 1 leaves them as they are, 0 leaves them out.
-
-    Parameters
-    ----------
-    families : tuple of PathFamily
-        All paths.
-    levels : ndarray (sources, receivers)
-        Of `direct_levels`.
-    """
+    """Return paths with direct ones scaled by levels (sources, receivers): 1 changes nothing, 0 leaves them out."""
     if np.all(levels == 1.0):
         return families
     each = [np.where(f.order == 0, levels[f.source, f.receiver], 1.0) for f in families]

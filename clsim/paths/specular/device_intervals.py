@@ -51,17 +51,7 @@ def progress(depth: int) -> np.dtype[np.void]:
 class DeviceSearch:
     """Answers one query on a device with float64.
 
-    Parameters
-    ----------
-    query : VisibilityQuery
-        Room, ends and resolution.
-    device : (DeviceInfo, pyopencl.Device), optional
-        Where, as from `find_device`; the best one when left out.
-
-    Raises
-    ------
-    DeviceError
-        If there is no device, it is too small, or it fails.
+    Shapes: device (DeviceInfo, pyopencl.Device).
     """
 
     def __init__(self, query: VisibilityQuery, device: tuple[DeviceInfo, Any] | None = None) -> None:
@@ -96,21 +86,7 @@ class DeviceSearch:
         self, program: str, constants: dict[str, Any], columns: dict[str, NDArray[Any]], spans: tuple[Floats, Floats],
         others: dict[str, Any],
     ) -> Intervals:  # fmt: skip
-        """Return the intervals that a program finds.
-
-        Parameters
-        ----------
-        program : str
-            Which; one that subdivides time.
-        constants : dict
-            Its own ones.
-        columns : dict
-            Arguments with a row for each path, sequences of walls (n, N) among them.
-        spans : tuple of ndarray (n,)
-            Times from and up to which each path is looked at, s.
-        others : dict
-            Its other arguments.
-        """
+        """Return the intervals that a program finds."""
         import pyopencl as cl
 
         parts = []

@@ -32,13 +32,7 @@ _FOUND = 2**18  # pairs of beam and wall that there is room for at first
 
 
 def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, Any]:
-    """Return the arguments of kernels that are the walls of a room, in the memory of a device.
-
-    Raises
-    ------
-    DeviceError
-        If its work-groups or its memory are too small.
-    """
+    """Return the arguments of kernels that are the walls of a room, in the memory of a device."""
     check_group(info, GROUP)
     owner = np.repeat(np.arange(len(walls)), np.diff(walls.first_edge))
     away = np.einsum("eci,ei->ec", walls.edge, walls.normal[owner]) - walls.offset[owner, None]
@@ -66,12 +60,7 @@ def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, An
 class DeviceLookup:
     """What `WallLookup` does, on a device with float64: the host side of ``meetings.cl`` and ``crossings.cl``.
 
-    Parameters
-    ----------
-    walls : Walls
-        The room.
-    device : (DeviceInfo, pyopencl.Device)
-        Where, as from `find_device`.
+    Shapes: device (DeviceInfo, pyopencl.Device).
     """
 
     def __init__(self, walls: Walls, device: tuple[DeviceInfo, Any]) -> None:

@@ -43,24 +43,16 @@ class VisibilityQuery:
 
     Attributes
     ----------
-    walls : Walls
-        The room.
-    trajectory_tables : TrajectoryTables
-        The source and the receivers.
-    medium : UniformAir
-        What sound travels in.
     first, last : ndarray (receivers,)
         Times from and up to which each receiver's paths are looked at, s; nowhere if not first < last.
-    resolution : float
-        To which ends of intervals are found, s.
     """
 
-    walls: Walls
-    trajectory_tables: TrajectoryTables
-    medium: UniformAir
+    walls: Walls  # the room
+    trajectory_tables: TrajectoryTables  # the source and the receivers
+    medium: UniformAir  # what sound travels in
     first: Floats
     last: Floats
-    resolution: float
+    resolution: float  # to which ends of intervals are found, s
 
     def during(self, begin: float, end: float) -> VisibilityQuery:
         """Return the same query for a part of the time."""
@@ -76,22 +68,12 @@ class VisibilityQuery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
-    """Intervals [begin, end) of paths, sorted by path and time.
+    """Intervals [begin, end) of paths, sorted by path and time."""
 
-    Attributes
-    ----------
-    path : ndarray (n,) int
-        Row of the paths that were asked for.
-    begin, end : ndarray (n,)
-        s.
-    evaluations : int
-        Evaluations that were needed.
-    """
-
-    path: NDArray[np.int64]
-    begin: Floats
-    end: Floats
-    evaluations: int
+    path: NDArray[np.int64]  # (n,) row of the paths that were asked for
+    begin: Floats  # (n,) s
+    end: Floats  # likewise
+    evaluations: int  # evaluations that were needed
 
 
 def find_intervals(
@@ -103,18 +85,12 @@ def find_intervals(
 ) -> Intervals:
     """Return the intervals in which paths are valid.
 
-    Parameters
-    ----------
-    query : VisibilityQuery
-        Room, ends and resolution.
-    sequence : ndarray (n, N) int
-        Walls of each path from the source's side.
-    receiver : ndarray (n,) int
-        Receiver of each path.
-    evaluation : callable, optional
-        What says whether other paths than those by walls are valid, and how far their ends may move; as `evaluate`.
-    spans : tuple of ndarray (n,), optional
-        Times from and up to which each path is looked at, s; those of its receiver when left out.
+    Shapes: sequence (n, N); receiver (n,).
+
+    evaluation: what says whether other paths than those by walls are valid, and how far their ends may move; as
+    `evaluate`.
+
+    spans: times from and up to which each path is looked at, s; those of its receiver when left out.
     """
     evaluate_at = evaluation or evaluate
     first, last = spans or (query.first[receiver], query.last[receiver])

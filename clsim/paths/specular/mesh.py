@@ -56,23 +56,13 @@ _BATCH = 16_384  # candidates searched at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundPaths:
-    """Paths of one source, sorted by receiver, order, walls and time.
+    """Paths of one source, sorted by receiver, order, walls and time."""
 
-    Attributes
-    ----------
-    receiver, order : ndarray (P,) int
-        Which, and number of reflections.
-    walls : ndarray (P, max_order) int32
-        From the source's side, filled up with -1.
-    begin, end : ndarray (P,)
-        Interval in which it is heard, s; infinite where it reaches an end of what matters.
-    """
-
-    receiver: NDArray[np.int64]
-    order: NDArray[np.int64]
-    walls: NDArray[np.int32]
-    begin: Floats
-    end: Floats
+    receiver: NDArray[np.int64]  # (P,) which, and number of reflections
+    order: NDArray[np.int64]  # likewise
+    walls: NDArray[np.int32]  # (P, max_order) from the source's side, filled up with -1
+    begin: Floats  # (P,) interval in which it is heard, s; infinite where it reaches an end of what matters
+    end: Floats  # likewise
 
     @staticmethod
     def none(max_order: int) -> FoundPaths:
@@ -99,16 +89,7 @@ class MeshSearch:
     device: str | None
 
     def paths(self, scene: Scene, room: MeshRoom, source: Source, progress: Progress) -> FoundPaths:
-        """Return every path from one source to all receivers.
-
-        Raises
-        ------
-        InputError
-            If there are more paths than the limit, or more beams than can be looked at, or the source may be as fast as
-            sound.
-        DeviceError
-            If the device fails.
-        """
+        """Return every path from one source to all receivers."""
         query, longest = visibility_query(scene, room, source, self.max_order, self.resolution)
         ends, last = query.trajectory_tables, query.last
         device = float64_device(self.engine, self.device)
@@ -171,22 +152,7 @@ class MeshSearch:
 def visibility_query(
     scene: Scene, room: MeshRoom, source: Source, legs: int, resolution: float | None
 ) -> tuple[VisibilityQuery, float]:
-    """Return what is asked of a search from one source, and how long sound takes at most for its paths, s.
-
-    Parameters
-    ----------
-    scene, room, source
-        What is where.
-    legs : int
-        Largest number of interactions of a path.
-    resolution : float, optional
-        As in `find_paths`, s.
-
-    Raises
-    ------
-    InputError
-        If the source may be as fast as sound.
-    """
+    """Return what is asked of a search from one source, and how long sound takes at most for its paths, s."""
     medium = mean_medium_of(scene.air, source.emitted.centre_frequency)
     trajectories = [r.trajectory for r in scene.receivers]
     mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
@@ -205,13 +171,7 @@ def visibility_query(
 
 
 def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> SpecularPaths:
-    """Return every path of a mesh up to an order, a row for every interval in which it is heard.
-
-    Raises
-    ------
-    InputError
-        If the order is out of range, or the search is too large; see `MeshSearch.paths`.
-    """
+    """Return every path of a mesh up to an order, a row for every interval in which it is heard."""
     order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
     mesh = MeshSearch(order, search.finder, search.resolution, search.path_limit, search.engine, search.device)
     count = len(scene.sources)

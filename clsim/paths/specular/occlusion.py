@@ -33,17 +33,7 @@ _ROUNDS = 5  # of taking hidden parts off apertures
 def crossed_pieces(walls: Walls, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
     """Return where segments cross walls strictly between their ends.
 
-    Parameters
-    ----------
-    walls : Walls
-        The room.
-    start, stop : ndarray (n, 3)
-        Ends of segments, m.
-
-    Returns
-    -------
-    segment, wall, piece : ndarray (m,) int
-        Each crossing, sorted by segment: pieces that share the point are all told.
+    Shapes: start, stop (n, 3) m; result (m,).
     """
     tolerance = INSIDE * walls.size
     row, wall = walls.tree.meeting_segments(start, stop, tolerance)
@@ -65,20 +55,8 @@ def crossed_pieces(walls: Walls, start: Floats, stop: Floats) -> tuple[Ints, Int
 def air_sides(walls: Walls, place: Floats) -> Ints:
     """Return on which side of each wall a path from a place can be: 1 that of its normal, -1 the other, 0 both.
 
-    Parameters
-    ----------
-    walls : Walls
-        The room.
-    place : ndarray (3,)
-        On no wall, m.
+    Shapes: place (3,) m.
 
-    Returns
-    -------
-    ndarray (W,) of int
-        The side.
-
-    Notes
-    -----
     A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
     there cross the shell an even number of times, or an odd one.
     """
@@ -97,29 +75,17 @@ class Views:
 
     Attributes
     ----------
-    centre : ndarray (n, 3)
-        Of the balls, m.
-    radius : float
-        Of all balls, m.
     window : ndarray (n, m, 3)
         Corners of convex windows through which the balls are seen, m; their centres where there are none.
-    last : ndarray (n,) int
-        Walls that the windows are on, -1 for none.
-    ring : ndarray (n, k, 3)
-        Corners of convex apertures; those beyond `corners` repeat the last one.
-    corners : ndarray (n,) int
-        Number of corners.
-    wall : ndarray (n,) int
-        Walls that the apertures are on.
     """
 
-    centre: Floats
-    radius: float
+    centre: Floats  # (n, 3) of the balls, m
+    radius: float  # of all balls, m
     window: Floats
-    last: Ints
-    ring: Floats
-    corners: Ints
-    wall: Ints
+    last: Ints  # (n,) walls that the windows are on, -1 for none
+    ring: Floats  # (n, k, 3) corners of convex apertures; those beyond `corners` repeat the last one
+    corners: Ints  # (n,) number of corners
+    wall: Ints  # (n,) walls that the apertures are on
 
     def part(self, rows: Ints, ring: Floats, corners: Ints) -> Views:
         """Return some of them with other apertures."""
@@ -137,30 +103,15 @@ class Views:
 def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats, Ints]:
     """Return the apertures without what walls surely hide of them.
 
-    Parameters
-    ----------
-    walls : Walls
-        The room.
-    views : Views
-        The apertures.
-    crossings : callable
-        Tells walls that segments cross: `crossed_pieces` of the room, or what is told in its place.
+    Shapes: result (n, k', 3), (n,).
 
-    Returns
-    -------
-    ring : ndarray (n, k', 3)
-        Convex rings that hold all that may be seen.
-    corners : ndarray (n,) int
-        Their corners, 0 where nothing can be seen.
+    crossings: tells walls that segments cross: `crossed_pieces` of the room, or what is told in its place.
 
-    Notes
-    -----
     What is taken away cannot be reached from anywhere in the ball, through the window, but through a wall, in neither
     of their planes, by clearly more than validity tolerates. Walls that are crossed on the way to the middle of an
     aperture are looked at. Of what lies beyond such a wall, the ball being before it, a convex piece of it hides what
-    is on the inner side of a plane through each of its sides, which touches the ball from that side: rays from the
-    ball to there cross the wall inside of this side. If one of these planes alone cuts the aperture, its outer side is
-    left.
+    is on the inner side of a plane through each of its sides, which touches the ball from that side: rays from the ball
+    to there cross the wall inside of this side. If one of these planes alone cuts the aperture, its outer side is left.
     """
     ring, corners = views.ring, views.corners.copy()
     rows = np.arange(len(ring))

@@ -36,26 +36,10 @@ _OFF_WALL = 1e-4  # of the size; Embree's float32 is no judge nearer than this
 class ShotRays:
     """Sequences collected by rays from along a trajectory.
 
-    Parameters
-    ----------
-    room : MeshRoom
-        The room.
-    source : Motion
-        Where rays start.
-    receivers : BoundingSpheres
-        Each of which every sequence is a candidate for.
-    mount : Mount, optional
-        The wall that the source sits in: rays start in front of it.
-
     Attributes
     ----------
     share : float
         Of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If embreex is not installed.
     """
 
     def __init__(self, room: MeshRoom, source: Motion, receivers: BoundingSpheres, mount: Mount | None = None) -> None:
@@ -97,8 +81,6 @@ class ShotRays:
     def missed(self, walls: NDArray[np.int32]) -> float:
         """Return about how many paths rays have missed, from those (P, N) that they have met, filled up with -1.
 
-        Notes
-        -----
         Every other ray is of one half. Of a paths that only the one half has met, b that only the other has and c that
         both have, Chapman's estimate of all is ``(a + c + 1) (b + c + 1) / (c + 1) - 1``, so that ``a b / (c + 1)`` are
         missed. It is low where paths differ in how easily they are met.

@@ -24,34 +24,16 @@ LARGEST_ORDER = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Images:
-    """Images of one source: isometries of its trajectory, the same wherever it is.
+    """Images of one source: isometries of its trajectory, the same wherever it is."""
 
-    Attributes
-    ----------
-    order : ndarray (images,) int
-        Number of reflections.
-    walls : ndarray (images, max_order) int8
-        Walls from the source's side, filled up with -1.
-    matrix : ndarray (images, 3, 3)
-        Orthogonal matrix A of ``x -> A x + b``.
-    offset : ndarray (images, 3)
-        Offset b, m.
-    """
-
-    order: NDArray[np.int32]
-    walls: NDArray[np.int8]
-    matrix: Floats
-    offset: Floats
+    order: NDArray[np.int32]  # (images,) number of reflections
+    walls: NDArray[np.int8]  # (images, max_order) walls from the source's side, filled up with -1
+    matrix: Floats  # (images, 3, 3) orthogonal matrix A of ``x -> A x + b``
+    offset: Floats  # (images, 3) offset b, m
 
 
 def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> SpecularPaths:
-    """Return every path of a shoebox up to an order: each image is heard all the time.
-
-    Raises
-    ------
-    InputError
-        If the order is out of range, or there would be more paths than the limit.
-    """
+    """Return every path of a shoebox up to an order: each image is heard all the time."""
     order = as_count("max_order", search.max_order, at_most=LARGEST_ORDER)
     pairs, images = len(scene.sources) * len(scene.receivers), shoebox_image_count(order)
     if images * pairs > search.path_limit:
@@ -76,13 +58,7 @@ def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> SpecularPa
 
 
 def shoebox_image_count(max_order: int) -> int:
-    """Return how many images a shoebox has up to an order: ``1 + 2 N (2 N^2 + 3 N + 4) / 3``.
-
-    Examples
-    --------
-    >>> [shoebox_image_count(n) for n in (0, 1, 2, 10)]
-    [1, 7, 25, 1561]
-    """
+    """Return how many images a shoebox has up to an order: ``1 + 2 N (2 N^2 + 3 N + 4) / 3``."""
     n = max_order
     return 1 + 2 * n * (2 * n * n + 3 * n + 4) // 3
 
@@ -90,19 +66,12 @@ def shoebox_image_count(max_order: int) -> int:
 def shoebox_images(size: Floats, max_order: int) -> Images:
     """Return every image of a shoebox up to an order, sorted by order.
 
-    Parameters
-    ----------
-    size : ndarray (3,)
-        Edge lengths, m; one corner lies at the origin.
-    max_order : int
-        Largest number of reflections.
+    Shapes: size (3,) m.
 
-    Notes
-    -----
-    Along one axis, cell m of the mirrored rooms holds the image ``m L + x`` for even m and ``(m + 1) L - x``
-    for odd m, after ``|m|`` reflections: on the maximum wall last for m > 0, on the minimum wall last for m < 0
-    (Allen and Berkley, J. Acoust. Soc. Am. 65, 1979). Reflections are listed axis by axis, x first: in which order
-    a path meets walls of different axes depends on where its ends are.
+    Along one axis, cell m of the mirrored rooms holds the image ``m L + x`` for even m and ``(m + 1) L - x`` for odd m,
+    after ``|m|`` reflections: on the maximum wall last for m > 0, on the minimum wall last for m < 0 (Allen and
+    Berkley, J. Acoust. Soc. Am. 65, 1979). Reflections are listed axis by axis, x first: in which order a path meets
+    walls of different axes depends on where its ends are.
     """
     cells = np.arange(-max_order, max_order + 1)
     grid = np.stack(np.meshgrid(cells, cells, cells, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -53,14 +53,12 @@ class Reach:
 
     Attributes
     ----------
-    source, receiver : ndarray (n,)
-        m.
     source_facing, receiver_facing : ndarray (n, 3)
         Unit normals of the walls that they sit in and slide along; zero for ends in the open.
     """
 
-    source: Floats
-    receiver: Floats
+    source: Floats  # (n,) m
+    receiver: Floats  # likewise
     source_facing: Floats
     receiver_facing: Floats
 
@@ -76,29 +74,19 @@ class Unfolded:
 
     Attributes
     ----------
-    start, stop : ndarray (n, N + 1, 3)
-        Its ends: mirrored source and mirrored receiver, m.
     tau, slack : ndarray (n, N + 2)
         Shares at which it meets source, walls and receiver, NaN where it does not, and how far these can move.
-    inverse : ndarray (n, N)
-        1 / (change of the distance to each wall along the line), 1/m.
-    crosses : ndarray (n, N) bool
-        Whether the ends lie on both sides of each wall.
-    reach : Reach
-        How far both may move.
-    start_facing, stop_facing : ndarray (n, N + 1, 3)
-        The mirrored normals of the walls that the ends sit in.
     """
 
-    start: Floats
-    stop: Floats
+    start: Floats  # (n, N + 1, 3) its ends: mirrored source and mirrored receiver, m
+    stop: Floats  # likewise
     tau: Floats
     slack: Floats
-    inverse: Floats
-    crosses: Bools
-    reach: Reach
-    start_facing: Floats
-    stop_facing: Floats
+    inverse: Floats  # (n, N) 1 / (change of the distance to each wall along the line), 1/m
+    crosses: Bools  # (n, N) whether the ends lie on both sides of each wall
+    reach: Reach  # how far both may move
+    start_facing: Floats  # (n, N + 1, 3) the mirrored normals of the walls that the ends sit in
+    stop_facing: Floats  # likewise
 
     def along(self, leg: int, tau: Floats) -> Floats:
         """Return points (n, 3) of a leg's line at shares (n,)."""
@@ -121,16 +109,7 @@ class Unfolded:
 def unfold(walls: Walls, sequence: Ints, source: Floats, receiver: Floats, reach: Reach) -> Unfolded:
     """Return the straight lines of paths.
 
-    Parameters
-    ----------
-    walls : Walls
-        The room.
-    sequence : ndarray (n, N) int
-        Walls from the source's side.
-    source, receiver : ndarray (n, 3)
-        Ends, m.
-    reach : Reach
-        How far both may move.
+    Shapes: sequence (n, N); source, receiver (n, 3) m.
     """
     count, order = sequence.shape
     start, stop, start_facing, stop_facing = (np.empty((count, order + 1, 3)) for _ in range(4))
@@ -171,20 +150,12 @@ def path_status(
 ) -> tuple[Bools, Floats]:
     """Return which paths are valid, and their clearances.
 
-    Parameters
-    ----------
-    walls, sequence, source, receiver, reach
-        As in `unfold`.
-    at_edge : bool
-        Whether the last legs end on edges of the room: walls that hold these places hide nothing of them.
+    Shapes: result (n,), (n,) m.
 
-    Returns
-    -------
-    valid : ndarray (n,) bool
-        Whether each path is.
-    clear : ndarray (n,)
-        If it exceeds the most of `reach`, that stays so while neither end moves farther than `reach`; else while both
-        move by less than its share ``clear / most`` of their reach, m.
+    at_edge: whether the last legs end on edges of the room: walls that hold these places hide nothing of them.
+
+    clear: if it exceeds the most of `reach`, that stays so while neither end moves farther than `reach`; else while
+    both move by less than its share ``clear / most`` of their reach, m.
     """
     paths = unfold(walls, sequence, source, receiver, reach)
     valid, clear = _reflects(walls, sequence, paths)

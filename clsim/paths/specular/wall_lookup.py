@@ -26,27 +26,13 @@ _PAIRS = 20_000  # of beam, wall and receiver looked at at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """n beams: what a ball lights through an aperture.
+    """n beams: what a ball lights through an aperture."""
 
-    Attributes
-    ----------
-    planes : ndarray (n, p, 4)
-        Half-spaces that hold a beam; see `beam_planes`.
-    centre : ndarray (n, 3)
-        Of the balls, m.
-    radius : float
-        Of all balls, m.
-    last : ndarray (n,) int
-        Walls that the apertures are on.
-    slack : float
-        By which walls are taken to be larger, m.
-    """
-
-    planes: Floats
-    centre: Floats
-    radius: float
-    last: NDArray[np.int32]
-    slack: float
+    planes: Floats  # (n, p, 4) half-spaces that hold a beam; see `beam_planes`
+    centre: Floats  # (n, 3) of the balls, m
+    radius: float  # of all balls, m
+    last: NDArray[np.int32]  # (n,) walls that the apertures are on
+    slack: float  # by which walls are taken to be larger, m
 
     def part(self, which: slice) -> Beams:
         """Return some of them."""
@@ -59,19 +45,15 @@ class Ears:
 
     Attributes
     ----------
-    centre, radius : ndarray (R, 3), (R,)
-        Of the spheres, m.
-    seen : ndarray (R, W) bool
-        Which walls each may see.
     plane : ndarray (P, 4)
         Half-spaces of the beams from each receiver through what it sees of each wall; see `beam_planes`.
     first_plane : ndarray (R * W + 1,) int
         Where those of receiver r and wall w begin, in row ``r * W + w``; none where it cannot see the wall.
     """
 
-    centre: Floats
-    radius: Floats
-    seen: NDArray[np.bool_]
+    centre: Floats  # (R, 3) of the spheres, m
+    radius: Floats  # likewise
+    seen: NDArray[np.bool_]  # (R, W) which walls each may see
     plane: Floats
     first_plane: Ints
 
@@ -89,13 +71,7 @@ class Lookup(Protocol):
 
 
 class WallLookup:
-    """Looks up walls in NumPy.
-
-    Parameters
-    ----------
-    walls : Walls
-        The room.
-    """
+    """Looks up walls in NumPy."""
 
     def __init__(self, walls: Walls) -> None:
         self._walls = walls
@@ -103,34 +79,16 @@ class WallLookup:
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
         """Return where segments cross walls strictly between their ends; see `crossed_pieces`.
 
-        Parameters
-        ----------
-        start, stop : ndarray (n, 3)
-            Ends of segments, m.
-
-        Returns
-        -------
-        segment, wall, piece : ndarray (m,) int
-            Each crossing, sorted by segment.
+        Shapes: start, stop (n, 3) m; result (m,).
         """
         return crossed_pieces(self._walls, start, stop)
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
         """Return pairs of a beam and a wall that it may meet, in another plane than its last.
 
-        Parameters
-        ----------
-        beams : Beams
-            The beams.
-        sides : ndarray (W,) int
-            On which side of each wall paths can be; see `air_sides`.
-        ears : Ears, optional
-            Where given, only walls by which a beam may reach a receiver that sees them.
+        Shapes: sides (W,); result (m,).
 
-        Returns
-        -------
-        beam, wall : ndarray (m,) int
-            Sorted by beam.
+        ears: where given, only walls by which a beam may reach a receiver that sees them.
         """
         walls = self._walls
         beam, wall = walls.tree.meeting_planes(beams.planes, beams.slack)

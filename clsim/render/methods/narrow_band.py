@@ -30,24 +30,12 @@ _SILENT = 1e-9  # energy of the rest in a window relative to the whole, below wh
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NarrowBand:
-    """A band about a carrier, and the band-pass that takes it out of a signal.
+    """A band about a carrier, and the band-pass that takes it out of a signal."""
 
-    Attributes
-    ----------
-    baseband : Baseband
-        In which what is received of it is rendered, with its sampling rate.
-    flat : float
-        Frequencies off the carrier that are passed as they are, Hz.
-    half : float
-        Frequencies off the carrier from which on nothing is passed, Hz.
-    low_pass : ndarray (n,)
-        The band-pass about 0 Hz, without delay, of odd length, at the signal's sampling rate.
-    """
-
-    baseband: Baseband
-    flat: float
-    half: float
-    low_pass: Floats
+    baseband: Baseband  # in which what is received of it is rendered, with its sampling rate
+    flat: float  # frequencies off the carrier that are passed as they are, Hz
+    half: float  # frequencies off the carrier from which on nothing is passed, Hz
+    low_pass: Floats  # (n,) the band-pass about 0 Hz, without delay, of odd length, at the signal's sampling rate
 
     @classmethod
     def designed(cls, baseband: Baseband, flat: float, half: float, rate: float, error_db: float) -> NarrowBand:
@@ -77,18 +65,10 @@ class NarrowBand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Split:
-    """Bands that are taken out of a signal, none overlapping another, and what is left of it.
+    """Bands that are taken out of a signal, none overlapping another, and what is left of it."""
 
-    Attributes
-    ----------
-    bands : tuple of NarrowBand
-        One or more.
-    silence : float
-        Level relative to what sounds within some 40 ms, below which the rest is silent.
-    """
-
-    bands: tuple[NarrowBand, ...]
-    silence: float
+    bands: tuple[NarrowBand, ...]  # one or more
+    silence: float  # level relative to what sounds within some 40 ms, below which the rest is silent
 
     @classmethod
     def into(cls, bands: tuple[NarrowBand, ...], error_db: float) -> Split:
@@ -103,8 +83,6 @@ class Split:
     def rest(self, signal: Signal, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of what is left of a signal, exactly zero where that is silent.
 
-        Notes
-        -----
         Silence is looked for in cells of 16 samples, relative to the level of what sounds within 20 to 40 ms.
         """
         begin, end = first // CELL * CELL, -(-last // CELL) * CELL
@@ -159,15 +137,9 @@ class Split:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestFilters(SourceFilters):
-    """Filters for what narrow parts leave of a source's signal; pairs at rest are convolved with all of it.
+    """Filters for what narrow parts leave of a source's signal; pairs at rest are convolved with all of it."""
 
-    Attributes
-    ----------
-    split : Split
-        What is left out.
-    """
-
-    split: Split
+    split: Split  # what is left out
 
     @property
     def filter_half(self) -> int:
@@ -200,13 +172,7 @@ class NarrowFilters(EnvelopeFilters):
 
 
 def design_split(emission: Emission, split: Split) -> tuple[RestFilters, tuple[NarrowFilters, ...]]:
-    """Return the filters for what narrow parts leave of a source's signal, and for each of these.
-
-    Raises
-    ------
-    InputError
-        As in `design_source_filters`.
-    """
+    """Return the filters for what narrow parts leave of a source's signal, and for each of these."""
     rest = design_source_filters(replace(emission, sound=split.rest_of(emission.sound)))
     parts = []
     for band in split.bands:

@@ -44,18 +44,10 @@ _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NarrowOffer:
-    """Bands of one source's signal that can be rendered as complex envelopes, and what that costs.
+    """Bands of one source's signal that can be rendered as complex envelopes, and what that costs."""
 
-    Attributes
-    ----------
-    split : Split
-        The bands, and the rest of the signal.
-    cost : float
-        Processor time of the envelopes and of the rest of a path in a sample of the sound, ns.
-    """
-
-    split: Split
-    cost: float
+    split: Split  # the bands, and the rest of the signal
+    cost: float  # processor time of the envelopes and of the rest of a path in a sample of the sound, ns
 
 
 def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:

@@ -32,15 +32,9 @@ def build(plan: Plan) -> NarrowParts | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NarrowParts:
-    """What is rendered as envelope and made sound.
+    """What is rendered as envelope and made sound."""
 
-    Attributes
-    ----------
-    parts : tuple of NarrowPart
-        One for each carrier.
-    """
-
-    parts: tuple[NarrowPart, ...]
+    parts: tuple[NarrowPart, ...]  # one for each carrier
 
     @property
     def name(self) -> str:

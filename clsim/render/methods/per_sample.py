@@ -47,15 +47,9 @@ def build(plan: Plan) -> PathSum | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathSum:
-    """The sum over paths.
+    """The sum over paths."""
 
-    Attributes
-    ----------
-    plan : Plan
-        What the engine carries out.
-    """
-
-    plan: Plan
+    plan: Plan  # what the engine carries out
 
     @property
     def name(self) -> str:

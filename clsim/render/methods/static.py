@@ -69,24 +69,12 @@ def build(plan: Plan) -> StaticConvolution | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticConvolution:
-    """Emitted signals, convolved with the impulse responses of static pairs.
+    """Emitted signals, convolved with the impulse responses of static pairs."""
 
-    Attributes
-    ----------
-    tracks : SceneTracks
-        Of all paths.
-    source_filters : tuple of SourceFilters
-        By source.
-    pairs : tuple of int
-        Indices of the pairs among the tracks' pairs.
-    at_centre : bool
-        Whether air, walls and directivities are those at the centre frequency of the source's signal.
-    """
-
-    tracks: SceneTracks
-    source_filters: tuple[SourceFilters, ...]
-    pairs: tuple[int, ...]
-    at_centre: bool
+    tracks: SceneTracks  # of all paths
+    source_filters: tuple[SourceFilters, ...]  # by source
+    pairs: tuple[int, ...]  # indices of the pairs among the tracks' pairs
+    at_centre: bool  # whether air, walls and directivities are those at the centre frequency of the source's signal
 
     @property
     def name(self) -> str:

@@ -16,15 +16,9 @@ _SPARSE = 0.5  # share of active cells, below which it pays to look
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Activity:
-    """Cells of `CELL` samples of branch signals in which any of them is not zero.
+    """Cells of `CELL` samples of branch signals in which any of them is not zero."""
 
-    Attributes
-    ----------
-    cells : ndarray (cells,) bool
-        Whether they are active.
-    """
-
-    cells: NDArray[np.bool_]
+    cells: NDArray[np.bool_]  # (cells,) whether they are active
 
     def __or__(self, other: Activity) -> Activity:
         """Return where either is active."""
@@ -52,14 +46,10 @@ class Activity:
 def find_activity(active: NDArray[np.int64], count: int, before: int, after: int) -> Activity:
     """Return which cells of branch signals are active.
 
-    Parameters
-    ----------
-    active : ndarray (n,)
-        Samples that are not zero of what the branch filters filter; the first sample of the branches is at `before`.
-    count : int
-        Samples of the branches.
-    before, after : int
-        Samples that the filters look at to either side.
+    Shapes: active (n,).
+
+    active: samples that are not zero of what the branch filters filter; the first sample of the branches is at
+    `before`.
     """
     cells = -(-count // CELL)
     # A sample at i is heard by branches from i - after - before to i.

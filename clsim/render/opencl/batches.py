@@ -16,22 +16,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActivePaths:
-    """The paths of one pair that are heard for a while.
+    """The paths of one pair that are heard for a while."""
 
-    Attributes
-    ----------
-    index : int
-        Of the pair, in `Tracks.pairs`.
-    rows : ndarray (n,) int64
-        Its paths.
-    low, high : ndarray (n,)
-        Bounds of their delays over the chunk, s.
-    """
-
-    index: int
-    rows: NDArray[np.int64]
-    low: Floats
-    high: Floats
+    index: int  # of the pair, in `Tracks.pairs`
+    rows: NDArray[np.int64]  # (n,) its paths
+    low: Floats  # (n,) bounds of their delays over the chunk, s
+    high: Floats  # likewise
 
     def during(self, plan: Plan, first: int, last: int) -> ActivePaths:
         """Return those heard within samples `first` to `last`."""
@@ -51,31 +41,15 @@ class ActivePaths:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathBatch:
-    """Paths in the order in which the device walks them.
+    """Paths in the order in which the device walks them."""
 
-    Attributes
-    ----------
-    pairs : tuple of int
-        Indices in `Tracks.pairs`, one per receiver of the batch.
-    receiver : ndarray (pairs,) int32
-        Receiver of each pair.
-    first_slot : ndarray (pairs + 1,) int32
-        Where the slots of each pair begin; whole batches.
-    path : ndarray (slots,) int64
-        Row of each slot in its pair.
-    padding : ndarray (slots,) bool
-        Slots that only fill up a batch: silent copies of a path.
-    shortest, longest : float
-        Bounds of all delays over the chunk, s.
-    """
-
-    pairs: tuple[int, ...]
-    receiver: NDArray[np.int32]
-    first_slot: NDArray[np.int32]
-    path: NDArray[np.int64]
-    padding: NDArray[np.bool_]
-    shortest: float
-    longest: float
+    pairs: tuple[int, ...]  # indices in `Tracks.pairs`, one per receiver of the batch
+    receiver: NDArray[np.int32]  # (pairs,) receiver of each pair
+    first_slot: NDArray[np.int32]  # (pairs + 1,) where the slots of each pair begin; whole batches
+    path: NDArray[np.int64]  # (slots,) row of each slot in its pair
+    padding: NDArray[np.bool_]  # (slots,) slots that only fill up a batch: silent copies of a path
+    shortest: float  # bounds of all delays over the chunk, s
+    longest: float  # likewise
 
     @property
     def count(self) -> int:

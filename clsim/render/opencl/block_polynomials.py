@@ -33,30 +33,17 @@ def block_polynomials(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return whole delays, and polynomials on [-1, 1] of the rest and of the gain.
 
-    Parameters
-    ----------
-    delay, rate : ndarray (paths, blocks + 3)
-        At the nodes: one before the first block, its start, ..., two after the last block's start.
-    gain : ndarray (K, paths, blocks + 3)
-        There too.
-    block : int
-        Samples in a block.
-    sampling_rate : float
-        Hz.
-    delay_samples : float
-        Added to the delay, samples of the branch signals.
-    oversampling : int
-        Samples of the branch signals, in which delays are told, in one of the block.
-    terms : {4, 8}
-        Coefficients of the delay: of Hermite's cubic through the block's ends, or his septic through all four nodes.
-        Gains are Catmull-Rom's cubic, or the one through all four nodes.
+    Shapes: delay, rate (paths, blocks + 3); gain (K, paths, blocks + 3); result (blocks, paths), (blocks, terms + 4 K,
+    paths).
 
-    Returns
-    -------
-    whole : ndarray (blocks, paths) int32
-        Samples.
-    polynomials : ndarray (blocks, terms + 4 K, paths) float32
-        Lowest power first: `terms` for the delay in samples, then four for the gains, K at a time.
+    delay, rate: at the nodes: one before the first block, its start, ..., two after the last block's start.
+
+    oversampling: samples of the branch signals, in which delays are told, in one of the block.
+
+    terms: coefficients of the delay: of Hermite's cubic through the block's ends, or his septic through all four nodes.
+    Gains are Catmull-Rom's cubic, or the one through all four nodes.
+
+    polynomials: lowest power first: `terms` for the delay in samples, then four for the gains, K at a time.
     """
     if terms == 8:
         delay_terms = _septic(delay * sampling_rate + delay_samples, rate * (0.5 * block))
@@ -84,14 +71,12 @@ def block_error(
 ) -> Floats:
     """Return the largest error of the polynomials of every path and block (paths, blocks), as pressure at full scale.
 
-    Notes
-    -----
-    The remainder of cubic Hermite interpolation is ``h^4 f / 384``, with ``h^3 f`` the third difference of the
-    rate; that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used), that of the cubic through
-    all four nodes 3/128 of the fourth (0.03 is used). Groups that are a `part` of the block leave out the third power
-    of the delay and the second one of the gains; 0 where they do not. With eight terms the septic's distance at
-    mid-block from the quintic through the middle nodes and all four rates is taken, times its ratio to the cubic's,
-    where that is below 1: as if the terms went on falling like this. Motion without higher derivatives gains nothing.
+    The remainder of cubic Hermite interpolation is ``h^4 f / 384``, with ``h^3 f`` the third difference of the rate;
+    that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used), that of the cubic through all
+    four nodes 3/128 of the fourth (0.03 is used). Groups that are a `part` of the block leave out the third power of
+    the delay and the second one of the gains; 0 where they do not. With eight terms the septic's distance at mid-block
+    from the quintic through the middle nodes and all four rates is taken, times its ratio to the cubic's, where that is
+    below 1: as if the terms went on falling like this. Motion without higher derivatives gains nothing.
     """
     delay_samples = np.abs(np.diff(rate, 3, axis=1)) * block_time / 384.0
     if terms == 8:
@@ -114,27 +99,11 @@ def block_error(
 def cell_polynomials(gain: Floats, cell: int, blocks: int) -> tuple[Floats, Floats]:
     """Return the gains' cubics on the blocks of a cell, and their error, from nodes between cells.
 
-    Parameters
-    ----------
-    gain : ndarray (..., cells + 1)
-        At the nodes between the cells of a stretch.
-    cell : int
-        Which cell.
-    blocks : int
-        In a cell.
+    Shapes: gain (..., cells + 1); result (4, ..., blocks).
 
-    Returns
-    -------
-    polynomials : ndarray (4, ..., blocks)
-        On [-1, 1] in each block, lowest power first.
-    error : ndarray (...)
-        Bound of their error while fourth differences are those of these nodes.
-
-    Notes
-    -----
     The polynomial of degree 4 through the five nodes about the cell. What is told is the error of the cubic, between
-    its middle nodes at most 0.0234 (0.03 is used) of the fourth difference: that of degree 4 is better by as much
-    as differences fall. Its fourth power is left out within a block, where it is 1/98304 of that difference.
+    its middle nodes at most 0.0234 (0.03 is used) of the fourth difference: that of degree 4 is better by as much as
+    differences fall. Its fourth power is left out within a block, where it is 1/98304 of that difference.
     """
     from numpy.polynomial import polynomial
 
@@ -154,22 +123,8 @@ def cell_polynomials(gain: Floats, cell: int, blocks: int) -> tuple[Floats, Floa
 def between(gain: Floats, every: int) -> tuple[Floats, Floats]:
     """Return gains at all nodes, from those at every so many, and a bound of their error.
 
-    Parameters
-    ----------
-    gain : ndarray (..., n)
-        At every so many nodes, at least five of them.
-    every : int
-        Nodes from one to the next.
+    Shapes: gain (..., n).
 
-    Returns
-    -------
-    gain : ndarray (..., every (n - 1) + 1)
-        At all of them.
-    error : ndarray (...)
-        The largest, as in `cell_polynomials`.
-
-    Notes
-    -----
     Between two nodes the polynomial of degree 4 through the five about them is taken.
     """
     weights = _between(gain.shape[-1], every)

@@ -71,14 +71,7 @@ class BodyTracks(DeviceTracks):
     def _seen(self, surfaces: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], Floats]:
         """Return what the source's own room sees of paths by mirrors (P, N): of the receiver, and of mirrors.
 
-        Returns
-        -------
-        matrix, offset : ndarray (P, 3, 3), (P, 3)
-            The image by all mirrors at rest is at ``matrix @ x + offset``.
-        views : ndarray (P, BODIES)
-            Those that move.
-        normal : ndarray (P, N, 3)
-            Of those at rest.
+        Shapes: result (P, 3, 3), (P, BODIES), (P, N, 3).
         """
         count, every = len(surfaces), np.arange(len(surfaces))
         matrix, offset = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))

@@ -69,20 +69,7 @@ GPU_LAYOUT = Layout(lanes=1, subblocks=4, sparse_subblocks=16, nodes=1)
 
 
 class OpenclEngine:
-    """Carries out a plan on an OpenCL device.
-
-    Parameters
-    ----------
-    plan : Plan
-        What to compute.
-    layout : Layout, optional
-        How to spread it; by the kind of device when left out.
-
-    Raises
-    ------
-    DeviceError
-        If there is no device, or it fails; the message says what to do.
-    """
+    """Carries out a plan on an OpenCL device."""
 
     parts = 1  # rows of what is heard of a receiver
 
@@ -235,32 +222,16 @@ class OpenclEngine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """The paths of a batch of receivers from one source, over some segments of a chunk.
+    """The paths of a batch of receivers from one source, over some segments of a chunk."""
 
-    Attributes
-    ----------
-    source : int
-        Index.
-    batch : PathBatch
-        The paths.
-    branches : Branches
-        The source's branch signals for this chunk.
-    pressure : device memory (rows, length) float32
-        To which it is added.
-    length, start : int
-        Samples of the chunk, whole blocks, and the first of them.
-    first, last : int
-        Segments of the chunk, the last one not among them.
-    """
-
-    source: int
-    batch: PathBatch
-    branches: Branches
-    pressure: Any
-    length: int
-    start: int
-    first: int
-    last: int
+    source: int  # index
+    batch: PathBatch  # the paths
+    branches: Branches  # the source's branch signals for this chunk
+    pressure: Any  # (rows, length) to which it is added
+    length: int  # samples of the chunk, whole blocks, and the first of them
+    start: int  # likewise
+    first: int  # segments of the chunk, the last one not among them
+    last: int  # likewise
 
 
 class Run:

@@ -25,19 +25,15 @@ class Boundaries:
 
     Attributes
     ----------
-    start, end : ndarray (slots,)
-        Boundaries in samples from time 0; infinite where there is none.
     first, last : ndarray (slots,) int64
         First sample with a weight, and the one after the last; of slots that fill up a batch the last is the lower.
-    ramp : float
-        Length of a transition, samples; 0 where paths begin and end at once.
     """
 
-    start: Floats
-    end: Floats
+    start: Floats  # (slots,) boundaries in samples from time 0; infinite where there is none
+    end: Floats  # likewise
     first: NDArray[np.int64]
     last: NDArray[np.int64]
-    ramp: float
+    ramp: float  # length of a transition, samples; 0 where paths begin and end at once
 
     def samples_from(self, start: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Return first and last as counted from a sample on, bounded to 31 bits."""
@@ -48,29 +44,15 @@ class Boundaries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fades:
-    """Slots and blocks that are heard with a weight, grouped by receiver and block.
+    """Slots and blocks that are heard with a weight, grouped by receiver and block."""
 
-    Attributes
-    ----------
-    slot, block : ndarray (n,) int32
-        Which.
-    start, end : ndarray (n,) float32
-        Boundaries in samples from the block's start.
-    first : ndarray (places + 1,) int32
-        Where each receiver and block begins in the columns above.
-    row : ndarray (places,) int32
-        Row of its receiver in the output.
-    at : ndarray (places,) int32
-        Its block.
-    """
-
-    slot: NDArray[np.int32]
-    block: NDArray[np.int32]
-    start: NDArray[np.float32]
-    end: NDArray[np.float32]
-    first: NDArray[np.int32]
-    row: NDArray[np.int32]
-    at: NDArray[np.int32]
+    slot: NDArray[np.int32]  # (n,) which
+    block: NDArray[np.int32]  # likewise
+    start: NDArray[np.float32]  # (n,) boundaries in samples from the block's start
+    end: NDArray[np.float32]  # likewise
+    first: NDArray[np.int32]  # (places + 1,) where each receiver and block begins in the columns above
+    row: NDArray[np.int32]  # (places,) row of its receiver in the output
+    at: NDArray[np.int32]  # (places,) its block
 
 
 def boundaries(plan: Plan, batch: PathBatch) -> Boundaries:

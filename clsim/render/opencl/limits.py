@@ -17,24 +17,7 @@ _OPERATIONS_PER_NODE = 2000.0 * FLOAT64  # of a path
 
 
 class Limits:
-    """The limits of a device for a plan.
-
-    Parameters
-    ----------
-    plan : Plan
-        What is to be rendered.
-    info : DeviceInfo
-        Where.
-    parts : int
-        Rows of what is heard of a receiver.
-
-    Raises
-    ------
-    DeviceError
-        If not even a segment fits; the message says what to do.
-    InputError
-        If delays have more samples than kernels can count.
-    """
+    """The limits of a device for a plan."""
 
     def __init__(self, plan: Plan, info: DeviceInfo, parts: int) -> None:
         self._plan, self._info = plan, info
@@ -66,17 +49,7 @@ class Limits:
     def segments_in_launch(self, paths: int, block: int) -> int:
         """Return how many segments of some paths may be computed by one launch.
 
-        Parameters
-        ----------
-        paths : int
-            How many.
-        block : int
-            Samples in a block.
-
-        Returns
-        -------
-        int
-            So many that GPUs are estimated to need `LONGEST_LAUNCH` at most; at least one.
+        result: so many that GPUs are estimated to need `LONGEST_LAUNCH` at most; at least one.
         """
         segments = operations_in_launch(self._info) / (paths * self._operations(block))
         return max(1, int(min(segments, MOST_INDEX)))

@@ -41,18 +41,9 @@ def directivity_table(
 ) -> NDArray[np.float32]:
     """Return the table of a directivity, flat; see ``response.h`` for its layout.
 
-    Parameters
-    ----------
-    directivity : Directivity
-        What to tabulate.
-    kind : int
-        `OMNI`, `AXIAL` or `SPHERICAL`; axial directivities have tables of either kind.
-    frequencies : ndarray (M,)
-        Hz.
-    speed_of_sound : float
-        m/s.
-    parts : int
-        1 for real gains, 2 for complex ones.
+    Shapes: frequencies (M,) Hz.
+
+    kind: `OMNI`, `AXIAL` or `SPHERICAL`; axial directivities have tables of either kind.
     """
     if kind == OMNI:
         return np.zeros(0, dtype=np.float32)

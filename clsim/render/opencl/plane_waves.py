@@ -22,22 +22,7 @@ assert CPU_LAYOUT.lanes <= NEIGHBOURS
 
 
 class DeviceWaves:
-    """Sums streams on an OpenCL device; `HostWaves` is its twin.
-
-    Parameters
-    ----------
-    between : Between
-        Filters.
-    device : str or None
-        Which, as `render` takes it.
-    lanes : int, optional
-        Samples of a vector; as many as suit the device when left out.
-
-    Raises
-    ------
-    DeviceError
-        If there is none; the message says what to do.
-    """
+    """Sums streams on an OpenCL device; `HostWaves` is its twin."""
 
     def __init__(self, between: Between, device: str | None, lanes: int | None = None) -> None:
         import pyopencl as cl
@@ -54,13 +39,7 @@ class DeviceWaves:
     def heard(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
     ) -> NDArray[np.float32]:
-        """Return what listeners hear (R, n), as `Waves` says.
-
-        Raises
-        ------
-        DeviceError
-            If the device fails.
-        """
+        """Return what listeners hear (R, n), as `Waves` says."""
         import pyopencl as cl
 
         listeners, nodes, count = motion.ahead[:, :-1].shape

@@ -67,13 +67,7 @@ class ScattererTracks(DeviceTracks):
     def nodes(
         self, chunk: DeviceChunk, start: int, block: int, blocks: int, meanwhile: Callable[[], None] | None = None
     ) -> DeviceNodes:
-        """Make the polynomials of `blocks` blocks from a sample on.
-
-        Raises
-        ------
-        InputError
-            If a scatterer is not seen from both ends.
-        """
+        """Make the polynomials of `blocks` blocks from a sample on."""
         made = super().nodes(chunk, start, block, blocks, meanwhile)
         if made.shortest < 0.5 * NO_WAY:  # less a clock's error
             begin, end = (sample / self._plan.sampling_rate for sample in (start, start + block * blocks))

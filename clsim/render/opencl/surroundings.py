@@ -106,17 +106,9 @@ class Surroundings:
 def air_polynomials(at: SceneResponse, mach: float) -> tuple[Floats, Floats]:
     """Return absorption, 1/m, and lead, rad/m, as polynomials of what motion adds to frequencies.
 
-    Parameters
-    ----------
-    at : SceneResponse
-        Of air that disperses, at F frequencies.
-    mach : float
-        Bound of the source's speed over that of sound, 0 to 1.
+    Shapes: result (terms, F).
 
-    Returns
-    -------
-    absorption, lead : ndarray (terms, F)
-        Coefficients of powers of the ratio of the frequency on the way to that emitted, less 1.
+    absorption, lead: coefficients of powers of the ratio of the frequency on the way to that emitted, less 1.
     """
     low, high = -mach / (1.0 + mach), mach / (1.0 - mach)
     for terms in range(1, _MOST_TERMS + 1):

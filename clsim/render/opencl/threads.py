@@ -25,19 +25,7 @@ def side_by_side(
     meanwhile: Callable[[], None] | None = None,
     threads: int | None = None,
 ) -> list[Result]:
-    """Return what a function makes of each item, in their order.
-
-    Parameters
-    ----------
-    function : callable
-        What is done with an item; the same whichever others are done at that time.
-    items : sequence
-        Each is done by one thread.
-    meanwhile : callable, optional
-        Done by this thread, while others are at work.
-    threads : int, optional
-        At most so many; those that can run at the same time when left out.
-    """
+    """Return what a function makes of each item, in their order."""
     count = min(thread_count() if threads is None else threads, len(items))
     if count <= 1:
         if meanwhile is not None:

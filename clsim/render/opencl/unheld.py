@@ -18,11 +18,6 @@ class Unheld:
 
     Functions are made for the sum of a receiver's paths of all kinds, relative to what sounds within some 40 ms. A
     segment in which nothing but the last echoes of a pulse sounds tells nothing alone: it counts beside its neighbours.
-
-    Parameters
-    ----------
-    receivers : int
-        How many.
     """
 
     def __init__(self, receivers: int) -> None:

@@ -27,22 +27,8 @@ def overhangs(angles: Floats) -> bool:
 def within_half_turn(angles: Floats, values: NDArray[Any], unit: str) -> tuple[Floats, NDArray[Any]]:
     """Return the angles from 0° to 180°, and their values, of a table that overhangs.
 
-    Parameters
-    ----------
-    angles : ndarray (a,)
-        Increasing, degrees.
-    values : ndarray (a, f)
-        Gains, or levels in dB.
-    unit : str
-        "dB", or nothing.
+    Shapes: angles (a,); values (a, f).
 
-    Warns
-    -----
-    ClsimWarning
-        Which angles are left out, and by how much they differ from those of the other side that are kept.
-
-    Notes
-    -----
     Where no angle lies on the axis, or opposite, its values are those of a cubic spline through all angles.
     """
     from scipy.interpolate import CubicSpline

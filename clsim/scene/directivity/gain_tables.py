@@ -29,13 +29,7 @@ def check_options(outside: Any, relative_to_axis: Any, name: Any) -> None:
 
 
 def as_frequencies(frequencies: ArrayLike) -> Floats:
-    """Return a table's frequencies (f,), from 0 Hz and strictly increasing.
-
-    Raises
-    ------
-    InputError
-        If they are not.
-    """
+    """Return a table's frequencies (f,), from 0 Hz and strictly increasing."""
     f = as_floats("frequencies", frequencies, (None,))
     if f[0] < 0.0:
         raise InputError("frequencies[0]", f"must be at least 0 Hz, but is {f[0]:g} Hz")
@@ -47,13 +41,7 @@ def as_frequencies(frequencies: ArrayLike) -> Floats:
 
 
 def as_gains(values: Any, shape: tuple[int, int], layout: str) -> NDArray[Any]:
-    """Return gains of a shape as float64 or complex128, finite.
-
-    Raises
-    ------
-    InputError
-        If they are not.
-    """
+    """Return gains of a shape as float64 or complex128, finite."""
     given = np.asarray(values)
     parts = [
         as_floats("values", p, (None, None)) for p in ((given.real, given.imag) if np.iscomplexobj(given) else (given,))
@@ -66,13 +54,7 @@ def as_gains(values: Any, shape: tuple[int, int], layout: str) -> NDArray[Any]:
 
 
 def check_level(values: NDArray[Any], unit: str) -> None:
-    """Raise an InputError if gains (n, f), in dB or as a factor, are silent altogether or absurdly large.
-
-    Raises
-    ------
-    InputError
-        If all are 0, or one is beyond 300 dB.
-    """
+    """Raise an InputError if gains (n, f), in dB or as a factor, are silent altogether or absurdly large."""
     magnitude = np.abs(values)
     most = _LARGEST_DB if unit else _LARGEST
     for i, j in np.argwhere(magnitude > most)[:1]:
@@ -83,13 +65,7 @@ def check_level(values: NDArray[Any], unit: str) -> None:
 
 
 def over_axis(values: NDArray[Any], axis: NDArray[Any], frequencies: Floats) -> NDArray[Any]:
-    """Return values (n, f) over those on the axis (f,).
-
-    Raises
-    ------
-    InputError
-        If the axis is silent at a frequency.
-    """
+    """Return values (n, f) over those on the axis (f,)."""
     for i in np.flatnonzero(np.abs(axis) <= _SILENT * np.abs(values).max(axis=0))[:1]:
         raise InputError(
             "relative_to_axis", f"must be false where the axis is silent, but it is at {frequencies[i]:g} Hz"
@@ -103,13 +79,7 @@ def table_band(frequencies: Floats, outside: str | None) -> tuple[float, float]:
 
 
 def check_coverage(f: Floats, band: tuple[float, float]) -> None:
-    """Check that a directivity's band (low, high) covers frequencies (...), Hz.
-
-    Raises
-    ------
-    InputError
-        If it does not.
-    """
+    """Check that a directivity's band (low, high) covers frequencies (...), Hz."""
     low, high = band[0] * (1.0 - _SAME_FREQUENCY), band[1] * (1.0 + _SAME_FREQUENCY)
     beyond = f[(f < low) | (f > high)]
     if beyond.size:

@@ -27,20 +27,7 @@ _PADDING = 4  # lengths of an impulse response over which it is transformed
 
 
 def read_sofa_table(path: str | PathLike[str], measurement: int) -> tuple[Floats, Floats, NDArray[np.complex128]]:
-    """Return directions (n, 3) in the source's frame, frequencies (f,) in Hz and responses (n, f).
-
-    Parameters
-    ----------
-    path : path-like
-        With the ending ``.sofa``.
-    measurement : int
-        Which of the file's measurements, from 0.
-
-    Raises
-    ------
-    InputError
-        If the package sofar is missing, or the file is not what it should be.
-    """
+    """Return directions (n, 3) in the source's frame, frequencies (f,) in Hz and responses (n, f)."""
     sofa = _opened(Path(path))
     try:
         return _read(sofa, measurement)

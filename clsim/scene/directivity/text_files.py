@@ -32,17 +32,7 @@ _SEPARATORS = ("\t", ";", ",")  # a comma may be part of a number where one of t
 def read_csv_table(field: str, path: str | PathLike[str]) -> tuple[Floats, Floats, Floats]:
     """Return angles (a,), frequencies (f,) and values (a, f) of a text file.
 
-    Parameters
-    ----------
-    field : str
-        Name used in errors.
-    path : path-like
-        First row: any word, then frequencies. Other rows: the angle, then a value for each frequency.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or a row is no such row; the message names the line.
+    path: first row: any word, then frequencies. Other rows: the angle, then a value for each frequency.
     """
     try:
         text = read_file(path, LARGEST_TEXT).decode("utf-8-sig")
@@ -77,13 +67,7 @@ def read_csv_table(field: str, path: str | PathLike[str]) -> tuple[Floats, Float
 
 
 def read_npz_arrays(path: str | PathLike[str], names: tuple[str, str, str]) -> tuple[Any, Any, Any]:
-    """Return three arrays of a NumPy file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or lacks one.
-    """
+    """Return three arrays of a NumPy file."""
     try:
         with open_file(path, LARGEST_BINARY) as stream:  # np.load leaves a broken file open
             check_archive(stream)
@@ -100,13 +84,7 @@ def read_npz_arrays(path: str | PathLike[str], names: tuple[str, str, str]) -> t
 def read_mat_arrays(
     path: str | PathLike[str], names: tuple[str, str, str], variable: str | None
 ) -> tuple[Any, Any, Any]:
-    """Return three variables of a MATLAB file, or three fields of a struct.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or lacks one.
-    """
+    """Return three variables of a MATLAB file, or three fields of a struct."""
     try:
         check_file(path, LARGEST_BINARY)
         found = Path(path).stat()
@@ -127,13 +105,7 @@ def read_mat_arrays(
 
 
 def as_table(arrays: tuple[Any, Any, Any], angle_unit: str) -> tuple[Any, Any, Any]:
-    """Return angles (a,) in degrees, frequencies (f,) and values (a, f) of vectors of any shape and values of either.
-
-    Raises
-    ------
-    InputError
-        If the unit is none.
-    """
+    """Return angles (a,) in degrees, frequencies (f,) and values (a, f) of arrays of any shape."""
     as_choice("angle_unit", angle_unit, _ANGLE_UNITS)
     angles, frequencies, values = np.ravel(arrays[0]), np.ravel(arrays[1]), arrays[2]
     if angle_unit == "radian" and np.issubdtype(angles.dtype, np.number):

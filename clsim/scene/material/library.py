@@ -12,33 +12,17 @@ _CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": 
 
 @dataclass(frozen=True, slots=True)
 class LibraryEntry:
-    """A built-in material.
+    """A built-in material."""
 
-    Attributes
-    ----------
-    name, what : str
-        What it is called, and what it is.
-    source, uncertainty : str
-        Where it is from, and how sure.
-    constructor, arguments : str, dict
-        The constructor of `Material` that makes it, without ``from_``, and its arguments.
-    roughness : float
-        Root mean square of its heights, m.
-    scattering : float or (frequencies, values)
-        Share of the energy sent back that leaves the mirror's direction.
-    beyond : str
-        What happens outside its table.
-    """
-
-    name: str
-    what: str
-    source: str
-    uncertainty: str
-    constructor: str
-    arguments: dict[str, Any]
-    roughness: float
-    scattering: Any
-    beyond: str
+    name: str  # what it is called, and what it is
+    what: str  # likewise
+    source: str  # where it is from, and how sure
+    uncertainty: str  # likewise
+    constructor: str  # the constructor of `Material` that makes it, without ``from_``, and its arguments
+    arguments: dict[str, Any]  # likewise
+    roughness: float  # root mean square of its heights, m
+    scattering: Any  # (frequencies, values) share of the energy sent back that leaves the mirror's direction
+    beyond: str  # what happens outside its table
 
     @property
     def estimated(self) -> bool:

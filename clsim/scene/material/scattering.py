@@ -25,12 +25,7 @@ if TYPE_CHECKING:
 class Scattering:
     """Shares of the energy sent back that are scattered, at increasing frequencies; held beyond the ends.
 
-    Parameters
-    ----------
-    frequencies : ndarray (n,)
-        Hz.
-    values : ndarray (n,)
-        Shares, 0 to 1.
+    Shapes: frequencies (n,) Hz; values (n,).
     """
 
     frequencies: Floats
@@ -46,13 +41,7 @@ class Scattering:
 
 
 def as_scattering(value: Any) -> Scattering | None:
-    """Return a scattering coefficient: of a number, or of a pair of frequencies, Hz, and values; None for nothing.
-
-    Raises
-    ------
-    InputError
-        If it is neither, or a value is not from 0 to 1.
-    """
+    """Return a scattering coefficient: of a number, or of a pair of frequencies, Hz, and values; None for nothing."""
     if value is None or isinstance(value, Scattering):
         return value
     if not isinstance(value, str) and not hasattr(value, "__len__"):

@@ -32,16 +32,7 @@ _POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {  # where each kind of me
 class BagPoses:
     """Poses of one topic.
 
-    Parameters
-    ----------
-    stamps : list of int
-        Of the messages' headers, nanoseconds since 1970.
-    positions : ndarray (n, 3)
-        m.
-    orientations : ndarray (n, 4)
-        Quaternions x y z w, as they are.
-    frame : str
-        In which the first one is.
+    Shapes: positions (n, 3) m; orientations (n, 4).
     """
 
     stamps: list[int]
@@ -53,22 +44,7 @@ class BagPoses:
 def read_bag(path: Path, topic: str) -> BagPoses:
     """Return the poses of a topic in the order in which the bag has them.
 
-    Parameters
-    ----------
-    path : Path
-        Of ROS 2 a folder, an ``.mcap`` or a ``.db3``; of ROS 1 a ``.bag``.
-    topic : str
-        Of messages PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped.
-
-    Returns
-    -------
-    BagPoses
-        One pose at least.
-
-    Raises
-    ------
-    InputError
-        If rosbags is missing, the bag cannot be read, or has no such topic, or one of other messages.
+    topic: of messages PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped.
     """
     check_packages("format", "a ROS bag", "ros", "rosbags")
     try:

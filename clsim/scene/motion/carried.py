@@ -23,12 +23,10 @@ _SPARE = 1.0 + 1e-12  # for the rounding of bounds
 class Swung:
     """A point that swings about an axis.
 
-    Parameters
-    ----------
-    foot, along, across : ndarray (3,)
-        The nearest point of the axis, m; from there to where it is at angle 0, and at a quarter turn, m.
-    hinge : Hinge
-        Axis and angle.
+    Shapes: foot, along, across (3,) m.
+
+    foot, along, across: the nearest point of the axis, m; from there to where it is at angle 0, and at a quarter turn,
+    m.
     """
 
     foot: Floats
@@ -52,13 +50,7 @@ class Swung:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carried:
-    """A point that a moving thing carries, and that may move in the thing's own frame.
-
-    Parameters
-    ----------
-    carrier, own : Motion
-        Of the frame, and in it.
-    """
+    """A point that a moving thing carries, and that may move in the thing's own frame."""
 
     carrier: Motion
     own: Motion
@@ -85,12 +77,7 @@ class Carried:
 class CarriedTurning:
     """The orientation of what a moving thing carries, and that may turn in the thing's own frame.
 
-    Parameters
-    ----------
-    carrier, own : Motion
-        Of the frame, and in it.
-    aim : ndarray (4,)
-        The orientation in the own frame to begin with, a unit quaternion x y z w.
+    Shapes: aim (4,).
     """
 
     carrier: Motion
@@ -129,13 +116,7 @@ class CarriedTurning:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A point as a moving thing sees it, in its own frame.
-
-    Parameters
-    ----------
-    frame, point : Motion
-        Of the thing, and of the point in the room.
-    """
+    """A point as a moving thing sees it, in its own frame."""
 
     frame: Motion
     point: Motion
@@ -188,14 +169,9 @@ def seen_by(frame: Motion, point: Motion) -> Motion:
 def even_ways(speed: Floats, rate: float, step: float) -> Floats:
     """Return times (n,) from one to the next of which things go no farther than a step, s, first and last included.
 
-    Parameters
-    ----------
-    speed : ndarray (m,)
-        Bounds of how fast they go about instants so many per second from 0 s on, m/s.
-    rate : float
-        Of these, Hz.
-    step : float
-        m.
+    Shapes: speed (m,) m/s.
+
+    speed: bounds of how fast they go about instants so many per second from 0 s on, m/s.
     """
     pace = np.maximum(speed[1:], speed[:-1]) / (rate * step)  # steps from one instant to the next
     way = np.concatenate([[0.0], np.cumsum(pace)])

@@ -17,36 +17,18 @@ _TWO_TURNS = 4.0 * np.pi + 1e-9  # rad
 
 
 def as_span(field_name: str, value: Any) -> float:
-    """Return a length of time, s.
-
-    Raises
-    ------
-    InputError
-        If it is not above 0, or absurd.
-    """
+    """Return a length of time, s."""
     as_number(field_name, value, above=0.0, unit="s")
     return as_number(field_name, value, at_least=SHORTEST, at_most=LONGEST, unit="s")
 
 
 def as_places(field_name: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
-    """Return positions, m.
-
-    Raises
-    ------
-    InputError
-        If they are not finite or have another shape, or a coordinate is absurd.
-    """
+    """Return positions, m."""
     return as_floats(field_name, value, shape, within=FARTHEST, unit="m")
 
 
 def as_direction(field_name: str, value: Any) -> Floats:
-    """Return a direction (3,) of any length.
-
-    Raises
-    ------
-    InputError
-        If it is not finite, has another shape or no length, or one at which float64 gives up.
-    """
+    """Return a direction (3,) of any length."""
     direction = as_floats(field_name, value, (3,), within=1.0 / _NO_LENGTH)
     if not np.linalg.norm(direction) > _NO_LENGTH:
         raise InputError(field_name, f"must be a direction, but is {', '.join(f'{x:g}' for x in direction)}")
@@ -63,13 +45,7 @@ def question_turns(field_name: str, largest: float) -> None:
 
 
 def as_increasing(times: Any) -> Floats:
-    """Return the field ``times`` (n,) s.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two, or they do not increase strictly (by 1 ns).
-    """
+    """Return the field ``times`` (n,) s."""
     t = as_floats("times", times, (None,))
     if len(t) < 2:
         raise InputError("times", f"must hold at least two, but holds {len(t)}")
@@ -87,39 +63,21 @@ def as_increasing(times: Any) -> Floats:
 
 
 def as_choices(field_name: str, values: Any, choices: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a tuple of names.
-
-    Raises
-    ------
-    InputError
-        If it is no list, or one of them is not among the choices.
-    """
+    """Return a tuple of names."""
     if not isinstance(values, list | tuple):
         raise InputError(field_name, f"must be a list of names, but is {values!r:.80}")
     return tuple(as_choice(f"{field_name}[{i}]", value, choices) for i, value in enumerate(values))
 
 
 def as_path(value: Any) -> Path:
-    """Return the field ``path``.
-
-    Raises
-    ------
-    InputError
-        If it is neither text nor a path.
-    """
+    """Return the field ``path``."""
     if not isinstance(value, str | PathLike) or not str(value).strip():
         raise InputError("path", f"must be the path of a file, but is {value!r:.80}")
     return Path(value)
 
 
 def as_topic(value: Any) -> str:
-    """Return the field ``topic``.
-
-    Raises
-    ------
-    InputError
-        If it is no text, or empty.
-    """
+    """Return the field ``topic``."""
     if not isinstance(value, str) or not value.strip():
         raise InputError("topic", f"must name the topic of a bag, such as '/robot/pose', but is {value!r:.80}")
     return value

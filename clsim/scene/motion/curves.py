@@ -81,12 +81,7 @@ class Circular:
 
     ``x(t) = center + radius (e1 cos φ + e2 sin φ)`` with ``φ = phase + rate t``.
 
-    Parameters
-    ----------
-    center, e1, e2 : ndarray (3,)
-        Center, m, and two orthogonal unit vectors in the circle's plane.
-    radius, rate, phase : float
-        Radius, m, angular velocity, rad/s, and angle at time 0, rad.
+    Shapes: center, e1, e2 (3,) m.
     """
 
     center: Floats
@@ -115,10 +110,7 @@ class Circular:
 class Piecewise:
     """Cubics, one after the other; at a kink the velocity is the one after it.
 
-    Parameters
-    ----------
-    polynomial, derivative : scipy.interpolate.PPoly
-        Positions, m, and velocities, m/s, (3,) for each time, on the same range of times.
+    polynomial, derivative: positions, m, and velocities, m/s, (3,) for each time, on the same range of times.
     """
 
     polynomial: PPoly
@@ -174,21 +166,10 @@ def is_static(curve: Curve) -> bool:
 def frame_about(axis: Floats) -> tuple[Floats, Floats]:
     """Return the unit vectors from which and towards which a circle about `axis` turns at angle 0.
 
-    Parameters
-    ----------
-    axis : ndarray (3,)
-        Direction of any length.
+    Shapes: axis (3,); result (3,).
 
-    Returns
-    -------
-    e1, e2 : ndarray (3,)
-        e1 is +x projected on the plane across the axis (+y where the axis lies along x); e1, e2 and the axis
-        are a right-handed frame.
-
-    Raises
-    ------
-    InputError
-        If the axis is zero.
+    e1, e2: e1 is +x projected on the plane across the axis (+y where the axis lies along x); e1, e2 and the axis are a
+    right-handed frame.
     """
     largest = np.abs(axis).max()
     if largest == 0.0:
@@ -205,20 +186,12 @@ def frame_about(axis: Floats) -> tuple[Floats, Floats]:
 def spline_through(times: Floats, positions: Floats, ends: Literal["not-a-knot", "natural"]) -> Piecewise:
     """Return the C2 cubic spline through points, continued at its ends by `CONTINUATION`.
 
-    Parameters
-    ----------
-    times : ndarray (n,)
-        Strictly increasing, s, n at least 2.
-    positions : ndarray (n, 3)
-        Points, m.
-    ends : {"not-a-knot", "natural"}
-        Condition at both ends. With "not-a-knot" the error of a smooth motion stays of fourth order up to
-        the ends; "natural" (second derivative zero) is what a smoothing spline has.
+    Shapes: times (n,) s; positions (n, 3) m.
 
-    Returns
-    -------
-    Piecewise
-        Continued by ``x0 + v0 u + a0 u²/2`` with the position, velocity and acceleration of the end.
+    ends: condition at both ends. With "not-a-knot" the error of a smooth motion stays of fourth order up to the ends;
+    "natural" (second derivative zero) is what a smoothing spline has.
+
+    result: continued by ``x0 + v0 u + a0 u²/2`` with the position, velocity and acceleration of the end.
     """
     from scipy.interpolate import CubicSpline
 

@@ -32,13 +32,7 @@ _NEAREST = 1e-3  # m, to a point that is aimed at
 
 
 def towards(motion: Trajectory, point: Floats) -> Trajectory:
-    """Return a motion whose +x axis points at a point (3,) of its frame, m.
-
-    Raises
-    ------
-    InputError
-        If it comes within a millimetre of the point.
-    """
+    """Return a motion whose +x axis points at a point (3,) of its frame, m."""
 
     def directions(times: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Return directions (T, 3) of any length, and that all of them are known."""
@@ -56,13 +50,7 @@ def towards(motion: Trajectory, point: Floats) -> Trajectory:
 
 
 def forward(motion: Trajectory) -> Trajectory:
-    """Return a motion whose +x axis points where it goes; in a rest it turns evenly from one direction to the next.
-
-    Raises
-    ------
-    InputError
-        If it never moves, or its direction jumps.
-    """
+    """Return a motion whose +x axis points where it goes; in a rest it turns evenly from one direction to the next."""
     if motion.is_static:
         raise InputError("aim", 'must be a direction, or aim_at given, where nothing moves, but is "forward"')
     top = motion.peak_speed(motion.start, motion.end)[0]

@@ -37,24 +37,7 @@ Bools = NDArray[np.bool_]
 class Poses:
     """Rows of a file.
 
-    Parameters
-    ----------
-    file : str
-        Its name, for messages.
-    lines : ndarray (n,)
-        Number of each row's line, or message, from 1.
-    stamps : ndarray (n,) of str
-        Times as written in the file.
-    times : ndarray (n,)
-        Time since the first row, s.
-    positions : ndarray (n, 3)
-        m, in the file's axes.
-    orientations : ndarray (n, 4) or None
-        Unit quaternions x y z w.
-    notes : tuple of str
-        What was found and repaired, a sentence each.
-    row : {"line", "message"}
-        What the file calls a row.
+    Shapes: lines (n,); stamps (n,); times (n,) s; positions (n, 3) m; orientations (n, 4).
     """
 
     file: str
@@ -71,13 +54,7 @@ class Poses:
         return f"{self.file}, {self.row} {self.lines[row]}"
 
     def without(self, bad: Bools, what: str) -> Poses:
-        """Return the poses without the bad rows, with a note that says which.
-
-        Raises
-        ------
-        InputError
-            If that would take half of the rows or more.
-        """
+        """Return the poses without the bad rows, with a note that says which."""
         count, first = int(np.sum(bad)), int(np.argmax(bad))
         if 2 * count >= len(bad):
             raise InputError("repair", f"would drop {count} of {len(bad)} rows of {self.file} ({what})")
@@ -106,37 +83,13 @@ def read_poses(
 ) -> Poses:
     """Read a file and check its rows.
 
-    Parameters
-    ----------
-    path : path-like
-        A text file, or a bag.
-    form : {"tum", "euroc", "csv", "rosbag"}
-        TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the
-        quaternion w, x, y, z; further columns are left. CSV: a header with ``t,x,y,z`` and perhaps
-        ``qx,qy,qz,qw`` in any order; further columns are left. Lines that begin with ``#`` and empty lines
-        are skipped. Bags: see `read_bag`.
-    topic : str or None
-        Of a bag, and of nothing else.
-    scale : float
-        Metres in the file's unit of length.
-    repair : tuple of str
-        Which faults to repair, in this order: "nan" drops rows with something that is no finite number,
-        "times" drops rows whose time is not above all before, "jumps" drops rows out of reach from the last
-        good one at `max_speed`, "gaps" lets the spline bridge them.
-    max_speed : float
-        Speed between two rows above which it is a jump, m/s.
-    max_gap : float or None
-        Step of time above which it is a gap, s; five median steps where None.
+    form: TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the quaternion
+    w, x, y, z; further columns are left. CSV: a header with ``t,x,y,z`` and perhaps ``qx,qy,qz,qw`` in any order;
+    further columns are left. Lines that begin with ``#`` and empty lines are skipped. Bags: see `read_bag`.
 
-    Returns
-    -------
-    Poses
-        At least four, their times strictly increasing from 0.
-
-    Raises
-    ------
-    InputError
-        For what cannot be read and each fault that is not to be repaired, with line and value.
+    repair: which faults to repair, in this order: "nan" drops rows with something that is no finite number, "times"
+    drops rows whose time is not above all before, "jumps" drops rows out of reach from the last good one at
+    `max_speed`, "gaps" lets the spline bridge them.
     """
     if form != "rosbag" and topic is not None:
         raise InputError("topic", f"must be left out for the format {form!r}, but is {topic!r:.80}")

@@ -23,13 +23,7 @@ _BATCH = 8192  # ranges evaluated at a time
 
 @dataclass(frozen=True, slots=True)
 class Instants:
-    """Times from `start` to `end`, evenly spaced, at least `rate` a second; however many, they take no memory.
-
-    Examples
-    --------
-    >>> Instants(0.0, 2.0, 1.0).times(np.arange(3))
-    array([0., 1., 2.])
-    """
+    """Times from `start` to `end`, evenly spaced, at least `rate` a second; however many, they take no memory."""
 
     start: float
     end: float
@@ -56,12 +50,9 @@ class Instants:
     def first(self, probe: Probe) -> int | None:
         """Return the first instant of which `probe` says that it is met, as evaluating every single one would.
 
-        Parameters
-        ----------
-        probe : callable
-            Takes the first, the middle and the last instants of ranges (n,), in the order of time. Returns the first
-            that is surely met in each, or -1, and whether others of the range may be: then its halves before and
-            behind the middle are evaluated as well.
+        probe: takes the first, the middle and the last instants of ranges (n,), in the order of time. Returns the first
+        that is surely met in each, or -1, and whether others of the range may be: then its halves before and behind the
+        middle are evaluated as well.
         """
         met, waiting = None, [np.array([[0, self.count - 1]])]
         while waiting:

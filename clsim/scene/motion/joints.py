@@ -25,39 +25,20 @@ _COLUMN = re.compile(r"(.+)[ ._]([xyz])", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joints:
-    """Where joints are over time.
+    """Where joints are over time."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        As in the file; the end of a chain without a name of its own is "NAME end".
-    times : ndarray (T,)
-        s, from 0.
-    positions : ndarray (joints, T, 3)
-        In the file's axes and unit of length.
-    up : {"y", "z"}
-        The axis that goes up, by the custom of the format.
-    """
-
-    names: tuple[str, ...]
-    times: Floats
-    positions: Floats
-    up: str
+    names: tuple[str, ...]  # as in the file; the end of a chain without a name of its own is "NAME end"
+    times: Floats  # (T,) s, from 0
+    positions: Floats  # (joints, T, 3) in the file's axes and unit of length
+    up: str  # the axis that goes up, by the custom of the format
 
 
 def read_joints(path: Path) -> Joints:
     """Read a file: one that begins with HIERARCHY is BVH, any other a table.
 
-    Parameters
-    ----------
-    path : Path
-        Text. The header of a table names ``t`` (or ``time``), s, and ``NAME x``, ``NAME y``, ``NAME z`` of every joint,
-        in any order, with a blank, a point or an underscore before the axis; lines that begin with ``#`` are skipped.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or breaks a rule of its format; the message gives the line.
+    path: text. The header of a table names ``t`` (or ``time``), s, and ``NAME x``, ``NAME y``, ``NAME z`` of every
+    joint, in any order, with a blank, a point or an underscore before the axis; lines that begin with ``#`` are
+    skipped.
     """
     try:
         text = read_file(path, LARGEST_TEXT).decode("utf-8-sig")

@@ -44,13 +44,7 @@ class Fit:
 
 
 def as_smooth(value: Any) -> bool | float:
-    """Return the strength of smoothing: True, False or a residual in m.
-
-    Raises
-    ------
-    InputError
-        If it is none of them.
-    """
+    """Return the strength of smoothing: True, False or a residual in m."""
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, str):
@@ -61,32 +55,10 @@ def as_smooth(value: Any) -> bool | float:
 def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: Placement) -> Fit:
     """Return the spline of measured points, smoothed in the axes in which they were measured.
 
-    Parameters
-    ----------
-    times : ndarray (n,)
-        Strictly increasing, s.
-    positions : ndarray (n, 3)
-        m, in the file's axes.
-    smooth : bool or float
-        True removes white noise (generalised cross-validation), a number leaves that rms residual per axis,
-        m, and False goes through the points.
-    place : Placement
-        From the file's axes into the room.
+    Shapes: times (n,) s; positions (n, 3) m.
 
-    Returns
-    -------
-    Fit
-        In the room; its residual is along the file's axes.
-
-    Raises
-    ------
-    InputError
-        If the smoothing spline cannot be computed.
-
-    Warns
-    -----
-    ClsimWarning
-        Without smoothing, of the Doppler noise to expect; with it, of accelerations above 50 m/s².
+    smooth: true removes white noise (generalised cross-validation), a number leaves that rms residual per axis, m, and
+    False goes through the points.
     """
     if smooth is False:
         speed = speed_noise(times, positions)
@@ -115,23 +87,10 @@ def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: 
 def speed_noise(times: Floats, positions: Floats) -> float:
     """Return an estimate of the rms speed noise of a cubic spline through measured points, m/s.
 
-    Parameters
-    ----------
-    times : ndarray (n,)
-        Strictly increasing, s, nearly even.
-    positions : ndarray (n, 3)
-        m, with white noise.
+    Shapes: times (n,) s; positions (n, 3) m.
 
-    Returns
-    -------
-    float
-        Along the noisiest axis, over time.
-
-    Notes
-    -----
-    The k-th difference of white noise of variance σ² has the variance ``σ² binom(2k, k)``, while that of a
-    smooth motion vanishes as the step to the power k; k = 5 here. The spline turns σ into
-    ``1.573 σ / step`` of speed.
+    The k-th difference of white noise of variance σ² has the variance ``σ² binom(2k, k)``, while that of a smooth
+    motion vanishes as the step to the power k; k = 5 here. The spline turns σ into ``1.573 σ / step`` of speed.
 
     Examples
     --------

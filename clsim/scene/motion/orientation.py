@@ -52,17 +52,12 @@ class Turning(Protocol):
 class GreatArcs:
     """Spherical linear interpolation between orientations, held before the first and after the last.
 
-    On each piece ``q(u) = q0 cos(u Ω) + e sin(u Ω)`` with u from 0 to 1, Ω the angle between the quaternions
-    and e the unit quaternion at a right angle to q0 on the arc to q1. The sign never jumps.
+    On each piece ``q(u) = q0 cos(u Ω) + e sin(u Ω)`` with u from 0 to 1, Ω the angle between the quaternions and e the
+    unit quaternion at a right angle to q0 on the arc to q1. The sign never jumps.
 
-    Parameters
-    ----------
-    times : ndarray (n,)
-        Strictly increasing, s; one time is a constant orientation.
-    base, side : ndarray (n, 4)
-        q0 and e of the piece that begins at each time; the last piece does not turn.
-    angle : ndarray (n,)
-        Ω, rad.
+    Shapes: times (n,) s; base, side (n, 4); angle (n,) rad.
+
+    base, side: q0 and e of the piece that begins at each time; the last piece does not turn.
 
     References
     ----------
@@ -120,12 +115,7 @@ class GreatArcs:
 class Hinge:
     """A turn about one axis, by an angle that is a smooth function of time.
 
-    Parameters
-    ----------
-    axis : ndarray (3,)
-        Unit vector.
-    angle : Piecewise
-        Angle in its first coordinate, rad.
+    Shapes: axis (3,).
     """
 
     axis: Floats
@@ -183,13 +173,7 @@ def turning_between(times: Floats, quaternions: Floats) -> GreatArcs:
 
 
 def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> Floats:
-    """Return unit quaternions x y z w, freed of rounding in their norm.
-
-    Raises
-    ------
-    InputError
-        If the value is not numeric, has another shape, or a norm is off 1 by more than 1e-2.
-    """
+    """Return unit quaternions x y z w, freed of rounding in their norm."""
     quaternions = as_floats(field, value, shape, within=1e100)  # whose squares are numbers
     norm = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     bad = np.argwhere(np.abs(norm[..., 0] - 1.0) > _UNIT_TOLERANCE)

@@ -32,13 +32,10 @@ _STIFFEST = 1e13
 class Smoothed:
     """Points without their noise.
 
-    Parameters
-    ----------
-    points : ndarray (n, k)
-        Values of the smoothing splines at their times; the natural cubic spline through them is the smoothing
-        spline.
-    residual : ndarray (k,)
-        Root mean square of ``y − f`` of each column.
+    Shapes: points (n, k); residual (k,).
+
+    points: values of the smoothing splines at their times; the natural cubic spline through them is the smoothing
+    spline.
     """
 
     points: Floats
@@ -48,35 +45,10 @@ class Smoothed:
 def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
     """Smooth each column by the λ that generalised cross-validation chooses.
 
-    Parameters
-    ----------
-    times : ndarray (n,)
-        Strictly increasing, n at least 4.
-    values : ndarray (n, k)
-        Measured values; their noise is taken to be white.
+    Shapes: times (n,); values (n, k).
 
-    Returns
-    -------
-    Smoothed
-        With the residual of the noise alone, where the noise is white.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the steps of time are so uneven that the equations cannot be solved.
-
-    Notes
-    -----
-    λ minimises ``GCV(λ) = n Σ (y − f)² / tr(I − A)²``, A the matrix that turns y into f. The trace needs no
-    inverse: ``tr(I − A) = tr(λ QᵀQ (R + λ QᵀQ)⁻¹) = d ln det(R + λ QᵀQ) / d ln λ``.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> t = np.linspace(0.0, 10.0, 1001)
-    >>> noise = np.random.default_rng(1).normal(scale=1e-3, size=(1001, 1))
-    >>> smooth_by_cross_validation(t, np.sin(t)[:, None] + noise).residual.round(4)
-    array([0.001])
+    λ minimises ``GCV(λ) = n Σ (y − f)² / tr(I − A)²``, A the matrix that turns y into f. The trace needs no inverse:
+    ``tr(I − A) = tr(λ QᵀQ (R + λ QᵀQ)⁻¹) = d ln det(R + λ QᵀQ) / d ln λ``.
     """
     system = _system(times)
     grid = _STEP * np.arange(np.floor(_LEAST / _STEP) - 3, np.floor(system.greatest / _STEP) + 1)
@@ -94,32 +66,10 @@ def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
 def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smoothed:
     """Smooth each column until the root mean square of its residual is the one given.
 
-    Parameters
-    ----------
-    times : ndarray (n,)
-        Strictly increasing, n at least 4.
-    values : ndarray (n, k)
-        Measured values.
-    residual : float
-        In the unit of the values, above 0. A column that is nearer to a straight line than that becomes the
-        straight line (or what is slower than 7000 steps), with the smaller residual it has.
+    Shapes: times (n,); values (n, k).
 
-    Returns
-    -------
-    Smoothed
-        With the residuals reached.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the steps of time are so uneven that the equations cannot be solved.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> t = np.linspace(0.0, 10.0, 1001)
-    >>> smooth_by_residual(t, np.sin(t)[:, None], 0.01).residual.round(6)
-    array([0.01])
+    residual: in the unit of the values, above 0. A column that is nearer to a straight line than that becomes the
+    straight line (or what is slower than 7000 steps), with the smaller residual it has.
     """
     from scipy.optimize import brentq
 

@@ -20,12 +20,7 @@ _RANGE = 64  # positions taken together
 def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:
     """Return the first position that is on a wall, or after which a wall is walked through, and that wall.
 
-    Parameters
-    ----------
-    walls : Walls
-        The room.
-    positions : ndarray (n, 3)
-        In the order of time, m; between them the motion is straight.
+    Shapes: positions (n, 3) m.
     """
     starts = np.arange(0, len(positions), _RANGE)
     low = np.minimum.reduceat(positions, starts)

@@ -34,32 +34,22 @@ class Edges:
 
     Attributes
     ----------
-    start : ndarray (E, 3)
-        Where each begins, m.
     along, across, out : ndarray (E, 3)
-        Right-handed unit vectors: along the edge is ``across x out``, with `across` in its 0-face away from the edge,
-        and `out` off this face into the air.
-    length : ndarray (E,)
-        m.
-    n : ndarray (E,)
-        Exterior angle over π: 2 of the edge of a screen, 1 where the material of a plane changes.
-    faces : ndarray (E, 2) int
-        Walls of the 0-face and the n-face; the same at the edge of a screen.
+        Right-handed unit vectors: along the edge is ``across x out``, with `across` in its 0-face away from the
+        edge, and `out` off this face into the air.
     free : ndarray (E, 2) bool
         Whether each edge has an end in the air at its start and stop, and does not end at a wall.
-    names : tuple of str
-        Of each.
     """
 
-    start: Floats
+    start: Floats  # (E, 3) where each begins, m
     along: Floats
     across: Floats
     out: Floats
-    length: Floats
-    n: Floats
-    faces: NDArray[np.int64]
+    length: Floats  # (E,) m
+    n: Floats  # (E,) exterior angle over π: 2 of the edge of a screen, 1 where the material of a plane changes
+    faces: NDArray[np.int64]  # (E, 2) walls of the 0-face and the n-face; the same at the edge of a screen
     free: NDArray[np.bool_]
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of each
 
     @staticmethod
     def none() -> Edges:
@@ -175,22 +165,10 @@ class _Piece:
 def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | None = None) -> Edges:
     """Return the edges of walls at which sound is diffracted.
 
-    Parameters
-    ----------
-    walls : Walls
-        Merged; where they end matters, not how they are made of triangles.
-    faces : Faces
-        Their names and materials.
-    inside : callable, optional
-        Tells which places (n, 3) are in the air of a room, (n,); everywhere when left out.
-    wall : int, optional
-        On whose lines alone edges are looked for.
+    inside: tells which places (n, 3) are in the air of a room, (n,); everywhere when left out.
 
-    Returns
-    -------
-    Edges
-        Those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between faces of
-        different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
+    result: those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between
+    faces of different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
     """
     found: list[_Piece] = []
     for line in _lines(walls):

@@ -29,24 +29,12 @@ _WHOLE = 0.9  # of the mesh's extent, from which on a shell is the room
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shells:
-    """The S shells of a mesh: triangles joined by edges that two of them share.
+    """The S shells of a mesh: triangles joined by edges that two of them share."""
 
-    Attributes
-    ----------
-    corners : ndarray (T, 3, 3)
-        Of the triangles, m, in an order by which all of a shell face outwards.
-    shell : ndarray (T,) int
-        The shell of each triangle.
-    volume : ndarray (S,)
-        Enclosed by each shell alone, m³; without meaning where it has holes.
-    holes : ndarray (S,)
-        Area of the holes of each shell over its surface: 0 where it is closed.
-    """
-
-    corners: Floats
-    shell: Ints
-    volume: Floats
-    holes: Floats
+    corners: Floats  # (T, 3, 3) of the triangles, m, in an order by which all of a shell face outwards
+    shell: Ints  # (T,) the shell of each triangle
+    volume: Floats  # (S,) enclosed by each shell alone, m³; without meaning where it has holes
+    holes: Floats  # (S,) area of the holes of each shell over its surface: 0 where it is closed
 
     @staticmethod
     def of(vertices: Floats, triangles: Ints) -> Shells | None:
@@ -80,11 +68,9 @@ class Shells:
     def holds(self, shell: int, points: Floats) -> NDArray[np.bool_]:
         """Return a mask of the points (n, 3) that a shell, which may have holes, surrounds more than half.
 
-        Notes
-        -----
-        The generalised winding number: the share of all directions in which rays leave through the shell, those
-        that enter it counted off. It is 1 inside a closed shell and 0 outside; a hole takes its solid angle off the
-        inside, and gives it to the outside with the other sign, less than half on either side of a flat one.
+        The generalised winding number: the share of all directions in which rays leave through the shell, those that
+        enter it counted off. It is 1 inside a closed shell and 0 outside; a hole takes its solid angle off the inside,
+        and gives it to the outside with the other sign, less than half on either side of a flat one.
 
         References
         ----------
@@ -123,15 +109,10 @@ def enclosed_volume(
 ) -> float | None:
     """Return the volume in an odd number of shells of a watertight mesh, m³; None where there is none.
 
-    Parameters
-    ----------
-    vertices, triangles : ndarray (V, 3), (T, 3)
-        Welded, m, and indices of corners in any winding.
-    crossing : bool
-        Whether walls run through each other: `contains` is then asked at points of a lattice in the box around the
-        largest shell, so that what is sunk into the floor does not count below it. Right within some 0.3 %.
-    contains : callable
-        Takes points (n, 3), m; returns which are inside.
+    Shapes: vertices, triangles (V, 3) m.
+
+    crossing: whether walls run through each other: `contains` is then asked at points of a lattice in the box around
+    the largest shell, so that what is sunk into the floor does not count below it. Right within some 0.3 %.
     """
     shells = Shells.of(vertices, triangles)
     if shells is not None and not crossing and not np.any(shells.holes):

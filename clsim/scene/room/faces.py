@@ -25,21 +25,9 @@ _FINEST = 1e-8  # of the room's size: less could not be distinguished from round
 class Faces:
     """The walls of a room, F of them: a wall's index is its row here.
 
-    Parameters
-    ----------
-    normals : ndarray (F, 3)
-        Unit normals. They point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
-    offsets : ndarray (F,)
-        The plane of wall i is ``normals[i] @ x = offsets[i]``, m.
-    names : tuple of str
-        A name for each wall.
-    materials : tuple of Material
-        The material of each wall.
+    Shapes: normals (F, 3); offsets (F,) m.
 
-    Raises
-    ------
-    InputError
-        If they are not as many of each, a normal is no unit vector, or a material is none.
+    normals: unit normals. They point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
     """
 
     normals: Floats
@@ -72,15 +60,7 @@ class Faces:
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
         """Return every wall's reflection factor of sound pressure at normal incidence.
 
-        Parameters
-        ----------
-        frequency : array_like (...)
-            Positive, Hz.
-
-        Returns
-        -------
-        ndarray (F, ...)
-            Factors for every frequency, complex where a wall's is.
+        Shapes: result (F ...).
         """
         # Each material once, so that one that warns does so once.
         factors = {id(m): m.reflection_at(frequency) for m in dict.fromkeys(self.materials)}
@@ -89,46 +69,22 @@ class Faces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
-    """Where a motion leaves a room or meets a wall, in the words of the error: rule, but NAME event at PLACE hint.
+    """Where a motion leaves a room or meets a wall, in the words of the error: rule, but NAME event at PLACE hint."""
 
-    Attributes
-    ----------
-    index : int
-        Of the position.
-    rule : str
-        What is asked for: "must stay inside the room".
-    event : str
-        What happens instead: "is", "meets the wall 'x_min'".
-    hint : str
-        What to do about it, with its comma or semicolon.
-    """
-
-    index: int
-    rule: str
-    event: str
-    hint: str = ""
+    index: int  # of the position
+    rule: str  # what is asked for: "must stay inside the room"
+    event: str  # what happens instead: "is", "meets the wall 'x_min'"
+    hint: str = ""  # what to do about it, with its comma or semicolon
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mount:
-    """The wall that an end sits in.
+    """The wall that an end sits in."""
 
-    Attributes
-    ----------
-    wall : int
-        Its index; in a mesh one of its plane.
-    normal : ndarray (3,)
-        Unit vector off the wall, to the side of the air that the end is heard in.
-    offset : float
-        The wall's plane is ``normal @ x = offset``, m.
-    step : float
-        How far in front of the wall the end is taken to be where that decides what reaches it, m.
-    """
-
-    wall: int
-    normal: Floats
-    offset: float
-    step: float
+    wall: int  # its index; in a mesh one of its plane
+    normal: Floats  # (3,) unit vector off the wall, to the side of the air that the end is heard in
+    offset: float  # the wall's plane is ``normal @ x = offset``, m
+    step: float  # how far in front of the wall the end is taken to be where that decides what reaches it, m
 
     @staticmethod
     def on(faces: Faces, wall: int, sign: float, size: float) -> Mount:

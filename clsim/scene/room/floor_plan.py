@@ -20,28 +20,9 @@ def extruded_plan(
 ) -> tuple[Floats, NDArray[np.int64], list[str]]:
     """Return the triangles of a room over a plan, and what each belongs to.
 
-    Parameters
-    ----------
-    outline : array_like (n, 2)
-        Corners of the floor in order, either way round, m.
-    height : float
-        Of the ceiling above z = 0, m.
-    pillars : sequence of array_like (n, 2)
-        Outlines that reach from floor to ceiling and are no part of the room, m.
+    Shapes: outline (n, 2) m; pillars (n, 2) m; result (V, 3) m, (T, 3).
 
-    Returns
-    -------
-    vertices : ndarray (V, 3)
-        m.
-    triangles : ndarray (T, 3) int
-        Indices of corners.
-    labels : list of str
-        ``floor``, ``ceiling``, ``wall i`` from corner i of the outline to the next, ``pillar p wall i``.
-
-    Raises
-    ------
-    InputError
-        If an outline crosses itself or another one, or a pillar stands outside.
+    labels: ``floor``, ``ceiling``, ``wall i`` from corner i of the outline to the next, ``pillar p wall i``.
     """
     from mapbox_earcut import triangulate_float64
 

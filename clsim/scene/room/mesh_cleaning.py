@@ -21,40 +21,18 @@ SMALLEST_AREA = 1e-12  # m²
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CleanMesh:
-    """Triangles on shared vertices.
+    """Triangles on shared vertices."""
 
-    Attributes
-    ----------
-    vertices : ndarray (V, 3)
-        m, each used by a triangle.
-    triangles : ndarray (T, 3) int
-        Indices of corners.
-    kept : ndarray (T,) int
-        Row of each triangle before cleaning.
-    notes : tuple of str
-        What was repaired.
-    """
-
-    vertices: Floats
-    triangles: NDArray[np.int64]
-    kept: NDArray[np.int64]
-    notes: tuple[str, ...]
+    vertices: Floats  # (V, 3) m, each used by a triangle
+    triangles: NDArray[np.int64]  # (T, 3) indices of corners
+    kept: NDArray[np.int64]  # (T,) row of each triangle before cleaning
+    notes: tuple[str, ...]  # what was repaired
 
 
 def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     """Weld vertices by position and drop triangles without area and copies of others.
 
-    Parameters
-    ----------
-    vertices : ndarray (V, 3)
-        m.
-    triangles : ndarray (T, 3) int
-        Indices of corners.
-
-    Raises
-    ------
-    InputError
-        If no triangle is left.
+    Shapes: vertices (V, 3) m; triangles (T, 3).
     """
     unique, _, which = unique_rows(vertices)
     vertex, welded = _weld(unique)
@@ -102,24 +80,12 @@ def clusters(count: int, pairs: NDArray[np.int64]) -> tuple[int, NDArray[np.int6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshShape:
-    """How the triangles of a mesh hang together.
+    """How the triangles of a mesh hang together."""
 
-    Attributes
-    ----------
-    open_edges : ndarray (n, 2, 3)
-        Edges of one triangle only, m.
-    crowded_edges : int
-        Edges of three triangles or more.
-    flipped_edges : int
-        Edges whose two triangles run in the same direction: one of them is flipped.
-    inwards : bool
-        Whether it is watertight and all triangles face inwards.
-    """
-
-    open_edges: Floats
-    crowded_edges: int
-    flipped_edges: int
-    inwards: bool
+    open_edges: Floats  # (n, 2, 3) edges of one triangle only, m
+    crowded_edges: int  # edges of three triangles or more
+    flipped_edges: int  # edges whose two triangles run in the same direction: one of them is flipped
+    inwards: bool  # whether it is watertight and all triangles face inwards
 
     @property
     def watertight(self) -> bool:

@@ -42,18 +42,9 @@ _TO_Z_UP = {
 class MeshFile:
     """What a mesh file holds, neither welded nor cleaned.
 
-    Parameters
-    ----------
-    vertices : ndarray (V, 3)
-        m, z up.
-    triangles : ndarray (T, 3)
-        Indices of vertices, turning as in the file.
-    group : ndarray (T,)
-        Index of each triangle's name in `groups`.
-    groups : tuple of str
-        Materials (OBJ: ``usemtl``), or objects where a file names no material; ``("",)`` where it names nothing.
-    notes : tuple of str
-        What was repaired, a sentence each.
+    Shapes: vertices (V, 3) m; triangles (T, 3); group (T,).
+
+    groups: materials (OBJ: ``usemtl``), or objects where a file names no material; ``("",)`` where it names nothing.
     """
 
     vertices: Floats
@@ -77,42 +68,14 @@ class _Face:
 def read_mesh(path: Any, *, scale: float = 1.0, up: str = "z") -> MeshFile:
     r"""Read a mesh file.
 
-    Parameters
-    ----------
-    path : path-like
-        OBJ, STL, PLY, GLB, GLTF, OFF, or another format that trimesh reads (3MF needs its extra packages).
-    scale : float
-        Metres in the file's unit of length.
-    up : {"x", "y", "z"}
-        The file's axis that points up. "y" turns (x, y, z) to (x, -z, y), "x" turns it to (y, z, x): rotations
-        both, so that nothing is mirrored.
+    path: OBJ, STL, PLY, GLB, GLTF, OFF, or another format that trimesh reads (3MF needs its extra packages).
 
-    Returns
-    -------
-    MeshFile
-        At least one triangle; every vertex finite.
+    up: the file's axis that points up. "y" turns (x, y, z) to (x, -z, y), "x" turns it to (y, z, x): rotations both, so
+    that nothing is mirrored.
 
-    Raises
-    ------
-    InputError
-        For a file that cannot be read or is no mesh, and a face that is no polygon, with its line and number.
-
-    Notes
-    -----
     Polygons of an OBJ file may be concave: they are cut into triangles by ear clipping in their own plane, after
-    Newell's normal. trimesh cuts those of other formats (PLY, OFF) into fans, which is right for convex ones.
-    Several geometries in one file are joined, each moved by its transform.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> text = "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 1 1 0\nv 0 2 0\nusemtl carpet\nf 1 2 3 4 5\n"
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "floor.obj"
-    ...     _ = file.write_text(text)
-    ...     mesh = read_mesh(file)
-    >>> len(mesh.triangles), mesh.groups, mesh.notes
-    (3, ('carpet',), ('1 concave polygon was ear-clipped.',))
+    Newell's normal. trimesh cuts those of other formats (PLY, OFF) into fans, which is right for convex ones. Several
+    geometries in one file are joined, each moved by its transform.
     """
     scale = as_number("scale", scale, at_least=1.0 / _LARGEST_SCALE, at_most=_LARGEST_SCALE)
     turn = _TO_Z_UP[as_choice("up", up, ("x", "y", "z"))]
@@ -255,22 +218,11 @@ def _corner(file: Path, where: str, cell: str, count: int) -> int:
 def _cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
     """Cut a polygon into triangles.
 
-    Parameters
-    ----------
-    corners : ndarray (n, 3)
-        In order; concave, and touching itself along a seam, as polygons with holes are written.
-    counts : dict
-        Polygons that were concave, bent or flat; counted up.
+    Shapes: corners (n, 3).
 
-    Returns
-    -------
-    ndarray (T, 3)
-        Indices of corners, turning as the polygon does; none for a polygon without area.
+    corners: in order; concave, and touching itself along a seam, as polygons with holes are written.
 
-    Raises
-    ------
-    ValueError
-        If the triangles' area is not the polygon's, as where its sides cross.
+    result: indices of corners, turning as the polygon does; none for a polygon without area.
     """
     from mapbox_earcut import triangulate_float64
 

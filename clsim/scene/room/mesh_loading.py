@@ -19,13 +19,7 @@ _MOST_POINTS = LARGEST_BINARY // 16  # points in the arrays of a glTF file
 
 
 def load_by_trimesh(file: Path) -> Any:
-    """Return what a file holds as a scene of trimesh's.
-
-    Raises
-    ------
-    InputError
-        If it is of no known format, too large, or broken.
-    """
+    """Return what a file holds as a scene of trimesh's."""
     import trimesh
 
     known = ", ".join(KNOWN_FORMATS)

@@ -23,12 +23,7 @@ ON_LINE = 1e-9  # of the size; what is nearer to a line lies on it
 def plane_of_each(corners: Floats, of_triangle: Ints) -> tuple[Floats, Floats]:
     """Return unit normals (W, 3) and offsets (W,) of the planes of the largest triangle of each wall.
 
-    Parameters
-    ----------
-    corners : ndarray (T, 3, 3)
-        m.
-    of_triangle : ndarray (T,) int
-        Wall of each triangle.
+    Shapes: corners (T, 3, 3) m; of_triangle (T,).
     """
     cross = cross_products(corners)
     area = np.linalg.norm(cross, axis=1)
@@ -104,10 +99,7 @@ def pieces(
 ) -> tuple[Floats, Ints, Ints]:
     """Return walls as convex pieces: their hulls where these fill them, else their triangles.
 
-    Returns
-    -------
-    line, first_line, first_piece : ndarray (L, 4), (P + 1,), (W + 1,)
-        As in `Walls`.
+    Shapes: result (L, 4).
     """
     sides = np.diff(first_hull)
     lines = _lines(hull, _following(first_hull), np.repeat(normal, sides, axis=0))

@@ -127,13 +127,7 @@ def is_room(value: Any) -> TypeGuard[Room]:
 
 
 def checked_room(value: Any) -> Room:
-    """Return a room.
-
-    Raises
-    ------
-    InputError
-        If it is none: the message says what it lacks.
-    """
+    """Return a room."""
     if is_room(value):
         if not isinstance(value.faces, Faces):
             raise InputError("room.faces", f"must be Faces, but is {value.faces!r:.80}")

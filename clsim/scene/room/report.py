@@ -23,16 +23,7 @@ def describe_mesh(
 ) -> list[str]:
     """Return what a mesh is like, a line each; see `MeshRoom.describe`.
 
-    Parameters
-    ----------
-    vertices, triangles : ndarray (V, 3), (T, 3)
-        Corners, m, and their indices.
-    walls : Walls
-        What the triangles were merged into.
-    shape : MeshShape
-        How they hang together.
-    notes : tuple of str
-        What was repaired.
+    Shapes: vertices, triangles (V, 3) m.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low

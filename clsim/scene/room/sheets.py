@@ -23,28 +23,8 @@ def thin_panels(
 ) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], list[str]]:
     """Return a mesh with one layer for every separate shell that is a flat panel and thin.
 
-    Parameters
-    ----------
-    vertices, triangles : ndarray (V, 3), (T, 3)
-        Corners, m, and their indices.
-    labels : sequence of str
-        Of each triangle.
-    thinner_than : float
-        Of which thickness on panels stay as they are, m.
+    Shapes: vertices, triangles (V, 3) m; result (V + X, 3) m, (U, 3), (U,).
 
-    Returns
-    -------
-    vertices : ndarray (V + X, 3)
-        With those of the layers behind, m.
-    triangles : ndarray (U, 3) int
-        Of what stays, and of the layers.
-    origin : ndarray (U,) int
-        Which of the old triangles each is from.
-    notes : list of str
-        What was done.
-
-    Notes
-    -----
     A panel is a shell all of whose corners lie in one of two planes along its largest triangle. Its layer is the one of
     its two sides that faces along that triangle's normal, moved half-way to the other.
     """

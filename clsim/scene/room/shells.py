@@ -22,30 +22,11 @@ def outward_sides(
 ) -> tuple[Ints, Ints]:
     """Return the shell that each wall belongs to, and on which side of it the outside of this shell is.
 
-    Parameters
-    ----------
-    corners : ndarray (T, 3, 3)
-        m.
-    triangles : ndarray (T, 3) int
-        Indices of corners.
-    neighbours : ndarray (n, 2) int
-        Triangles that share an edge.
-    of_triangle : ndarray (T,) int
-        Wall of each triangle.
-    normal : ndarray (W, 3)
-        Of the walls.
-    crossing : ndarray (m, 2) int
-        Walls that run through each other.
-    level : ndarray (k, 2) int
-        Walls that touch each other in one plane.
+    Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); of_triangle (T,); normal (W, 3); crossing (m, 2);
+    level (k, 2); result (W,), (W,).
 
-    Returns
-    -------
-    shell : ndarray (W,) int
-        Its number.
-    outward : ndarray (W,) int
-        1 if the wall's normal points out of the shell, -1 if into it, and 0 where there is no such side: in a shell
-        that is open, runs through itself, lies on itself the other way round, or whose triangles turn both ways.
+    outward: 1 if the wall's normal points out of the shell, -1 if into it, and 0 where there is no such side: in a
+    shell that is open, runs through itself, lies on itself the other way round, or whose triangles turn both ways.
     """
     count, of_face = clusters(len(triangles), neighbours)
     shell = np.empty(len(normal), dtype=np.int64)

@@ -32,8 +32,6 @@ def touching_pairs(tree: WallTree, low: Floats, high: Floats, slack: float) -> I
 def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, size: float) -> Ints:
     """Return numbers that are equal for walls in one plane, (W,).
 
-    Notes
-    -----
     If all corners of each of two walls lie within a distance t of the plane of the other, the sine of the angle between
     the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle of all
     walls differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each other.

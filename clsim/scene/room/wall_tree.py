@@ -26,39 +26,21 @@ _PAIRS = 400_000  # of things and boxes looked at at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxesInDepth:
-    """Boxes of all levels, each before those in it.
+    """Boxes of all levels, each before those in it."""
 
-    Attributes
-    ----------
-    middle, half : ndarray (n, 3)
-        Of the boxes, m.
-    wall : ndarray (n,) int
-        Wall of the box, -1 for a group.
-    skip : ndarray (n,) int
-        The next box that is not in this one.
-    """
-
-    middle: Floats
-    half: Floats
-    wall: Ints
-    skip: Ints
+    middle: Floats  # (n, 3) of the boxes, m
+    half: Floats  # likewise
+    wall: Ints  # (n,) wall of the box, -1 for a group
+    skip: Ints  # (n,) the next box that is not in this one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallTree:
-    """Boxes in levels: box i of a level holds the boxes from ``GROUP * i`` on of the level before.
+    """Boxes in levels: box i of a level holds the boxes from ``GROUP * i`` on of the level before."""
 
-    Attributes
-    ----------
-    wall : ndarray (W,) int
-        Wall of each box of the first level.
-    middle, half : tuple of ndarray (n, 3)
-        Of the boxes, level by level, m.
-    """
-
-    wall: Ints
-    middle: tuple[Floats, ...]
-    half: tuple[Floats, ...]
+    wall: Ints  # (W,) wall of each box of the first level
+    middle: tuple[Floats, ...]  # of the boxes, level by level, m
+    half: tuple[Floats, ...]  # likewise
 
     @staticmethod
     def around(low: Floats, high: Floats) -> WallTree:
@@ -106,17 +88,7 @@ class WallTree:
     def meeting_planes(self, planes: Floats, slack: float) -> tuple[Ints, Ints]:
         """Return pairs of an intersection of half-spaces and a wall whose box no half-space surely excludes.
 
-        Parameters
-        ----------
-        planes : ndarray (n, p, 4)
-            x is inside if ``planes[..., :3] @ x >= planes[..., 3]`` for all p.
-        slack : float
-            By which boxes are taken to be larger, m.
-
-        Returns
-        -------
-        of, wall : ndarray (m,) int
-            Sorted by `of`.
+        Shapes: planes (n, p, 4); result (m,).
         """
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:
@@ -139,17 +111,7 @@ class WallTree:
     def meeting_segments(self, start: Floats, stop: Floats, slack: float) -> tuple[Ints, Ints]:
         """Return pairs of a segment and a wall that it may come near to.
 
-        Parameters
-        ----------
-        start, stop : ndarray (n, 3)
-            Ends of segments, m.
-        slack : float
-            How near, m.
-
-        Returns
-        -------
-        of, wall : ndarray (m,) int
-            Sorted by `of`.
+        Shapes: start, stop (n, 3) m; result (m,).
         """
         centre, along = 0.5 * (start + stop), 0.5 * (stop - start)
         reach = np.abs(along) + slack

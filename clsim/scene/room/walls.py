@@ -31,42 +31,27 @@ class Walls:
 
     Attributes
     ----------
-    size : float
-        Diagonal of the bounding box, m.
-    normal, offset : ndarray (W, 3), (W,)
-        Plane ``normal @ x = offset``; the normal's sign means nothing.
-    plane : ndarray (W,) int
-        Equal for walls that lie in one plane.
-    centre, radius : ndarray (W, 3), (W,)
-        A ball that holds the wall, m.
-    of_triangle : ndarray (T,) int
-        Wall of each triangle.
-    hull, first_hull : ndarray (H, 3), (W + 1,)
-        Corners of the convex hull, in order around the normal.
     line, first_line, first_piece : ndarray (L, 4), (P + 1,), (W + 1,)
-        A wall is the union of convex pieces; x lies on a piece if ``line[:, :3] @ x >= line[:, 3]`` for all its lines.
+        A wall is the union of convex pieces; x lies on a piece if ``line[:, :3] @ x >= line[:, 3]`` for all its
+        lines.
     edge, first_edge : ndarray (E, 2, 3), (W + 1,)
         Ends of the segments that bound the wall, and of those along which other walls run through it.
     twin, first_twin : ndarray (X,), (W + 1,)
         Walls of lower index in the same plane that touch it: they own the points that both hold.
     shell, outward : ndarray (W,) int
-        Which shell the wall is of, and whether its normal points out of this shell, 1, into it, -1, or neither, 0; see
-        `outward_sides`.
-    tree : WallTree
-        Boxes around walls and groups of them.
-    crossing : bool
-        Whether some walls run through each other.
+        Which shell the wall is of, and whether its normal points out of this shell, 1, into it, -1, or neither, 0;
+        see `outward_sides`.
     """
 
-    size: float
-    normal: Floats
-    offset: Floats
-    plane: NDArray[np.int64]
-    centre: Floats
-    radius: Floats
-    of_triangle: NDArray[np.int64]
-    hull: Floats
-    first_hull: NDArray[np.int64]
+    size: float  # diagonal of the bounding box, m
+    normal: Floats  # (W, 3) plane ``normal @ x = offset``; the normal's sign means nothing
+    offset: Floats  # likewise
+    plane: NDArray[np.int64]  # (W,) equal for walls that lie in one plane
+    centre: Floats  # (W, 3) a ball that holds the wall, m
+    radius: Floats  # likewise
+    of_triangle: NDArray[np.int64]  # (T,) wall of each triangle
+    hull: Floats  # (H, 3) corners of the convex hull, in order around the normal
+    first_hull: NDArray[np.int64]  # likewise
     line: Floats
     first_line: NDArray[np.int64]
     first_piece: NDArray[np.int64]
@@ -76,8 +61,8 @@ class Walls:
     first_twin: NDArray[np.int64]
     shell: NDArray[np.int64]
     outward: NDArray[np.int64]
-    tree: WallTree
-    crossing: bool
+    tree: WallTree  # boxes around walls and groups of them
+    crossing: bool  # whether some walls run through each other
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -102,16 +87,9 @@ class Walls:
 def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArray[np.int64], flatness: float) -> Walls:
     """Merge coplanar neighbours of one material into walls.
 
-    Parameters
-    ----------
-    vertices : ndarray (V, 3)
-        Welded, m.
-    triangles : ndarray (T, 3) int
-        Indices of corners; none without area.
-    material : ndarray (T,) int
-        Of each triangle.
-    flatness : float
-        Neighbours are one wall if the corners of each lie this near to the plane of the other, m.
+    Shapes: vertices (V, 3) m; triangles (T, 3); material (T,).
+
+    flatness: neighbours are one wall if the corners of each lie this near to the plane of the other, m.
     """
     corners = vertices[triangles]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))

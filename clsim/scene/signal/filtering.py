@@ -50,12 +50,9 @@ class Filtered:
 class StreamFilter:
     """Filters what comes in blocks of a fixed length, the last one perhaps shorter, and remembers what rings on.
 
-    Parameters
-    ----------
-    taps : ndarray (n,)
-        Impulse response.
-    block : int
-        Samples that are filtered at a time, whatever the length of the pieces: the rounding is the same.
+    Shapes: taps (n,).
+
+    block: samples that are filtered at a time, whatever the length of the pieces: the rounding is the same.
 
     Attributes
     ----------

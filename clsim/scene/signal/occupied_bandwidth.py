@@ -24,21 +24,11 @@ CELLS = 64  # of a band, by which a signal's importance is given
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShortTimeSpectra:
-    """A signal's energy by window of some 40 ms and frequency, relative to that of what sounds about the window.
+    """A signal's energy by window of some 40 ms and frequency, relative to that of what sounds about the window."""
 
-    Attributes
-    ----------
-    frequencies : ndarray (F,)
-        Evenly spaced from 0 to half the sampling rate, Hz.
-    energy : ndarray (W, F)
-        See `Signal.short_time_spectra`.
-    weights : ndarray (W,)
-        Windows for which each stands.
-    """
-
-    frequencies: Floats
-    energy: Floats
-    weights: Floats
+    frequencies: Floats  # (F,) evenly spaced from 0 to half the sampling rate, Hz
+    energy: Floats  # (W, F) see `Signal.short_time_spectra`
+    weights: Floats  # (W,) windows for which each stands
 
     def near(self, points: Floats, low: float, high: float) -> Floats:
         """Return the energy (W, n) near rising frequencies (n,), Hz, those of bins that reach between `low` and `high`.

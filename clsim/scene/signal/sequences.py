@@ -34,25 +34,8 @@ _HALF_CHIPS = 16  # chips on either side over which a chip's pulse is kept
 def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
     """Return one period of a sequence as +1 and -1, ``2**bits - 1`` chips.
 
-    Parameters
-    ----------
-    kind : {"mls", "gold"}
-        Maximum-length or Gold.
-    bits : int
-        Register length.
-    code : int
-        For "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by k.
-        For "mls" the number of chips by which it is rotated.
-
-    Raises
-    ------
-    InputError
-        If there is no such sequence.
-
-    Examples
-    --------
-    >>> binary_sequence("mls", 3, 0)
-    array([-1., -1., -1.,  1., -1.,  1.,  1.])
+    code: for "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by k.
+    For "mls" the number of chips by which it is rotated.
     """
     from scipy.signal import max_len_seq
 
@@ -79,13 +62,7 @@ def shaped_count(chips: int, chip_rate: float, sampling_rate: float) -> int:
 
 
 def most_repeats(chips: int, chip_rate: float, sampling_rate: float) -> int:
-    """Return how many periods of a sequence can be kept, 1 at least.
-
-    Raises
-    ------
-    InputError
-        If not even one can.
-    """
+    """Return how many periods of a sequence can be kept, 1 at least."""
     if shaped_count(chips, chip_rate, sampling_rate) > _MOST_SAMPLES:
         raise InputError(
             "chip_rate",

@@ -170,13 +170,7 @@ class Pulses:
         return Pulses(self.pulse.at_rate(old, new), new, self.period, self.repetitions).checked(new)
 
     def checked(self, sampling_rate: float) -> Pulses:
-        """Return itself if the period is a whole number of samples.
-
-        Raises
-        ------
-        InputError
-            If it is not; the message names the nearest periods that are.
-        """
+        """Return itself if the period is a whole number of samples."""
         samples = self.period * sampling_rate
         if abs(samples - round(samples)) > 1e-6 * max(1.0, samples * 1e-6):
             low, high = math.floor(samples) / sampling_rate, math.ceil(samples) / sampling_rate
