@@ -21,7 +21,10 @@ TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.py"))
 
 
 def loaded(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"site_{name}", ROOT / "docs" / "site" / f"{name}.py")
+    folder = ROOT / "docs" / "site"
+    if str(folder) not in sys.path:  # these files import each other
+        sys.path.insert(0, str(folder))
+    spec = importlib.util.spec_from_file_location(f"site_{name}", folder / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -88,7 +88,7 @@ def test_another_one_goes_on_from_a_state(rng: np.random.Generator) -> None:
 
 def test_pieces_begin_at_whole_chunks() -> None:
     room = clsim.Shoebox((4, 3, 2.5), clsim.Material.from_reflection(0.5))
-    tone = clsim.Signal.tone(40e3, duration=0.3, sampling_rate=RATE)
+    tone = clsim.Signal.tone(40e3, duration=0.3, sampling_rate=RATE, fade=0.002)
     source = clsim.Source("s", tone, clsim.Trajectory.fixed((2, 2, 2)))
     scene = clsim.Scene(room, clsim.Air(), [source], [clsim.Receiver("r", PLACE)])
     plan = clsim.plan_render(clsim.find_paths(scene, 0), RATE, engine="reference", chunk=SEGMENT)
