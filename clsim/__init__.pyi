@@ -30,7 +30,7 @@ from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directi
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
-from clsim.scene.fluctuation import Fluctuation
+from clsim.scene.fluctuation import Fluctuation, TargetFluctuation
 from clsim.scene.hands import hand
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
@@ -40,7 +40,6 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
-from clsim.scene.target_fluctuation import TargetFluctuation
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 from clsim.scene.walking import walking_person

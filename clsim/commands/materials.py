@@ -11,8 +11,7 @@ from clsim.errors import InputError, meant
 from clsim.files.ownership import NewFile
 from clsim.output.material_plot import reflection_loss, reflection_losses
 from clsim.packages import check_pictures
-from clsim.scene.material.library import LIBRARY
-from clsim.scene.material.material import MATERIAL_NAMES, Material
+from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
 
 if TYPE_CHECKING:
     import argparse

@@ -11,7 +11,7 @@ from clsim.errors import InputError
 from clsim.scene.ends import Source
 from clsim.scene.motion.carried import even_ways, seen_by
 from clsim.scene.motion.instants import Instants
-from clsim.scene.places import first_refused
+from clsim.scene.placement import first_refused
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

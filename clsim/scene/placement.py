@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.errors import InputError, warn
 from clsim.numerics.quaternions import rotate
+from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Source
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.instants import Instants
-from clsim.scene.places import first_approach, first_refused, nearest_within
+from clsim.scene.motion.motion import Motion
 from clsim.scene.room.enclosed import held_by_rooms
+from clsim.scene.transducer.transducer import TRANSDUCER_NAMES, Transducer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from clsim.arrays import Floats
     from clsim.scene.ends import End, Receiver
+    from clsim.scene.motion.instants import Indices
+    from clsim.scene.room.faces import Mount
     from clsim.scene.room.protocol import Room
     from clsim.scene.scatterer import Scatterer
 
@@ -202,3 +209,148 @@ def first_place(room: Room, item: End) -> Floats:
 def _place(positions: Floats, times: Floats, i: int) -> str:
     where = ", ".join(f"{x:.6g}" for x in positions[i])
     return f"({where}) m at {times[i]:.6g} s"
+
+
+_RANGE = 64  # instants between which walls are sought from one to the next
+_PAIRS = 500_000  # of positions and others at a time
+_SPARE = 1.0 + 1e-9  # for the rounding of distances
+
+
+def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount | None = None) -> int | None:
+    """Return the first instant at which a motion is out of the room or in a wall, or about to go through one.
+
+    mount: the wall that it sits in: refused is then what is off that, or beyond its edges, as well.
+    """
+
+    def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+        """Return the instants at which the room refuses a place, and which spans may hold one."""
+        after = np.minimum(last + 1, instants.count - 1)  # the way to the next instant belongs to each
+        free = room.clearance(motion.position(instants.times(middle)), mount)
+        speed = motion.speed_over(instants.times(first), instants.times(after))
+        unsure = ~(free > _SPARE * speed * instants.margin(first, middle, after))
+        if room.is_convex:
+            return np.where(free > 0.0, -1, middle), unsure
+        hit = np.full(len(first), -1)
+        for i in np.flatnonzero(unsure & (last - first < _RANGE)):
+            way = instants.times(np.arange(first[i], after[i] + 1))
+            met = room.first_contact(motion.position(way), mount)
+            hit[i], unsure[i] = -1 if met is None else min(first[i] + met.index, last[i]), False
+        return hit, unsure
+
+    return instants.first(probe)
+
+
+def first_approach(
+    motion: Motion, others: Motion | Floats, nearest: float, instants: Instants
+) -> tuple[int, int] | None:
+    """Return the first instant about which a motion comes nearer to others than allowed, and to which of them.
+
+    Shapes: others (n, 3) m.
+    """
+    to_whom: dict[int, int] = {}
+    half = 0.5 * instants.step
+
+    def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+        """Return the instants at which the other end is too near, and which spans may hold one."""
+        speed, times = motion.speed_over(instants.times(first), instants.times(last)), instants.times(middle)
+        at, velocity = motion.position(times)[:, None], motion.velocity(times)
+        if isinstance(others, Motion):
+            speed = speed + others.speed_over(instants.times(first), instants.times(last))
+            places, velocity = others.position(times)[:, None], others.velocity(times) - velocity
+        else:
+            places, velocity = others[None], -velocity
+        margin = _SPARE * speed * (instants.margin(first, middle, last) + half)
+        hit, unsure = np.full(len(first), -1), np.empty(len(first), dtype=bool)
+        for some in _slices(len(first), places.shape[1]):
+            apart = (places[some] if len(places) > 1 else places) - at[some]
+            distance = np.linalg.norm(apart, axis=2)
+            unsure[some] = ~(distance.min(axis=1) - nearest > margin[some])
+            fast = np.linalg.norm(velocity[some], axis=1)
+            row, other = np.nonzero(distance < nearest + _SPARE * fast[:, None] * half)
+            approach = nearest_within(apart[row, other], velocity[some][row], half)[0]
+            for i, which in zip(row[approach < nearest], other[approach < nearest], strict=True):
+                hit[some.start + i] = middle[some.start + i]
+                to_whom.setdefault(int(middle[some.start + i]), int(which))
+        return hit, unsure
+
+    met = instants.first(probe)
+    return None if met is None else (met, to_whom[met])
+
+
+def nearest_within(apart: Floats, velocity: Floats, half: float) -> tuple[Floats, Floats]:
+    """Return the least distances (n,), m, within a time before and after, s, and when from now, of straight motions.
+
+    Shapes: apart, velocity (n, 3) m.
+    """
+    speed_squared = np.maximum(np.sum(velocity**2, axis=1), 1e-300)
+    shift = np.clip(-np.sum(apart * velocity, axis=1) / speed_squared, -half, half)
+    return np.linalg.norm(apart + shift[:, None] * velocity, axis=1), shift
+
+
+def _slices(count: int, others: int) -> list[slice]:
+    """Return slices of so many that each has a bounded number of pairs with the others."""
+    step = max(1, _PAIRS // max(others, 1))
+    return [slice(i, min(i + step, count)) for i in range(0, count, step)]
+
+
+_LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units
+_USUAL = 5.0  # m, size of a room
+_LOWEST = 100.0  # Hz, below which paths are no picture of sound in a room
+
+
+def warn_of_units(room: Room, sources: Sequence[Source]) -> None:
+    """Warn of a room of a size that rooms do not have, and of signals too low to follow paths."""
+    doubts = [_doubt_in_size(room)]
+    doubts += [_doubt_in_frequency(i, s.signal.centre_frequency) for i, s in enumerate(sources)]
+    for doubt in filter(None, doubts):
+        warn(doubt)
+
+
+def warn_of_roles(sources: Sequence[Source], receivers: Sequence[Receiver]) -> None:
+    """Warn of the first source that has a receiver's transducer, and of the first receiver that has a transmitter's."""
+    sender, ear = TRANSDUCER_NAMES
+    roles: tuple[tuple[str, Sequence[Source | Receiver], str, str], ...] = (
+        ("sources", sources, ear, f"is a receiver, told in V/Pa; the transmitter is {sender}"),
+        ("receivers", receivers, sender, f"is a transmitter, told in Pa/V; the receiver is {ear}"),
+    )
+    for field, ends, wrong, what in roles:
+        known = Transducer.named(wrong)
+        for i, end in enumerate(ends):
+            given = end.transducer
+            if given is not None and (given.name, given.sensitivity) == (wrong, known.sensitivity):
+                warn(f"{field}[{i}].transducer: {wrong} {what}")
+                break
+
+
+def warn_of_facing(ends: Sequence[tuple[str, End]]) -> None:
+    """Warn of the first directional end that moves but faces +x all the time because nothing says otherwise."""
+    for field, end in ends:
+        motion = end.trajectory
+        if end.aim is None and not (motion.is_static or motion.has_orientation or isinstance(end.directivity, Omni)):
+            warn(
+                f"{field}: {end.name!r} moves and is directional, but faces +x all the time, as its trajectory has no "
+                'orientations; give aim = "forward", aim_at = [x, y, z], or a direction such as aim = [1, 0, 0]'
+            )
+            break
+
+
+def _doubt_in_size(room: Room) -> str:
+    low, high = room.extent
+    size = float((high - low).max())
+    if _SMALLEST <= size <= _LARGEST:
+        return ""
+    steps = round(math.log(size / _USUAL, 1000.0)) or (1 if size > _USUAL else -1)
+    factor = 1000.0**-steps
+    scale = room.scale
+    advice = f"{factor:g} times its lengths" if scale is None else f"scale = {scale * factor:g}"
+    unit = {None: "for millimetres, ", 1.0: "for a file in millimetres, "}.get(scale, "") if steps == 1 else ""
+    return f"room: {size:.4g} m is {'large' if steps > 0 else 'small'} for a room; {unit}try {advice}"
+
+
+def _doubt_in_frequency(source: int, frequency: float) -> str:
+    if frequency >= _LOWEST:
+        return ""
+    return (
+        f"sources[{source}].signal: {frequency:.4g} Hz is low for paths in a room; "
+        f"frequencies are in Hz: for {frequency:.4g} kHz, try {frequency:.4g}e3"
+    )

@@ -13,8 +13,8 @@ from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, cap
 from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength
 from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
+from clsim.scene.fluctuation import TargetFluctuation
 from clsim.scene.motion.trajectory import Trajectory
-from clsim.scene.target_fluctuation import TargetFluctuation
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

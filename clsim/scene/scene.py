@@ -14,8 +14,16 @@ from clsim.scene.air import Air
 from clsim.scene.body import Body, with_carriers
 from clsim.scene.body_checks import check_bodies
 from clsim.scene.ends import End, Receiver, Source
-from clsim.scene.placement import check_distances, check_motions, check_scatterers, check_sides, first_place
-from clsim.scene.plausibility import warn_of_facing, warn_of_roles, warn_of_units
+from clsim.scene.placement import (
+    check_distances,
+    check_motions,
+    check_scatterers,
+    check_sides,
+    first_place,
+    warn_of_facing,
+    warn_of_roles,
+    warn_of_units,
+)
 from clsim.scene.room.protocol import Room, checked_room
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.view import scene_page

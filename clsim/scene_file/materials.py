@@ -11,7 +11,7 @@ from pydantic import Field
 
 from clsim.errors import InputError
 from clsim.scene.material.material import Material
-from clsim.scene.material.scattering import as_scattering
+from clsim.scene.material.reflecting_surface import as_scattering
 from clsim.scene_file.model import Model, within
 
 # How many there are is checked in our own words; editors read it here.

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from clsim.scene.captured import captured_person
+from clsim.scene.fluctuation import TargetFluctuation
 from clsim.scene.hands import hand
 from clsim.scene.scatterer import Scatterer
-from clsim.scene.target_fluctuation import TargetFluctuation
 from clsim.scene.walking import walking_person
 from clsim.scene_file.model import Model, Pair, Quaternion, Vector, within
 from clsim.scene_file.motion_and_signals import TrajectoryModel

@@ -15,7 +15,7 @@ from clsim.paths.specular.beam_tree import BeamTree, Candidates
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.intervals import Intervals, VisibilityQuery, find_intervals
 from clsim.paths.trajectory_tables import trajectory_tables
-from clsim.scene.room import wall_tree
+from clsim.scene.room import wall_pairs
 
 pytestmark = pytest.mark.usefixtures("device")
 WALL = clsim.Material.from_reflection(0.9)
@@ -121,7 +121,7 @@ def test_both_find_the_same(name: str, wanted) -> None:
 
 
 def test_walls_in_groups_of_boxes_are_found_as_well(wanted, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(wall_tree, "_TOP", 2)
+    monkeypatch.setattr(wall_pairs, "_TOP", 2)
     case = scenes()["gaps"]
     assert len(case[0].walls.tree.middle) == 3, "boxes in boxes in boxes"
     search = DeviceSearch(query("gaps", *case))

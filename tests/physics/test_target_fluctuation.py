@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.scene.target_fluctuation import TargetFluctuation
+from clsim.scene.fluctuation import TargetFluctuation
 
 C, RATE = 340.0, 96e3
 

@@ -11,11 +11,9 @@ import numpy as np
 
 from clsim.acoustics.acoustic_centre import fit_delay
 from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
-from clsim.errors import InputError
-from clsim.scene.directivity.angles import SAME_ANGLE as _SAME_ANGLE
-from clsim.scene.directivity.angles import overhangs, within_half_turn
-from clsim.scene.directivity.directivity import AxisymmetricDirectivity
-from clsim.scene.directivity.gain_tables import (
+from clsim.errors import InputError, warn
+from clsim.scene.directivity.directivity import (
+    AxisymmetricDirectivity,
     as_frequencies,
     as_gains,
     check_coverage,
@@ -31,6 +29,48 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import ArrayLike, NDArray
+
+
+_SAME_ANGLE = 1e-6  # degrees
+_OVERHANG = 15.0  # degrees beyond 0° or 180° that are taken for those of the other side
+
+
+def overhangs(angles: Floats) -> bool:
+    """Return whether angles (a,) in degrees go beyond 0° or 180°, but not far, and are not those of both sides."""
+    beyond = angles[0] < -_SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE
+    far = angles[0] < -_OVERHANG - _SAME_ANGLE or angles[-1] > 180.0 + _OVERHANG + _SAME_ANGLE
+    return bool(beyond and not far and abs(angles[0] + angles[-1]) > _SAME_ANGLE)
+
+
+def within_half_turn(angles: Floats, values: NDArray[Any], unit: str) -> tuple[Floats, NDArray[Any]]:
+    """Return the angles from 0° to 180°, and their values, of a table that overhangs.
+
+    Shapes: angles (a,); values (a, f).
+
+    Where no angle lies on the axis, or opposite, its values are those of a cubic spline through all angles.
+    """
+    from scipy.interpolate import CubicSpline
+
+    made = [a for a in (0.0, 180.0) if angles[0] < a < angles[-1] and np.abs(angles - a).min() > _SAME_ANGLE]
+    if made and len(angles) > 1:
+        joined = CubicSpline(angles, values)(made)
+        order = np.argsort(np.concatenate([angles, made]), kind="stable")
+        angles, values = np.concatenate([angles, made])[order], np.concatenate([values, joined])[order]
+    kept = (angles >= -_SAME_ANGLE) & (angles <= 180.0 + _SAME_ANGLE)
+    mirrored = np.where(angles < 90.0, -angles, 360.0 - angles)
+    near = np.abs(angles[:, None] - mirrored[~kept]) <= 100.0 * _SAME_ANGLE
+    pairs = np.argwhere(near & kept[:, None])
+    difference = ""
+    if len(pairs):
+        apart = float(np.abs(values[pairs[:, 0]] - values[~kept][pairs[:, 1]]).max())
+        most = float(np.abs(values).max()) or 1.0
+        difference = f" within {apart:.3g} dB" if unit else f" within {apart / most:.2g} of the largest value"
+    warn(
+        f"angles_degrees: go from {angles[0]:.6g}° to {angles[-1]:.6g}°; what lies beyond 0° and 180° is left out, for "
+        f"the angles on the other side are there{difference and ', and the same'}{difference}"
+    )
+    return np.clip(angles[kept], 0.0, 180.0), values[kept]
+
 
 _REAR = ("hold", "mirror", "zero")
 _SIDES = ("positive", "negative", "mean")

@@ -1,1 +1,1 @@
-"""What walls are made of."""
+"""Materials of walls."""

@@ -1,17 +1,33 @@
-"""What walls are made of."""
+"""Materials of walls: constructors, the built-in library, hard smooth solids and fibrous absorbers."""
 
 from __future__ import annotations
 
+import math
+import tomllib
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.acoustics.reflection import (
+    backed_layer_reflection,
+    boundary_layer_admittance,
+    mismatch_reflection,
+    porous_medium,
+    reflection_from_impedance,
+)
 from clsim.arrays import LOUDEST, as_choice, as_count, as_floats, as_number
 from clsim.errors import InputError
 from clsim.files.sound import as_scale, read_sound_file
-from clsim.scene.material.checks import (
+from clsim.scene.material.reflecting_surface import ReflectingSurface
+from clsim.scene.material.tabulated import (
     ROUNDING,
+    AbsorptionTable,
+    ConstantFactor,
+    FactorTable,
+    ImpedanceTable,
+    MeasuredEcho,
     as_complexes,
     as_factor,
     check_clear_phase,
@@ -19,15 +35,128 @@ from clsim.scene.material.checks import (
     checked_frequencies,
     warn_of_noise,
 )
-from clsim.scene.material.library import LIBRARY
-from clsim.scene.material.physical import PorousLayer, SolidWall
-from clsim.scene.material.reflecting_surface import ReflectingSurface
-from clsim.scene.material.tabulated import AbsorptionTable, ConstantFactor, FactorTable, ImpedanceTable, MeasuredEcho
 
 if TYPE_CHECKING:
     from os import PathLike
 
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
+
+    from clsim.arrays import Floats
+
+MIKI_RANGE = (0.01, 1.0)  # m³/kg, of frequency over flow resistivity
+
+
+@dataclass(frozen=True, slots=True)
+class SolidWall:
+    """A thick smooth solid: density in kg/m³, sound speed in m/s, and whether the air's boundary layer takes its part.
+
+    The mismatch of impedances at normal incidence is taken at all angles. Beyond some 10 degrees nothing at all can
+    be transmitted into a hard solid, so this takes away too much there: less than 2e-4 of the pressure for concrete.
+    """
+
+    density: float
+    sound_speed: float
+    boundary_layer: bool
+
+    band = (0.0, math.inf)
+    beyond = ""
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether factors have a phase: the boundary layer's."""
+        return self.boundary_layer
+
+    @property
+    def depends_on_angle(self) -> bool:
+        """Whether factors depend on the angle: the boundary layer's do."""
+        return self.boundary_layer
+
+    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return factors by frequency and angle."""
+        mismatch = mismatch_reflection(self.density, self.sound_speed, speed_of_sound)
+        if not self.boundary_layer:
+            return np.full(frequency.shape, mismatch)
+        beta = boundary_layer_admittance(frequency, cosine, speed_of_sound)
+        return mismatch * reflection_from_impedance(1.0 / beta, cosine)
+
+    def describe(self) -> str:
+        """Return what it is."""
+        return f"solid of {self.density:g} kg/m³ and {self.sound_speed:g} m/s"
+
+
+@dataclass(frozen=True, slots=True)
+class PorousLayer:
+    """A fibrous absorber on a rigid wall, by Miki: flow resistivity in Pa s/m², thickness in m."""
+
+    flow_resistivity: float
+    thickness: float
+    outside: str | None
+
+    beyond = ""
+    is_complex = True
+    depends_on_angle = True
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Where the formula was fitted, or everywhere by name."""
+        if self.outside == "extend":
+            return 0.0, math.inf
+        return MIKI_RANGE[0] * self.flow_resistivity, MIKI_RANGE[1] * self.flow_resistivity
+
+    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+        """Return complex factors by frequency and angle."""
+        phase = 2.0 * math.pi * frequency / speed_of_sound * self.thickness
+        return backed_layer_reflection(*porous_medium(frequency, self.flow_resistivity), phase, cosine)
+
+    def describe(self) -> str:
+        """Return what it is."""
+        return f"porous layer of {1e3 * self.thickness:g} mm and {self.flow_resistivity:g} Pa s/m²"
+
+
+_CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryEntry:
+    """A built-in material."""
+
+    name: str  # what it is called, and what it is
+    what: str  # likewise
+    source: str  # where it is from, and how sure
+    uncertainty: str  # likewise
+    constructor: str  # the constructor of `Material` that makes it, without ``from_``, and its arguments
+    arguments: dict[str, Any]  # likewise
+    roughness: float  # root mean square of its heights, m
+    scattering: Any  # (frequencies, values) share of the energy sent back that leaves the mirror's direction
+    beyond: str  # what happens outside its table
+
+    @property
+    def estimated(self) -> bool:
+        """Whether it is calculated from assumed properties."""
+        return self.name.startswith("estimated-")
+
+
+def _read(path: Path) -> dict[str, LibraryEntry]:
+    content = tomllib.loads(path.read_text("utf-8"))
+    library = {}
+    for name, row in content["materials"].items():
+        constructor = next(key for key in _CONSTRUCTORS if key in row)
+        argument = _CONSTRUCTORS[constructor]
+        arguments = {argument: row[constructor]} if argument else row[constructor]
+        if constructor == "absorption":
+            arguments |= {"frequencies": content["octaves"]}
+        instead = row.get("ultrasound")
+        advice = f"for ultrasound there is {instead!r}, an estimate" if instead else "measure it for ultrasound"
+        library[name] = LibraryEntry(
+            name, row["what"], content["sources"][row["source"]], row["uncertainty"], constructor, arguments,
+            row.get("roughness", 0.0), row.get("scattering", 0.0),
+            f"outside, the absorption at the nearest end is taken; {advice}",
+        )  # fmt: skip
+    return library
+
+
+LIBRARY = _read(Path(__file__).with_name("library.toml"))
+
 
 MATERIAL_NAMES = tuple(LIBRARY)
 

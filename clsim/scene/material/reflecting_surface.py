@@ -1,20 +1,65 @@
-"""What a wall of some material does to sound: the factor by which it sends it back."""
+"""Reflection factors of a wall by frequency and angle, and its scattering coefficient."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
 from clsim.acoustics.reflection import coherent_share
-from clsim.arrays import Floats, as_number
+from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError, warn
-from clsim.scene.material.scattering import Scattering, as_scattering
+from clsim.scene.material.tabulated import checked_frequencies, over_octaves
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Scattering:
+    """Shares of the energy sent back that are scattered, at increasing frequencies; held beyond the ends.
+
+    Shapes: frequencies (n,) Hz; values (n,).
+    """
+
+    frequencies: Floats
+    values: Floats
+
+    def at(self, frequency: Floats) -> NDArray[Any]:
+        """Return the shares (...) at frequencies (...), Hz."""
+        return np.asarray(np.clip(self._curve(frequency), 0.0, 1.0))
+
+    @cached_property
+    def _curve(self) -> Callable[[Floats], NDArray[Any]]:
+        return over_octaves(self.frequencies, self.values)
+
+
+def as_scattering(value: Any) -> Scattering | None:
+    """Return a scattering coefficient: of a number, or of a pair of frequencies, Hz, and values; None for nothing."""
+    if value is None or isinstance(value, Scattering):
+        return value
+    if not isinstance(value, str) and not hasattr(value, "__len__"):
+        number = as_number("scattering", value, at_least=0.0, at_most=1.0)
+        return Scattering(np.array([1e3]), np.array([number])) if number else None
+    try:
+        frequencies, values = value
+    except (TypeError, ValueError) as error:
+        rule = "must be a number or a pair of frequencies and values"
+        raise InputError("scattering", f"{rule}, but is {value!r:.80}") from error
+    try:
+        f = checked_frequencies(frequencies)
+        shares = as_floats("values", values, (len(f),))
+    except InputError as error:
+        raise error.within("scattering") from error
+    for i in np.flatnonzero((shares < 0.0) | (shares > 1.0))[:1]:
+        raise InputError(f"scattering.values[{i}]", f"must be from 0 to 1, but is {shares[i]:g}")
+    return Scattering(f, shares) if np.any(shares) else None
+
 
 _FREQUENCIES = 1e-6, 1e9  # Hz, between which no formula overflows
 _ROUNDING = 1e-9  # by which a cosine may exceed 1, and a frequency the ends of a table

@@ -14,15 +14,13 @@ import numpy as np
 from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
-from clsim.scene.room.contact import first_contact, first_off, walls_at
 from clsim.scene.room.edges import Edges, find_edges
 from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
-from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, mesh_shape
-from clsim.scene.room.report import describe_mesh
-from clsim.scene.room.sheets import panels_below, thin_panels
-from clsim.scene.room.walls import FLATNESS, Walls, build_walls
+from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, describe_mesh, mesh_shape
+from clsim.scene.room.shells import panels_below, thin_panels
+from clsim.scene.room.walls import FLATNESS, Walls, build_walls, first_contact, first_off, walls_at
 
 if TYPE_CHECKING:
     import os
@@ -525,7 +523,7 @@ class MeshRoom:
         room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m
         room: watertight
         """
-        return describe_mesh(self.vertices, self.triangles, self.walls, self.shape, self.notes)
+        return describe_mesh(self.vertices, self.triangles, self.walls.plane, self.shape, self.notes)
 
     def _met(self, x: Floats, ray: Floats) -> NDArray[np.int64]:
         """Return how often rays from positions (n, 3) meet the walls."""

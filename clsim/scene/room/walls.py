@@ -1,24 +1,159 @@
-"""Walls: coplanar neighbouring triangles of one material, and what is needed to meet them with rays."""
+"""Walls: coplanar neighbouring triangles of one material, their outlines, and contacts of trajectories with them."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import firsts
+from clsim.arrays import firsts, spread, unique_rows
+from clsim.scene.room.faces import NEAREST
 from clsim.scene.room.mesh_cleaning import clusters, cross_products
-from clsim.scene.room.outlines import boundaries, hulls, pieces, plane_of_each
 from clsim.scene.room.shells import outward_sides
-from clsim.scene.room.wall_pairs import meeting, same_planes, straddling, touching_pairs
-from clsim.scene.room.wall_tree import WallTree
+from clsim.scene.room.wall_pairs import WallTree, meeting, same_planes, straddling, touching_pairs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+
+    Ints = NDArray[np.int64]
+
+ON_LINE = 1e-9  # of the size; what is nearer to a line lies on it
+
+
+def plane_of_each(corners: Floats, of_triangle: Ints) -> tuple[Floats, Floats]:
+    """Return unit normals (W, 3) and offsets (W,) of the planes of the largest triangle of each wall.
+
+    Shapes: corners (T, 3, 3) m; of_triangle (T,).
+    """
+    cross = cross_products(corners)
+    area = np.linalg.norm(cross, axis=1)
+    order = np.lexsort((np.arange(len(area)), -area, of_triangle))
+    largest = order[firsts(np.bincount(of_triangle))[:-1]]
+    normal = cross[largest] / area[largest, None]
+    middle = corners[largest].mean(axis=1)
+    return normal, np.array([float(m @ n) for m, n in zip(middle, normal, strict=True)])
+
+
+def hulls(vertices: Floats, triangles: Ints, of_triangle: Ints, normal: Floats) -> tuple[Floats, Ints]:
+    """Return the corners of the convex hulls of walls, counterclockwise about their normals, and where each begins."""
+    along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
+    along /= np.array([np.linalg.norm(a) for a in along])[:, None]
+    across = np.cross(normal, along)
+    used, _, _ = unique_rows(np.stack([np.repeat(of_triangle, 3), triangles.ravel()], axis=1))
+    first = firsts(np.bincount(used[:, 0]))
+    rings = []
+    for w in range(len(normal)):
+        index = used[first[w] : first[w + 1], 1]
+        points = vertices[index]
+        rings.append(index[_ring(np.stack([points @ along[w], points @ across[w]], axis=1))])
+    return vertices[np.concatenate(rings)], firsts(np.array([len(ring) for ring in rings]))
+
+
+def _ring(flat: Floats) -> list[int]:
+    """Return which points (n, 2) are corners of their convex hull, counterclockwise."""
+    sweep = np.lexsort((flat[:, 1], flat[:, 0])).tolist()
+    points = flat.tolist()
+    ring: list[int] = []
+    for some in (sweep, sweep[::-1]):
+        side: list[int] = []  # Andrew's monotone chain
+        for i in some:
+            while len(side) > 1 and _turn(points[side[-2]], points[side[-1]], points[i]) <= 1e-12:
+                side.pop()
+            side.append(i)
+        ring += side[:-1]
+    return ring
+
+
+def _turn(a: list[float], b: list[float], c: list[float]) -> float:
+    """Return the sine of the turn at b, times the length of the step to it (m)."""
+    across = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+    return across / max(math.hypot(c[0] - b[0], c[1] - b[1]), 1e-300)
+
+
+def boundaries(vertices: Floats, triangles: Ints, of_triangle: Ints, normal: Floats) -> tuple[Floats, Ints]:
+    """Return the edges (n, 2, 3) at which walls end, and where those of each begin.
+
+    A wall ends where its triangles do not lie on both sides of an edge alike.
+    """
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    low, high = vertices[edges.min(axis=1)], vertices[edges.max(axis=1)]
+    other = vertices[triangles[:, [2, 0, 1]].ravel()]
+    wall = np.repeat(of_triangle, 3)
+    side = np.sign(np.einsum("ni,ni->n", np.cross(normal[wall], high - low), other - low))
+    keys = np.column_stack([wall, edges.min(axis=1), edges.max(axis=1)])
+    unique, _, which = unique_rows(keys)
+    total = np.bincount(which, weights=side, minlength=len(unique))
+    ends = unique[total != 0.0]
+    return vertices[ends[:, 1:]], firsts(np.bincount(ends[:, 0], minlength=len(normal)))
+
+
+def pieces(
+    corners: Floats,
+    of_triangle: Ints,
+    normal: Floats,
+    hull: Floats,
+    first_hull: Ints,
+    edge: Floats,
+    first_edge: Ints,
+    size: float,
+) -> tuple[Floats, Ints, Ints]:
+    """Return walls as convex pieces: their hulls where these fill them, else their triangles.
+
+    Shapes: result (L, 4).
+    """
+    sides = np.diff(first_hull)
+    lines = _lines(hull, _following(first_hull), np.repeat(normal, sides, axis=0))
+    filled = _filled(lines, first_hull, edge, first_edge, size)
+    rings = corners.copy()
+    turned = np.einsum("ti,ti->t", cross_products(corners), normal[of_triangle]) <= 0.0
+    rings[turned] = rings[turned, ::-1]
+    order = np.flatnonzero(~filled[of_triangle])
+    order = order[np.argsort(of_triangle[order], kind="stable")]
+    mine, three = of_triangle[order], firsts(np.full(len(order), 3))
+    ring = rings[order].reshape(-1, 3)
+    triangle_lines = _lines(ring, _following(three), np.repeat(normal[mine], 3, axis=0))
+    # Hulls and triangles, put in the order of their walls.
+    whole = np.flatnonzero(filled)
+    owner, length = np.concatenate([whole, mine]), np.concatenate([sides[whole], np.full(len(mine), 3)])
+    start = np.concatenate([first_hull[whole], len(lines) + three[:-1]])
+    place = np.argsort(owner, kind="stable")
+    owner, length, start = owner[place], length[place], start[place]
+    first_line = firsts(length)
+    which = np.arange(first_line[-1]) + np.repeat(start - first_line[:-1], length)
+    return np.concatenate([lines, triangle_lines])[which], first_line, firsts(np.bincount(owner, minlength=len(normal)))
+
+
+def _following(first: Ints) -> Ints:
+    """Return the index of the next corner of each corner of rings that stand in a row."""
+    following = np.arange(1, first[-1] + 1)
+    following[first[1:] - 1] = first[:-1]
+    return following
+
+
+def _lines(ring: Floats, following: Ints, normal: Floats) -> Floats:
+    """Return inward unit normals and offsets of the sides of convex rings, counterclockwise about normals, (n, 4)."""
+    inward = np.cross(normal, ring[following] - ring)
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    return np.concatenate([inward, np.sum(inward * ring, axis=1)[:, None]], axis=1)
+
+
+def _filled(lines: Floats, first_line: Ints, edge: Floats, first_edge: Ints, size: float) -> NDArray[np.bool_]:
+    """Return which walls fill their hulls: each of their edges lies on a side of it."""
+    count = np.diff(first_edge)
+    wall = np.repeat(np.arange(len(count)), count)
+    of, line = spread(first_line, wall)
+    away = np.einsum("nei,ni->ne", edge[of], lines[line, :3]) - lines[line, 3:]
+    on_line = np.zeros(len(wall), dtype=bool)
+    on_line[of[np.all(np.abs(away) <= ON_LINE * size, axis=1)]] = True
+    filled = np.ones(len(count), dtype=bool)
+    filled[wall[~on_line]] = False
+    return filled
+
 
 FLATNESS = 1e-6  # m; triangles of a wall lie this near to its plane
 INSIDE = 1e-9  # of the size; points this far outside a wall's outline still are on the wall
@@ -177,3 +312,66 @@ def _neighbours(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
         same = np.all(edges[apart:] == edges[:-apart], axis=1)
         pairs.append(np.stack([owner[:-apart][same], owner[apart:][same]], axis=1))
     return np.concatenate(pairs)
+
+
+_RANGE = 64  # positions taken together
+
+
+def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:
+    """Return the first position that is on a wall, or after which a wall is walked through, and that wall.
+
+    Shapes: positions (n, 3) m.
+    """
+    starts = np.arange(0, len(positions), _RANGE)
+    low = np.minimum.reduceat(positions, starts)
+    high = np.maximum.reduceat(positions, starts)
+    after = positions[np.minimum(starts + _RANGE, len(positions) - 1)]
+    low, high = np.minimum(low, after), np.maximum(high, after)
+    centre, radius = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1) + NEAREST
+    for i, first in enumerate(starts):
+        near = np.abs(walls.normal @ centre[i] - walls.offset) <= radius[i]
+        near &= np.linalg.norm(walls.centre - centre[i], axis=1) <= radius[i] + walls.radius
+        met = [
+            (int(first) + at, int(w))
+            for w in np.flatnonzero(near)
+            if (at := _contact(walls, int(w), positions[first : first + _RANGE + 1])) is not None
+        ]
+        if met:
+            return min(met)
+    return None
+
+
+def walls_at(walls: Walls, position: Floats) -> NDArray[np.int64]:
+    """Return the walls that a position (3,) is on."""
+    near = np.flatnonzero(np.abs(walls.normal @ position - walls.offset) < NEAREST)
+    return near[[bool(_near(walls, int(w), position[None])[0]) for w in near]]
+
+
+def first_off(walls: Walls, wall: int, positions: Floats) -> int | None:
+    """Return the first of positions (n, 3) in the plane of a wall that is on no wall of this plane."""
+    held = np.zeros(len(positions), dtype=bool)
+    for twin in np.flatnonzero(walls.plane == walls.plane[wall]):
+        held |= walls.holds(int(twin), positions)
+    return None if held.all() else int(np.argmin(held))
+
+
+def _contact(walls: Walls, wall: int, positions: Floats) -> int | None:
+    """Return the first of a few positions that is on a wall, or after which it is walked through."""
+    height = positions @ walls.normal[wall] - walls.offset[wall]
+    on = (np.abs(height) < NEAREST) & _near(walls, wall, positions)
+    crosses = np.flatnonzero(height[:-1] * height[1:] < 0.0)
+    share = height[crosses] / (height[crosses] - height[crosses + 1])
+    hits = positions[crosses] + share[:, None] * (positions[crosses + 1] - positions[crosses])
+    found = np.concatenate([np.flatnonzero(on), crosses[walls.holds(wall, hits)]])
+    return int(found.min()) if len(found) else None
+
+
+def _near(walls: Walls, wall: int, positions: Floats) -> NDArray[np.bool_]:
+    """Return which positions lie over a wall, or beside it by less than the nearest distance."""
+    over = walls.holds(wall, positions)
+    edges = walls.edges_of(wall)
+    along = edges[:, 1] - edges[:, 0]
+    away = positions[:, None] - edges[:, 0]
+    share = np.clip(np.sum(away * along, axis=2) / np.sum(along * along, axis=1), 0.0, 1.0)
+    apart = np.linalg.norm(away - share[..., None] * along, axis=2).min(axis=1, initial=np.inf)
+    return np.asarray(over | (apart < NEAREST))

@@ -19,8 +19,8 @@ from clsim.render.memory import within_memory
 from clsim.render.planning import plan_render
 from clsim.scene.motion.instants import Instants
 from clsim.scene.motion.motion import Motion
-from clsim.scene.places import first_approach, first_refused, nearest_within
-from clsim.scene.room.contact import first_contact
+from clsim.scene.placement import first_approach, first_refused, nearest_within
+from clsim.scene.room.walls import first_contact
 from clsim.tracks.pruning import pruned
 from clsim.tracks.tracks import SceneTracks, track
 from clsim.workflow.pipeline import check_table_size, table_times

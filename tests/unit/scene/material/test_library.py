@@ -10,8 +10,7 @@ from scenes import DATA
 
 from clsim.cli import main
 from clsim.errors import ClsimWarning, InputError
-from clsim.scene.material.library import LIBRARY
-from clsim.scene.material.material import MATERIAL_NAMES, Material
+from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
 
 TABLES = [name for name, entry in LIBRARY.items() if entry.constructor == "absorption"]
 ESTIMATES = [name for name in LIBRARY if name.startswith("estimated-")]

@@ -12,10 +12,10 @@ from clsim.paths.search import PathSearch
 from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.view import viewed
 from clsim.scene.flush import find_mount
-from clsim.scene.room.convex import ConvexRoom
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
 from clsim.scene.room.protocol import ROOM_MEMBERS, Room, is_room
+from clsim.scene.room.shoebox import ConvexRoom
 from clsim.scene.view import viewed_walls
 
 WALL = clsim.Material.from_reflection(0.9)
