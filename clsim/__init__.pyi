@@ -31,9 +31,9 @@ from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation, TargetFluctuation
-from clsim.scene.hands import hand
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.people import hand, walking_person
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
@@ -42,7 +42,6 @@ from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
-from clsim.scene.walking import walking_person
 from clsim.scene_file import load_scene
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track

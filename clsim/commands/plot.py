@@ -18,7 +18,7 @@ from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
-from clsim.scene_file.directivities import DirectivityTableModel, SofaModel
+from clsim.scene_file.transducers import DirectivityTableModel, SofaModel
 from clsim.workflow.pipeline import input_files
 
 if TYPE_CHECKING:

@@ -16,9 +16,8 @@ from clsim.scene.motion.checks import LONGEST, as_path, as_places
 from clsim.scene.motion.curves import spline_through
 from clsim.scene.motion.joints import read_joints
 from clsim.scene.motion.orientation import as_quaternions
-from clsim.scene.posing import pose_times, quaternions_along, through_poses
+from clsim.scene.people import PARTS, SHANK, THIGH, pose_times, quaternions_along, through_poses
 from clsim.scene.scatterer import Scatterer
-from clsim.scene.walking import PARTS, SHANK, THIGH
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -3,29 +3,107 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
-from pydantic import Discriminator, Field, Tag, ValidationError
+from pydantic import Discriminator, Field, Tag, ValidationError, create_model
 
 from clsim.arrays import Floats, short_repr
 from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
+from clsim.render.baseband import Baseband
+from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.options import RenderOptions
 from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Scene
-from clsim.scene_file.bodies import BodyModel
-from clsim.scene_file.directivities import DirectivityModel, OmniModel
+from clsim.scene_file.bodies import BodyModel, ScattererModel
 from clsim.scene_file.explain import explain
 from clsim.scene_file.model import Model, Pair, Vector, within
 from clsim.scene_file.motion_and_signals import SignalModel, TrajectoryModel
-from clsim.scene_file.render_options import RenderModel
 from clsim.scene_file.rooms import RoomModel
-from clsim.scene_file.scatterers import ScattererModel
-from clsim.scene_file.transducers import ElectronicsModel, TransducerModel
+from clsim.scene_file.transducers import DirectivityModel, ElectronicsModel, OmniModel, TransducerModel
+
+
+class _Part(Model):
+    def build(self) -> Any:
+        """Return the value of an option that the table stands for."""
+        raise NotImplementedError
+
+
+class _Lagrange(_Part):
+    kind: Literal["lagrange"]
+    order: int = 12
+
+    def build(self) -> Interpolator:
+        """Return the Lagrange interpolator."""
+        return Lagrange(self.order)
+
+
+class _TruncatedLagrange(_Part):
+    kind: Literal["truncated-lagrange"]
+    order: int
+    length: int
+
+    def build(self) -> Interpolator:
+        """Return the truncated Lagrange interpolator."""
+        return TruncatedLagrange(self.order, self.length)
+
+
+class _Bandlimited(_Part):
+    kind: Literal["bandlimited"] = "bandlimited"
+    error_db: float = -90.0
+
+    def build(self) -> Interpolator:
+        """Return the band-limited interpolator."""
+        return Bandlimited(self.error_db)
+
+
+class _Baseband(_Part):
+    carrier: float
+    bandwidth: float
+    sampling_rate: float | None = None
+
+    def build(self) -> Baseband:
+        """Return carrier and bandwidth, Hz."""
+        return Baseband(self.carrier, self.bandwidth, self.sampling_rate)
+
+
+InterpolatorModel = Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")]
+# Options whose values are no plain ones of TOML: type and default in the file.
+_TABLES: dict[str, tuple[Any, Any]] = {
+    "interpolator": (InterpolatorModel, _Bandlimited()),
+    "baseband": (_Baseband | None, None),
+}
+
+
+class RenderTable(Model):
+    """What `render_model` adds the keys to."""
+
+    def build(self) -> dict[str, Any]:
+        """Return the keyword arguments of `render`."""
+        return {
+            name: within(name, value.build) if isinstance(value, _Part) else value
+            for name, value in self.arguments().items()
+        }
+
+
+def render_model(options: type[Any]) -> type[RenderTable]:
+    """Return the model of a scene file's table that has a key for each field of a dataclass of options."""
+    types = get_type_hints(options)
+    plain = {f.name: (types[f.name], ... if f.default is MISSING else f.default) for f in fields(options)}
+    keys: dict[str, Any] = plain | {name: form for name, form in _TABLES.items() if name in plain}
+    return create_model("_Render", __base__=RenderTable, **keys)
+
+
+if TYPE_CHECKING:
+    RenderModel = RenderTable
+else:
+    RenderModel = render_model(RenderOptions)
+
 
 _PATHS = ("path", "phases_path")  # keys that name files
 

@@ -7,7 +7,7 @@ import pytest
 
 import clsim
 from clsim.numerics.quaternions import rotate
-from clsim.scene.walking import gait_at
+from clsim.scene.people import gait_at
 
 TALL, SPEED = 1.75, 1.3
 LEG = 0.53 * TALL

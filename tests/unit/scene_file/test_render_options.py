@@ -11,8 +11,7 @@ from pydantic import ValidationError
 import clsim
 from clsim.commands import arguments, run
 from clsim.render.options import RenderOptions
-from clsim.scene_file.render_options import RenderModel, render_model
-from clsim.scene_file.scene import SceneModel, build_scene, completed_scene, scene_schema
+from clsim.scene_file.scene import RenderModel, SceneModel, build_scene, completed_scene, render_model, scene_schema
 from clsim.study.fields import replaced
 
 SCENE = {
