@@ -221,8 +221,7 @@ class Recording:
         check_pictures("plot")
         from matplotlib import pyplot
 
-        from clsim.pictures.envelope_plot import draw_envelope_spectrogram
-        from clsim.pictures.plots import draw_spectrogram
+        from clsim.pictures.plots import draw_envelope_spectrogram, draw_spectrogram
 
         row = self._row(receiver)
         if band is not None:

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.output.path_plots import history_picture
 from clsim.pictures.plots import spectrogram_picture
+from clsim.workflow.pictures import history_picture
 
 RATE = 192e3
 DURATION = 6.0

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.pictures.envelope_plot import envelope_spectrogram
+from clsim.pictures.plots import envelope_spectrogram
 
 RATE, CARRIER, DURATION = 192e3, 40e3, 8.0
 

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import queue
+import uuid
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from clsim.cluster.dispatch import WorkersLostError
-from clsim.errors import InputError, warn
+from clsim.errors import ClsimError, DeviceError, InputError, in_one_line, warn
 from clsim.packages import check_packages
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Sequence
+    from collections.abc import Callable, Generator, Iterator, Sequence
 
-    from clsim.cluster.dispatch import Dispatch, Row, Tasks
+    from clsim.cluster.dispatch import Call, Dispatch, Row, Tasks
 
 _STORES = ("xarray", "zarr")  # packages by which workers write together
 _SCHEDULERS = ("dask", "distributed")  # packages by which a scheduler is reached
 _STARTS = 3  # of the processes of this machine, without any task done with in between
+_REACH = 10  # s, for a scheduler to answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +45,6 @@ class Workers:
         check_packages(field, what, "study", *_STORES, *(_SCHEDULERS if self.scheduler else ()))
         if self.scheduler is None:
             return
-        from clsim.cluster.team import check_reach
-
         check_reach(self.scheduler)
         if is_open(self.scheduler):
             warn(
@@ -63,7 +65,6 @@ class Workers:
     def rows(self, dispatch: Dispatch, tasks: Tasks, devices: Sequence[str]) -> Generator[tuple[int, Row], None, None]:
         """Have tasks done; yield number and row of each. If all processes of this machine are lost, start new ones."""
         from clsim.cluster.processes import local_team
-        from clsim.cluster.team import remote_team
 
         number, tries = self.count(), 0
         while dispatch.left:
@@ -96,3 +97,159 @@ def is_open(scheduler: str) -> bool:
     host = (parts.hostname or "").rstrip(".")
     here = host in ("", "localhost", "::1") or host.startswith("127.")
     return parts.scheme != "tls" and not here
+
+
+class DaskTeam:
+    """Workers of a Dask scheduler, none of which is given a task before it can begin.
+
+    Left to itself Dask gives workers tasks in advance, and if one dies counts it against all that it was given.
+    """
+
+    def __init__(self, client: Any, tasks: Tasks) -> None:
+        self._client, self._tasks = client, tasks
+        self._known: set[str] = set()
+        self._futures: dict[int, Any] = {}
+        self._done: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
+
+    def workers(self) -> dict[str, int]:
+        """Return the workers that are there and have been seen to work, and how many tasks each does at a time."""
+        with _scheduler_there():
+            there = self._client.nthreads()
+            new = sorted(there.keys() - self._known)
+            answers = self._ask(self._tasks.check(), new, "return") if new else {}
+        for address, found in answers.items():
+            if isinstance(found, ImportError) and found.name in (None, "clsim"):
+                raise InputError("--scheduler", f"its workers must have clsim installed, but: {found}")
+            if isinstance(found, ImportError | AttributeError):
+                raise InputError(f"worker {address}", f"must have the version of clsim that is here, but: {found}")
+            if isinstance(found, Exception):  # it died meanwhile
+                continue
+            problem, is_device = found
+            if is_device:
+                raise DeviceError(f"worker {address}: {problem}")
+            if problem:
+                raise InputError(f"worker {address}", problem)
+            self._known.add(address)
+        return {a: threads if self._tasks.several else 1 for a, threads in there.items() if a in self._known}
+
+    def begin(self, number: int, worker: str) -> None:
+        """Have a worker do a task."""
+        with _scheduler_there():
+            future = self._client.submit(
+                _on_worker, *self._tasks.call(number),
+                key=f"clsim-{self._tasks.kind}-{number}-{uuid.uuid4().hex}", pure=False, workers=[worker],
+                allow_other_workers=False,
+            )  # fmt: skip
+        self._futures[number] = future
+        future.add_done_callback(lambda done: self._done.put((number, done)))
+
+    def forget(self, number: int) -> None:
+        """Want nothing more of a task."""
+        with _scheduler_there():
+            self._futures.pop(number).cancel()
+
+    def done(self, seconds: float) -> tuple[int, Row | None] | None:
+        """Return a task that is done with and its row, None if its worker died; None if there is none in time."""
+        try:
+            number, future = self._done.get(timeout=seconds)
+        except queue.Empty:
+            return None
+        if self._futures.get(number) is not future:  # it was forgotten
+            return None
+        try:
+            row = row_of(future, number, self._tasks)
+        except TimeoutError:  # its worker died before it could tell; if not, it will
+            self._done.put((number, future))
+            return None
+        self._futures.pop(number).release()
+        return number, row
+
+    def end(self) -> None:
+        """Want nothing more at all, and wait for workers that have to be waited for."""
+        for future in self._futures.values():
+            future.cancel()
+        asked = self._tasks.over()
+        if asked is not None:
+            there = self._client.nthreads()  # one that died would be waited for half a minute
+            self._ask(asked, sorted(self._known & there.keys()), "ignore")
+
+    def _ask(self, call: Call, workers: list[str], on_error: str) -> dict[str, Any]:
+        """Return what workers answer to a call, by their addresses."""
+        function, arguments = call
+        answers: dict[str, Any] = self._client.run(function, *arguments, workers=workers, on_error=on_error)
+        return answers
+
+
+@contextmanager
+def _scheduler_there() -> Iterator[None]:
+    try:
+        yield
+    except (OSError, RuntimeError, ValueError) as error:
+        if isinstance(error, ClsimError):
+            raise
+        raise ClsimError(f"the connection to the scheduler was lost: {in_one_line(error)}") from error
+
+
+def _on_worker(function: Callable[..., Row], arguments: tuple[Any, ...]) -> Row:
+    """Do a task on the worker's own device."""
+    return function(*arguments, None)
+
+
+def row_of(future: Any, number: int, tasks: Tasks) -> Row | None:
+    """Return the row of a task that is done with, None if its worker died before it could tell."""
+    from distributed import KilledWorker
+
+    row = tasks.found(number)
+    if row is None and future.status == "finished":
+        row = future.result(timeout=_REACH)
+    if row is not None or future.status != "error":
+        return row
+    error = future.exception(timeout=_REACH)
+    return None if isinstance(error, KilledWorker) else tasks.failed(number, error)
+
+
+@contextmanager
+def remote_team(scheduler: str, tasks: Tasks) -> Iterator[DaskTeam]:
+    """Yield the workers of a running scheduler."""
+    with _quiet(), _client(scheduler) as client:
+        team = DaskTeam(client, tasks)
+        try:
+            yield team
+        finally:
+            with suppress(OSError, RuntimeError, ValueError):  # the scheduler may be lost
+                team.end()
+
+
+def check_reach(scheduler: str) -> None:
+    """See that a scheduler can be reached, before there is anything to do."""
+    with _quiet(), _client(scheduler):
+        pass
+
+
+@contextmanager
+def _client(scheduler: str) -> Iterator[Any]:
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, timeout=_REACH, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError("--scheduler", f"{scheduler} cannot be reached: {in_one_line(error)}") from error
+    with client:
+        yield client
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Have Dask say nothing of what is said in one line anyway."""
+    import logging
+
+    from distributed.utils import silence_logging_cmgr
+
+    loop = logging.getLogger("asyncio")
+    old = loop.level
+    loop.setLevel(logging.CRITICAL)
+    try:
+        with silence_logging_cmgr(logging.CRITICAL):
+            yield
+    finally:
+        loop.setLevel(old)

@@ -12,7 +12,7 @@ from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError, not_one_of
 from clsim.files.ownership import NewFile
-from clsim.output.directivity_plots import DirectivityDiagram, air_picture, directivity_picture
+from clsim.output.plots import DirectivityDiagram, air_picture, directivity_picture
 from clsim.packages import check_pictures
 from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity

@@ -12,8 +12,7 @@ from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
 from clsim.files.ownership import NewFile
 from clsim.scene_file import load_scene
-from clsim.score.emissions import source_index
-from clsim.score.ranging import METHODS, ranging
+from clsim.score.ranging import METHODS, ranging, source_index
 from clsim.workflow.load_recording import load_recording
 from clsim.workflow.outputs import COMPLETED
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from clsim.commands.arguments import as_path
 from clsim.errors import InputError
 from clsim.output.record import changed_results, load_record
-from clsim.study.verify import STORE, changed_arrays
+from clsim.study.member import STORE, changed_arrays
 
 if TYPE_CHECKING:
     import argparse

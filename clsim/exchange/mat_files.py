@@ -8,7 +8,7 @@ import numpy as np
 
 from clsim.arrays import as_number, texts
 from clsim.errors import InputError
-from clsim.exchange.truth_times import truth_times
+from clsim.exchange import truth_times
 from clsim.files.atomic import atomic_path
 from clsim.paths.ground_truth import direct_path
 from clsim.recording import as_recording

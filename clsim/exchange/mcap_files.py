@@ -9,7 +9,7 @@ import numpy as np
 
 from clsim.arrays import Floats, as_count, as_number
 from clsim.errors import InputError
-from clsim.exchange.truth_times import truth_times
+from clsim.exchange import truth_times
 from clsim.files.atomic import atomic_path
 from clsim.files.names import file_names
 from clsim.packages import check_packages

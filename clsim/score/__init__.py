@@ -1,7 +1,6 @@
 """How well ranges and positions are found in a recording, against what is true."""
 
-from clsim.score.dilution import GdopMap, gdop, gdop_map
-from clsim.score.position import PositionScore, position
+from clsim.score.position import GdopMap, PositionScore, gdop, gdop_map, position
 from clsim.score.range_doppler import RangeDopplerMap, range_doppler
 from clsim.score.ranging import RangingScore, ranging
 

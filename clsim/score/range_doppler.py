@@ -10,9 +10,8 @@ import numpy as np
 from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.packages import check_packages, check_pictures
-from clsim.score.emissions import heard_scene, source_index
 from clsim.score.matched_filter import MatchedFilter
-from clsim.score.ranging import emissions_of, outputs_of, span_of
+from clsim.score.ranging import emissions_of, heard_scene, outputs_of, source_index, span_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

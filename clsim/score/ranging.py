@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, read_only, short_repr, texts
+from clsim.arrays import Floats, as_choice, as_index, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
+from clsim.paths.ground_truth import in_sight, reception_times
+from clsim.paths.specular.family import SpecularPaths
 from clsim.pictures.notebook import html_table
-from clsim.score.emissions import direct_delays, heard_scene, source_index
+from clsim.recording import as_recording
 from clsim.score.matched_filter import MatchedFilter, envelope_peak, phase_peak
 
 if TYPE_CHECKING:
@@ -21,7 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from clsim.arrays import Complexes
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.path_set import PathSet
     from clsim.recording import Recording
     from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 Method = Literal["matched-filter", "first-peak", "phase"]
 METHODS: tuple[str, ...] = get_args(Method)
 _AT_A_TIME = 64  # emissions whose outputs are held
+_LATE = 1e-10  # s, of rounding, by which a receiver's trajectory may be exceeded
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,3 +352,32 @@ def _noise_density(end: Receiver, sampling_rate: float, frequency: float) -> flo
         if cut is not None:
             noise /= 1.0 + (frequency / cut) ** (2 * sign * electronics.order)
     return float(noise * 10.0 ** (electronics.gain_db / 10.0) + electronics.step**2 / 12.0) / half
+
+
+def heard_scene(recording: Recording, what: str) -> PathSet:
+    """Return the paths of a recording that a score of some kind is made of."""
+    recording = as_recording(recording)
+    if recording.carrier is not None:
+        raise InputError("recording", f"must be sound for {what}, but is the envelope about {recording.carrier:g} Hz")
+    if recording.paths is None:
+        raise InputError("recording", f"must have its paths for {what}, but has none: load_recording(…, paths=True)")
+    return recording.paths
+
+
+def source_index(paths: PathSet, source: int | str) -> int:
+    """Return the index of a source, by index or name."""
+    return as_index("source", source, [one.name for one in paths.scene.sources])
+
+
+def direct_delays(paths: PathSet, source: int, emitted: Floats, motion: str) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return delays (receivers, K) of the direct sound emitted at times (K,), s, and a mask of those in sight.
+
+    Delays are known where a wall is in the way, too; they are NaN beyond the end of a receiver's trajectory.
+    """
+    receivers = paths.scene.receivers
+    received = np.empty((len(receivers), len(emitted)))
+    for pair in SpecularPaths.direct(paths.scene).pairs():
+        if pair.source == source:
+            received[pair.receiver] = reception_times(pair, emitted, motion)
+    last = np.array([receiver.trajectory.end for receiver in receivers])[:, None]
+    return np.where(received <= last + _LATE, received - emitted, np.nan), in_sight(paths, source, received)

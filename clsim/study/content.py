@@ -24,8 +24,7 @@ from clsim.render.rendering import Rendering
 from clsim.scene_file.scene import build_scene
 from clsim.study.file import TAKEN
 from clsim.workflow.checkpoint import run_identity
-from clsim.workflow.pipeline import check_table_size, plan_scene, table_times
-from clsim.workflow.streaming import render_into
+from clsim.workflow.pipeline import check_table_size, plan_scene, render_into, table_times
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,8 +36,7 @@ if TYPE_CHECKING:
     from clsim.paths.path_table import PathTable
     from clsim.scene.scene import Scene
     from clsim.study.file import Member, Study
-    from clsim.workflow.pipeline import PlannedScene
-    from clsim.workflow.streaming import Sink
+    from clsim.workflow.pipeline import PlannedScene, Sink
 
 _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from clsim.errors import ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, consolidate, write_zarr
+from clsim.packages import check_packages
 from clsim.study.content import computed, metrics_function
 from clsim.study.file import Member, Study
 from clsim.version import __version__
@@ -214,3 +215,31 @@ def discard(group: Path) -> None:
 def root_attributes() -> dict[str, Any]:
     """Return what stands at the root of a study's store."""
     return {"clsim_store_format": STORE_FORMAT, "clsim_version": __version__}
+
+
+def changed_arrays(store: Path) -> tuple[list[str], int]:
+    """List arrays of a store, or the store, whose chunks cannot be read or have other checksums; count all of them."""
+    check_packages("folder", "zarr", "store", "zarr")
+    import zarr
+
+    paths = sorted(path.parent for path in store.rglob("zarr.json") if path.parent != store)
+    changed, count = [], 0
+    for path in paths:
+        try:
+            found = zarr.open(path, mode="r")
+            if isinstance(found, zarr.Array):
+                count += 1
+                for part in range(found.nchunks):
+                    found.get_block_selection(_block(found.cdata_shape, part))
+        except (OSError, ValueError, RuntimeError, KeyError, TypeError):
+            changed.append(f"{store.name}/{path.relative_to(store).as_posix()}")
+    return changed, max(count, len(changed))
+
+
+def _block(shape: tuple[int, ...], number: int) -> tuple[int, ...]:
+    """Return the place of a chunk by its number."""
+    place = []
+    for size in reversed(shape):
+        number, at = divmod(number, size)
+        place.append(at)
+    return tuple(reversed(place))

@@ -5,21 +5,28 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 import time
+from contextlib import closing
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from clsim.errors import InputError
-from clsim.render.rendering import Rendering
+from clsim.cluster.dispatch import Dispatch
+from clsim.errors import ClsimError, InputError, warn
+from clsim.files.atomic import remove_leftovers
+from clsim.render.memory import within_memory
+from clsim.render.receiver_chain import ReceiverChain
+from clsim.render.rendering import PressureSum, Rendering
 from clsim.scene_file.scene import referenced_files
 from clsim.workflow.console import progress
-from clsim.workflow.on_workers import render_on_workers
-from clsim.workflow.pieces import device_of, versions
-from clsim.workflow.streaming import render_into
+from clsim.workflow.pieces import Handed, Piece, PlanFile, check_worker, device_of, do_piece, idle, versions
+from clsim.workflow.pipeline import render_into
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from clsim.cluster.dispatch import Call, Row
     from clsim.cluster.workers import Workers
     from clsim.output.stores import SoundStore
     from clsim.render.contributions import State
@@ -28,6 +35,10 @@ if TYPE_CHECKING:
     from clsim.workflow.result_folder import ResultFolder
 
 _PERIOD = 1.0  # s between notes in the journal, at least: what a killed run loses beside the chunk it was at
+_WORTH = 2e9  # path-samples of a piece, about: seconds, so that handing it out costs nothing
+_PIECES = 64  # into which a run is cut at least along time, as far as it has chunks
+_BLOCKS = 2  # of receivers for each worker
+_UNKNOWN = 16  # workers that a scheduler is taken to have
 
 
 def render_sound(
@@ -115,3 +126,202 @@ def run_identity(planned: PlannedScene) -> dict[str, Any]:
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def render_on_workers(
+    workers: Workers,
+    folder: Path,
+    plan: Plan,
+    store: SoundStore,
+    begun: tuple[int, State],
+    note: Callable[[int, State], None],
+    advance: Callable[[float], None],
+) -> None:
+    """Render a plan into a store by workers, from where it was.
+
+    note: called with the same, whenever more is there without a gap, on the disk itself.
+    """
+    here = workers.count()
+    handed = Handed.of(plan, store, _BLOCKS * (here or _UNKNOWN))
+    with within_memory(plan.largest_field, f"rendering by {here} processes", here * plan.memory_bytes):
+        remove_leftovers(folder)
+    pieces = Pieces(handed, PlanFile.write(folder, handed), *begun)
+    dispatch, told = Dispatch(pieces.todo()), set[str]()
+    try:
+        with closing(workers.at_most(pieces.count).rows(dispatch, pieces, _devices(workers, plan))) as rows:
+            for number, row in rows:
+                if row["status"] == "failed":
+                    piece = pieces.piece(number)
+                    raise ClsimError(f"samples {piece.first} to {piece.last} were not rendered: {row['error']}")
+                _tell(row["warnings"], told)
+                for ready in pieces.settle(number, row["state"]):
+                    dispatch.add(ready)
+                advance(pieces.rendered(number))
+                note(*pieces.whole())
+    finally:
+        pieces.file.remove()
+    receivers = ReceiverChain(plan)
+    receivers.restore(pieces.whole()[1])
+    receivers.warn()
+
+
+def _tell(warnings: list[str], told: set[str]) -> None:
+    """Warn of what pieces warned of: each has its own numbers, and the first stands for all."""
+    for text in warnings:
+        without_numbers = re.sub(r"[\d.]+", "", text)
+        if without_numbers not in told:
+            told.add(without_numbers)
+            warn(text)
+
+
+def _devices(workers: Workers, plan: Plan) -> list[str]:
+    """Return devices of this machine over which its workers are spread: those of the kind that the plan is for."""
+    from clsim.cluster.processes import local_devices
+    from clsim.render.planning import on_device
+
+    if workers.scheduler is not None or plan.options.engine != "opencl" or plan.options.device is not None:
+        return []
+    kind = device_of(plan)
+    return [device for device in local_devices() if device_of(on_device(plan, device)) == kind]
+
+
+class Pieces:
+    """All pieces of a run, which of them can be done, and what is whole.
+
+    Pieces are numbered stretch by stretch: pressure first, then each block of receivers in which something rings on.
+    Behind all of these stands what several stretches are made of alike. A chain is a block's pieces, or those of
+    pressure where a contribution remembers something.
+    """
+
+    kind, several = "piece", False
+    loads: tuple[str, ...] = ("zarr", "scipy.fft", "pyopencl.invoker", "clsim.scene.scene")
+
+    def __init__(self, handed: Handed, file: PlanFile, done: int, state: State) -> None:
+        plan = handed.plan
+        self.file, self._plan, self._later = file, plan, handed.later()
+        chunks = -(-(plan.samples - done) // plan.chunk)
+        worth = round(_WORTH / (max(plan.path_count, 1) * plan.chunk))
+        step = plan.chunk * max(1, min(worth, chunks // _PIECES))
+        self._edges = [*range(done, plan.samples, step), plan.samples]
+        self._rendered: set[int] = set()  # stretches whose pressure is there
+        self._next = [0] * (1 + len(self._later))  # stretch before which all are there, of pressure and each block
+        self._states: list[dict[int, State]] = [{0: state} for _ in self._next]
+        pressure = PressureSum(plan)
+        self._is_chain = bool(pressure.state())
+        self._parts = [set(pressure.shared(*stretch)) for stretch in pairwise(self._edges)]  # that are still wanted
+        self._users: dict[str, list[int]] = {}  # stretches, by what they are made of
+        for stretch, names in enumerate(self._parts):
+            for name in sorted(names):
+                self._users.setdefault(name, []).append(stretch)
+        self._shared = list(self._users)
+
+    @property
+    def count(self) -> int:
+        """Number of pieces."""
+        return self._behind + len(self._shared)
+
+    @property
+    def _behind(self) -> int:
+        """Number of the first piece that is shared."""
+        return (len(self._edges) - 1) * len(self._next)
+
+    def todo(self) -> list[int]:
+        """Return the pieces that can be done at once."""
+        stretches = filter(self._can_be_summed, range(len(self._parts)))
+        return [*(len(self._next) * stretch for stretch in stretches), *range(self._behind, self.count)]
+
+    def _can_be_summed(self, stretch: int) -> bool:
+        """Return whether all is there that a stretch's pressure is made of."""
+        return not self._parts[stretch] and (not self._is_chain or stretch == self._next[0])
+
+    def piece(self, number: int) -> Piece:
+        """Return a piece."""
+        if number >= self._behind:
+            name = self._shared[number - self._behind]
+            users = self._users[name]
+            return Piece(self._edges[users[0]], self._edges[users[-1] + 1], None, name)
+        stretch, chain = divmod(number, len(self._next))
+        first, last = self._edges[stretch : stretch + 2]
+        return Piece(first, last, self._later[chain - 1] if chain else None)
+
+    def rendered(self, number: int) -> int:
+        """Return how many samples of pressure a piece adds."""
+        piece = self.piece(number)
+        return piece.last - piece.first if piece.receivers is None and piece.shared is None else 0
+
+    def check(self) -> Call:
+        """Return a call of `check_worker`."""
+        return check_worker, (self.file, device_of(self._plan), versions())
+
+    def call(self, number: int) -> Call:
+        """Return a call of `do_piece` with what is remembered before it."""
+        if number >= self._behind:
+            return do_piece, (self.file, self.piece(number), {})
+        stretch, chain = divmod(number, len(self._next))
+        state = self._states[chain][stretch] if chain or self._is_chain else {}
+        mine = [f"receivers.{i}." for i in self._later[chain - 1]] if chain else ["contribution"]
+        return do_piece, (
+            self.file, self.piece(number), {n: v for n, v in state.items() if n.startswith(tuple(mine))},
+        )  # fmt: skip
+
+    def found(self, number: int) -> Row | None:
+        """Return nothing: only what a worker tells is known of a piece."""
+        return None
+
+    def failed(self, number: int, error: BaseException) -> Row:
+        """Raise the error: no other worker would do better."""
+        raise error
+
+    def over(self) -> Call:
+        """Have workers write nothing more; return a call that waits until they do not."""
+        self.file.remove()
+        return idle, ()
+
+    def settle(self, number: int, state: State) -> list[int]:
+        """Take a piece as done; return those that can be done now, what comes first last."""
+        if number >= self._behind:
+            return self._found(self._shared[number - self._behind])
+        stretch, chain = divmod(number, len(self._next))
+        ready = []
+        if chain == 0:
+            self._rendered.add(stretch)
+            self._forget(stretch)
+            while self._next[0] in self._rendered:
+                self._next[0] += 1
+            ready = [number + k for k in range(1, len(self._next)) if self._next[k] == stretch]
+        else:
+            piece = self.piece(number)
+            assert piece.receivers is not None
+            for start in range(piece.first, piece.last, self._plan.chunk):
+                self.file.between(start, piece.receivers).unlink(missing_ok=True)
+            self._next[chain] += 1
+        following = number + len(self._next)
+        self._states[chain][stretch + 1] = state
+        if stretch + 2 < len(self._edges) and (
+            (self._is_chain and self._can_be_summed(stretch + 1)) if chain == 0 else stretch + 1 in self._rendered
+        ):
+            ready.append(following)
+        return ready
+
+    def _found(self, name: str) -> list[int]:
+        """Take what is shared by a name as made; return the pieces that it was all that was missing for."""
+        for stretch in self._users[name]:
+            self._parts[stretch].discard(name)
+        ready = filter(self._can_be_summed, self._users[name])
+        return [len(self._next) * stretch for stretch in ready][::-1]
+
+    def _forget(self, stretch: int) -> None:
+        """Delete what was shared by stretches that are all there."""
+        for name, users in self._users.items():
+            if stretch in users and self._rendered.issuperset(users):
+                self.file.shared(name).unlink(missing_ok=True)
+
+    def whole(self) -> tuple[int, State]:
+        """Return how many samples are there without a gap, and what is remembered behind them."""
+        stretch = min(self._next)
+        state: State = {}
+        for states in self._states:
+            for old in [at for at in states if at < stretch]:
+                del states[old]
+            state |= states.get(stretch, {})
+        return self._edges[stretch], state

@@ -1,24 +1,31 @@
-"""The pictures of a run."""
+"""Plots of a run: paths over time, echogram, spectrogram."""
 
 from __future__ import annotations
 
 import sys
 from typing import TYPE_CHECKING
 
+import matplotlib
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
 
-from clsim.errors import warn
-from clsim.output.path_plots import echogram_picture, history_picture
-from clsim.pictures.envelope_plot import envelope_spectrogram
-from clsim.pictures.plots import spectrogram_picture
+from clsim.errors import counted, warn
+from clsim.pictures.plots import DIRECT, RANGE_DB, envelope_spectrogram, new_figure, save_figure, spectrogram_picture
 from clsim.workflow.console import progress
 from clsim.workflow.outputs import MOST_DRAWN, PICTURES, picture
 
 if TYPE_CHECKING:
+    import os
     from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.output.stores import SoundStore
+    from clsim.paths.path_table import PathTable
     from clsim.pictures.spectrogram import Readable
     from clsim.render.plan import Plan
     from clsim.workflow.outputs import RunOutputs
@@ -119,3 +126,80 @@ def _shown_band(plan: Plan) -> tuple[float, float]:
         high = max(high, float(frequencies[np.minimum(np.searchsorted(share, 1.0 - 1e-3), len(frequencies) - 1)]))
     margin = max(0.15 * (high - low), 3.0 * plan.max_rate * high, 200.0)
     return max(0.0, float(low) - margin), min(0.5 * plan.sampling_rate, float(high) + margin)
+
+
+def _colours(last: int) -> tuple[ListedColormap, BoundaryNorm]:
+    """Return the colours of orders 0 to `last`, the direct path's first: of the others dark, and the last light."""
+    rest = matplotlib.colormaps["viridis"](np.linspace(0.15, 0.88, max(last, 1)))
+    colours = ListedColormap([to_rgba(DIRECT), *map(tuple, rest)][: last + 1])
+    return colours, BoundaryNorm(np.arange(last + 2) - 0.5, last + 1)
+
+
+def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os.PathLike[str]) -> None:
+    """Draw the gain of every path to a receiver over its delay, at one of the table's times."""
+    heard = np.flatnonzero((table.receiver == receiver) & table.heard[:, index])
+    level = 20.0 * np.log10(np.abs(table.gain[heard, index]))
+    top = float(level.max(initial=-300.0))
+    shown = level > top - RANGE_DB
+    rows, level = heard[shown], level[shown]
+    figure, axes = new_figure(4.5)
+    if len(rows):
+        floor = float(level.min()) - 4.0
+        _stems(figure, axes, table.delay[rows, index] * 1e3, level, table.order[rows], floor)
+        direct = table.direct[rows]
+        axes.plot(
+            table.delay[rows[direct], index] * 1e3, level[direct], "D", color=DIRECT, markersize=7, zorder=5,
+            label="direct path",
+        )  # fmt: skip
+        axes.set(xlim=(0.0, None), ylim=(floor, top + 4.0))
+        if direct.any():
+            figure.legend(loc="outside lower right")
+    left_out = len(heard) - len(rows)
+    note = f" ({left_out} more than {RANGE_DB:.0f} dB below the loudest not shown)" if left_out else ""
+    axes.set(
+        xlabel="delay (ms)", ylabel="gain (dB re 1 m from the source)",
+        title=f"{table.receiver_names[receiver]}: {counted(len(heard), 'path')} at {table.times[index]:.4g} s{note}",
+    )  # fmt: skip
+    save_figure(figure, path)
+
+
+def history_picture(table: PathTable, receiver: int, path: str | os.PathLike[str], *, title: str | None = None) -> None:
+    """Draw the delay of every path to a receiver over time: lines begin and end where paths do.
+
+    title: above the picture; the receiver's name and its number of paths when left out.
+    """
+    rows = np.flatnonzero((table.receiver == receiver) & np.isfinite(table.delay).any(axis=1))
+    level = 20.0 * np.log10(np.maximum(np.abs(np.nan_to_num(table.gain[rows])), 1e-15))
+    top = float(level.max(initial=-300.0))
+    rows = rows[(level > top - RANGE_DB).any(axis=1)]
+    figure, axes = new_figure(5.5)
+    last = int(table.order[rows].max(initial=0))
+    colours, norm = _colours(last)
+    for p in rows[np.argsort(-table.order[rows], kind="stable")]:
+        direct = bool(table.direct[p])
+        axes.plot(
+            table.times, table.delay[p] * 1e3, color=colours(norm(table.order[p])),
+            linewidth=2.4 if direct else 1.2 if table.order[p] < 2 else 0.6, zorder=3 if direct else 2,
+        )  # fmt: skip
+    if last > 0:
+        figure.colorbar(
+            ScalarMappable(norm, colours), ax=axes, ticks=np.arange(0, last + 1), pad=0.015, aspect=30
+        ).set_label("order (reflections)", fontsize=12)
+    axes.set(
+        xlabel="time (s)", ylabel="delay (ms)", xlim=(table.times[0], table.times[-1]),
+        title=title or f"{table.receiver_names[receiver]}: {len(rows)} intervals in which a path is heard",
+    )  # fmt: skip
+    save_figure(figure, path)
+
+
+def _stems(figure: Figure, axes: Axes, delay: Floats, level: Floats, order: NDArray[np.int32], floor: float) -> None:
+    """Draw a stem per path, low orders in front, with a key of the orders."""
+    draw = np.argsort(-order, kind="stable")
+    last = int(order.max())
+    colours, norm = _colours(last)
+    delay, level, order = delay[draw], level[draw], order[draw]
+    axes.vlines(delay, floor, level, colors=colours(norm(order)), linewidth=0.7, alpha=0.6)
+    dots = axes.scatter(delay, level, c=order, cmap=colours, norm=norm, s=16, zorder=3)
+    if last > 0:
+        ticks = np.arange(0, last + 1, max(1, -(-last // 12)))
+        figure.colorbar(dots, ticks=ticks, pad=0.015, aspect=30).set_label("order (reflections)", fontsize=12)

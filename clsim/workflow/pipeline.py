@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -15,16 +15,20 @@ from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
 from clsim.paths.moving.truth import body_truth
 from clsim.paths.scattering.truth import scatterer_truth
+from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths
+from clsim.render.render import render_chunks
 from clsim.scene.scene import Scene
 from clsim.scene_file.scene import completed_scene, referenced_files
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.echo_truth import EchoTruth
@@ -32,6 +36,7 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
     from clsim.render.plan import Plan
+    from clsim.render.rendering import Rendering
     from clsim.scene_file.scene import SceneFile
     from clsim.workflow.console import Progress
 
@@ -148,3 +153,28 @@ def shares(advance: Callable[[float], None]) -> Callable[[float], None]:
         done = share
 
     return report
+
+
+class Sink(Protocol):
+    """Receiver of samples, chunk by chunk."""
+
+    def open(self) -> None:
+        """Prepare for writing."""
+
+    def write(self, start: int, samples: NDArray[Any]) -> None:
+        """Write samples (receivers, n) from sample `start` on."""
+
+    def close(self) -> None:
+        """Finish writing."""
+
+
+def render_into(sinks: Sequence[Sink], plan: Plan, rendering: Rendering, first: int = 0) -> Iterator[int]:
+    """Render a plan into sinks, in bounded memory; yield the number of samples written after each chunk."""
+    with within_memory(plan.largest_field, "rendering", plan.memory_bytes), ExitStack() as stack:
+        for sink in sinks:
+            sink.open()
+            stack.callback(sink.close)
+        for start, samples in render_chunks(plan, first=first, rendering=rendering):
+            for sink in sinks:
+                sink.write(start, samples)
+            yield start + samples.shape[1]

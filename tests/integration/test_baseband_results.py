@@ -11,7 +11,7 @@ from killing import Killer
 
 import clsim
 from clsim.cli import main
-from clsim.workflow.journal import Journal
+from clsim.workflow.result_folder import Journal
 
 pytestmark = pytest.mark.usefixtures("device")
 

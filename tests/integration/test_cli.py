@@ -136,7 +136,7 @@ def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
 
 
 def test_interrupt_leaves_nothing_that_looks_whole(scene: Path, tmp_path: Path, capsys, monkeypatch, device) -> None:
-    from clsim.workflow import streaming
+    from clsim.workflow import pipeline as streaming
 
     render = streaming.render_chunks
 

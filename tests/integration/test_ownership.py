@@ -208,7 +208,7 @@ def test_single_files_are_not_written_over_unasked(name: str, tmp_path: Path, ca
 
 
 def test_what_comes_into_the_way_while_rendering_stays(tmp_path: Path, capsys, monkeypatch) -> None:
-    from clsim.workflow import streaming
+    from clsim.workflow import pipeline as streaming
 
     scene, out = write_scene(tmp_path / "s.toml"), tmp_path / "out"
     render = streaming.render_chunks

@@ -16,7 +16,7 @@ import clsim
 from clsim.cli import main
 from clsim.files.atomic import locked
 from clsim.output.stores import STORES, StoredSound
-from clsim.workflow.journal import Journal
+from clsim.workflow.result_folder import Journal
 
 SCENE = """
 format = 1

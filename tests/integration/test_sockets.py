@@ -200,7 +200,7 @@ def test_a_scheduler_with_certificates_serves_who_has_them(
 
 def test_a_scheduler_elsewhere_without_certificates_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     installed("distributed")
-    monkeypatch.setattr("clsim.cluster.team.check_reach", lambda scheduler: None)
+    monkeypatch.setattr("clsim.cluster.workers.check_reach", lambda scheduler: None)
     with pytest.warns(ClsimWarning, match=r"tcp://10\.0\.0\.1:8786 is reached without encryption.*use tls://"):
         Workers(scheduler="tcp://10.0.0.1:8786").check("--scheduler", "a run on workers")
     for quiet in ("tls://10.0.0.1:8786", "tcp://127.0.0.1:8786"):

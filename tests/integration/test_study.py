@@ -101,7 +101,7 @@ def test_a_study_is_a_store_of_its_members(folder: Path, capsys) -> None:
 def test_what_cannot_run_is_one_line(
     folder: Path, capsys, monkeypatch: pytest.MonkeyPatch, more: list[str], message: str
 ) -> None:
-    monkeypatch.setattr("clsim.cluster.team._REACH", 0.5)
+    monkeypatch.setattr("clsim.cluster.workers._REACH", 0.5)
     assert main([*write(folder, [0, 1], [1.0]), *more]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"clsim: error: {message}")

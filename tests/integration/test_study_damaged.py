@@ -15,8 +15,8 @@ from made_studies import write, write_scene
 import clsim
 from clsim.cli import main
 from clsim.study.file import load_study
-from clsim.study.index import Index, create_store, metrics_of, write_summary
 from clsim.study.member import MemberTasks, as_row, row_of_group, run_member, study_to_settings
+from clsim.study.run import Index, create_store, metrics_of, write_summary
 
 installed("distributed")
 installed("zarr")
@@ -219,7 +219,7 @@ class Future(SimpleNamespace):
 def test_what_dask_tells_of_a_member_is_its_row(finished: Path, tmp_path: Path) -> None:
     from distributed import KilledWorker
 
-    from clsim.cluster.team import row_of
+    from clsim.cluster.workers import row_of
 
     tasks = MemberTasks(load_study(finished / "study.toml"), finished / "out")
     waiting = MemberTasks(load_study(finished / "study.toml"), tmp_path)

@@ -333,7 +333,7 @@ sys.modules[name] = wedge
 spec.loader.exec_module(wedge)
 from clsim.cli import main
 from clsim.workflow import checkpoint
-from clsim.workflow.journal import Journal
+from clsim.workflow.result_folder import Journal
 checkpoint._PERIOD = 0.0
 save, left = Journal.save, [3]
 def killing(self, *arguments):

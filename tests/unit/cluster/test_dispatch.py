@@ -178,7 +178,7 @@ def run_with(monkeypatch: pytest.MonkeyPatch, teams: Iterator[MadeTeam | None], 
         yield team
 
     monkeypatch.setattr("clsim.cluster.processes.local_team", made)
-    monkeypatch.setattr("clsim.cluster.team.remote_team", made)
+    monkeypatch.setattr("clsim.cluster.workers.remote_team", made)
     tasks: Any = SimpleNamespace(found=lambda number: None)
     workers = Workers(None if scheduler else 1, scheduler)
     return [number for number, _ in workers.rows(Dispatch([0, 1, 2], patience=0.0), tasks, [])]

@@ -10,7 +10,7 @@ import scipy.io
 
 import clsim
 from clsim.cli import main
-from clsim.output.directivity_plots import DirectivityDiagram, directivity_levels
+from clsim.output.plots import DirectivityDiagram, directivity_levels
 from clsim.scene_file import load_scene
 from clsim.scene_file.scene import build_scene, completed_scene, scene_schema
 

@@ -12,7 +12,7 @@ import clsim
 from clsim.commands import arguments, run
 from clsim.render.options import RenderOptions
 from clsim.scene_file.scene import RenderModel, SceneModel, build_scene, completed_scene, render_model, scene_schema
-from clsim.study.fields import replaced
+from clsim.study.file import replaced
 
 SCENE = {
     "format": 1,

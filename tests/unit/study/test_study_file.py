@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.study.fields import parsed, replaced
-from clsim.study.file import Study, checked, load_study
+from clsim.study.file import Study, checked, load_study, parsed, replaced
 
 SCENE = """
 format = 1
