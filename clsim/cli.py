@@ -1,4 +1,4 @@
-"""The command line: which commands there are, and how what goes wrong is said."""
+"""The command line: the list of commands, and one-line reports of errors."""
 
 from __future__ import annotations
 
@@ -49,22 +49,22 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _failed(message: str, error: BaseException, status: int) -> int:
-    """Print what went wrong and what is noted beside it on one line; return the exit status."""
+    """Print an error and its notes on one line; return the exit status."""
     text = as_toml(" ".join("; ".join([message, *getattr(error, "__notes__", [])]).split()))
     print(shown(text), file=sys.stderr)
     return status
 
 
 def _before(arguments: list[str]) -> list[str]:
-    """Return what stands before the command."""
+    """Return the arguments that precede the command."""
     return list(takewhile(lambda argument: argument.startswith("-"), arguments))
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong as all else does, and what was perhaps meant."""
+    """Parser that reports errors in clsim's form and suggests the nearest option."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise what argparse would print, so that it is told in one line as all errors are."""
+        """Raise argparse's message as an InputError."""
         choice = _CHOICE.fullmatch(message)
         if choice:
             raise InputError(choice[1], not_one_of(choice[2], re.findall(r"[\w-]+", choice[3])))

@@ -36,7 +36,7 @@ _LOUD_LEAD_DB = -60.0  # of a response's energy before time 0, from which on its
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpulseResponses:
-    """What every receiver hears of an impulse from every source, as if nothing moved.
+    """Impulse responses of every source and receiver at an instant, with all motion frozen.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class ImpulseResponses:
         return tuple(receiver.name for receiver in self.scene.receivers)
 
     def describe(self) -> list[str]:
-        """Return what the axis of time is, a line each."""
+        """Return lines that describe the time axis."""
         rows = self.source_names, self.receiver_names
         time_0 = f"sample {self.lead} is time 0, that of the emission"
         s, r = np.unravel_index(np.nanargmin(self.first_arrivals), self.first_arrivals.shape)
@@ -212,7 +212,7 @@ def _add_tails(
     paths: PathSet, time: float, rate: float, band: ResponseBand, seed: int,
     found: dict[tuple[int, int], ImpulseResponse],
 ) -> tuple[str, ...]:  # fmt: skip
-    """Add every source's tail to what was found of pairs at a time, s; return what it is, a line each."""
+    """Add every source's tail to the pairs' responses at a time, s; return a line of description each."""
     told = []
     for source in sorted({source for source, _ in found}):
         tails, what = frozen_tails(paths, source, time, rate, band, seed)
@@ -231,7 +231,7 @@ def _earliest(pair: PairPaths, now: Floats) -> float:
 
 
 def _on_one_axis(pairs: tuple[int, int], found: dict[tuple[int, int], ImpulseResponse]) -> tuple[Floats, int]:
-    """Return the taps of pairs (sources, receivers, n), and how many of the n come before time 0."""
+    """Return the taps of pairs (sources, receivers, n), and the number of taps before time 0."""
     lead = max(0, -min(response.first for response in found.values()))
     shape = (*pairs, lead + max(response.last for response in found.values()) + 1)
     if 8 * math.prod(shape) > _MOST_BYTES:
@@ -271,7 +271,7 @@ def _as_instant(scene: Scene, at: Any) -> float:
 
 
 def _heard_pairs(paths: PathSet, time: float) -> dict[tuple[int, int], list[PairPaths]]:
-    """Return the paths of every kind that are heard at a time, by source and receiver."""
+    """Return the active paths of every kind at a time, by source and receiver."""
     heard: NDArray[np.bool_] = (paths.start <= time) & (time < paths.end)
     found: dict[tuple[int, int], list[PairPaths]] = {}
     for rows, pair in paths.pairs():

@@ -21,27 +21,27 @@ _IMPORTS = "<frozen importlib._bootstrap>"  # file of the frames that import
 
 
 def is_command() -> bool:
-    """Return whether this process is the command line: `clsim`, or `python -m clsim`, whose package is imported now."""
+    """Return True in the process of the command line: `clsim`, or `python -m clsim`."""
     name = os.path.basename((getattr(sys, "argv", None) or [""])[0])  # noqa: PTH119  (pathlib takes a while to import)
     as_module = name == "-m" and "clsim" in getattr(sys, "orig_argv", ())
     return as_module or name in ("clsim", "clsim.exe")
 
 
 def end_on_interrupt() -> None:
-    """Have Ctrl-C end this process at once, in one line: as long as it only imports, it leaves nothing behind."""
+    """Let Ctrl-C end this process at once: while it only imports, it leaves nothing behind."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else who started it wants it ignored
         signal.signal(signal.SIGINT, _end)
 
 
 def raise_on_interrupt() -> None:
-    """Have Ctrl-C raise `KeyboardInterrupt` from now on, so that what is open cleans up."""
+    """Let Ctrl-C raise `KeyboardInterrupt` from now on, so that open resources clean up."""
     if signal.getsignal(signal.SIGINT) is _end:
         signal.signal(signal.SIGINT, _raise)
         sys.unraisablehook = _raise_again
 
 
 def ignore_interrupts() -> None:
-    """Have Ctrl-C do nothing more: the exit status is known, and the process ends."""
+    """Ignore Ctrl-C from now on: the exit status is known, and the process ends."""
     if signal.getsignal(signal.SIGINT) is _raise:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -80,7 +80,7 @@ def _raise_later() -> None:
 
 
 def _raise_again(found: sys.UnraisableHookArgs) -> None:
-    """Raise an interrupt again that came where nothing can be raised, in a callback for example."""
+    """Raise an interrupt again that arrived in a place that cannot raise, such as a callback."""
     if isinstance(found.exc_value, KeyboardInterrupt):
         _raise_later()
     else:
@@ -88,7 +88,7 @@ def _raise_again(found: sys.UnraisableHookArgs) -> None:
 
 
 def printable(text: str) -> str:
-    r"""Return a text with escapes for its control characters, which change what a terminal shows; lines and tabs stay.
+    r"""Return a text with escapes for control characters, which change the terminal's state; lines and tabs stay.
 
     Examples
     --------
@@ -99,14 +99,14 @@ def printable(text: str) -> str:
 
 
 class _Terminal(io.TextIOWrapper):
-    """Standard output on a terminal: names in it, which others may have chosen, give it no commands."""
+    """Standard output on a terminal; control characters in names are escaped."""
 
     def write(self, text: str, /) -> int:
         return super().write(printable(text))
 
 
 class _UnfailingFile(io.FileIO):
-    """A file into which messages go, or nowhere where it takes none: no command fails of that."""
+    """File for messages; failed writes are dropped, so that no command fails because of them."""
 
     def write(self, data: Any, /) -> int:
         try:
@@ -149,7 +149,7 @@ def _escaped(error: UnicodeError) -> tuple[str | bytes, int]:
 
 
 def flushed() -> bool:
-    """Write what standard output still holds; return whether it took that. What it did not is dropped."""
+    """Flush standard output; return False if it failed, and drop the rest."""
     try:
         sys.stdout.flush()
     except OSError:

@@ -1,4 +1,4 @@
-"""What the receivers heard."""
+"""Recordings: the samples of all receivers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PLAYED = (3000.0, 384_000.0)  # Hz: rates at which browsers play
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What every receiver recorded, and what it came from.
+    """Samples of every receiver, with the scene and paths that they were rendered from.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Recording:
             writer.write(frames)
 
     def to_xarray(self) -> Any:
-        """Return it as an xarray Dataset, as `open_store` returns what is in a store.
+        """Return the recording as an xarray Dataset, like `open_store`.
 
         Returns
         -------
@@ -165,7 +165,7 @@ class Recording:
         return with_times(found, self.sampling_rate)
 
     def plot(self, receivers: int | str | Sequence[int | str] | None = None) -> list[Axes]:
-        """Draw what receivers recorded over time, one below the other; in baseband its magnitude.
+        """Draw the samples of receivers over time, one below the other; in baseband their magnitude.
 
         Parameters
         ----------
@@ -199,7 +199,7 @@ class Recording:
         return list(figure.axes)
 
     def spectrogram(self, receiver: int | str = 0, band: tuple[float, float] | None = None) -> Axes:
-        """Draw the level over time and frequency; in baseband over what is off the carrier.
+        """Draw the level over time and frequency; in baseband over the offset from the carrier.
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ class Recording:
         return axes
 
     def play(self, receiver: int | str = 0, slower: float = 10.0) -> Any:
-        """Return what plays a receiver's sound in a notebook, slowed down so that ultrasound is heard.
+        """Return a notebook player of a receiver's sound, slowed down so that ultrasound becomes audible.
 
         Parameters
         ----------
@@ -320,7 +320,7 @@ def as_recording(value: object) -> Recording:
 
 
 def sound_attributes(units: Sequence[str], carrier: float | None) -> dict[str, Any]:
-    """Return what stands beside samples: their unit, if they have one in common, and what they are."""
+    """Return the attributes of samples: their common unit, if they have one, and their kind."""
     kinds = sorted(set(units))
     named = {"units": kinds[0]} if len(kinds) == 1 else {}
     what = "sound pressure or voltage, unit by receiver"
@@ -330,7 +330,7 @@ def sound_attributes(units: Sequence[str], carrier: float | None) -> dict[str, A
 
 
 def with_times(found: Any, sampling_rate: float) -> Any:
-    """Return an xarray Dataset of sound with its times, s, which take no space."""
+    """Return an xarray Dataset of sound with lazy time coordinates, s."""
     import xarray
 
     count = found.sizes["time"]

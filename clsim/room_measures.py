@@ -1,4 +1,4 @@
-"""What impulse responses tell of a room, by frequency band."""
+"""Room-acoustic measures of impulse responses, by frequency band."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _OF_PAIRS = {"t20": "s", "t30": "s", "c50": "dB", "c80": "dB", "d50": "1", "drr"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomMeasures:
-    """Decay and clarity of impulse responses, and what theory says of a diffuse field.
+    """Decay and clarity of impulse responses, and the predictions of diffuse-field theory.
 
     Attributes
     ----------
@@ -192,7 +192,7 @@ def _cut(taps: Floats, rate: float, centre: float, share: float | None) -> Float
 
 
 def _measures(taps: Floats, begin: int, rate: float) -> dict[str, float]:
-    """Return what taps (n,) tell whose first arrival is at a sample."""
+    """Return the measures of taps (n,) by the sample of the first arrival."""
     curve = decay_curve(taps[begin:])
     early = begin + round(0.05 * rate)
     return {

@@ -1,1 +1,1 @@
-"""Tasks on many processes: which worker does which when, on this machine or on any Dask cluster."""
+"""Tasks on many processes: scheduling on this machine or on any Dask cluster."""

@@ -1,4 +1,4 @@
-"""Which task is done when and by which worker, so that none is blamed for what another one did."""
+"""Assignment of tasks to workers; a task whose worker died is repeated alone before it counts as failed."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class Tasks(Protocol):
     loads: tuple[str, ...]
 
     def check(self) -> Call:
-        """Return what a new worker is asked; it tells what keeps it from working, or "", and if that is its device."""
+        """Return the call that checks a new worker: why it cannot work, or "", and if its device is the reason."""
 
     def call(self, number: int) -> Call:
-        """Return what a worker is to call, with its device as the last argument; that returns the task's row."""
+        """Return the call of a task, to which the worker appends its device; the call returns the task's row."""
 
     def found(self, number: int) -> Row | None:
         """Return the row of a task whose results are there, although its worker died before it could say so."""
@@ -54,20 +54,20 @@ class Tasks(Protocol):
         """Return the row of a task that raised an error, or raise it."""
 
     def over(self) -> Call | None:
-        """Take note that nothing more is wanted; return what workers are to be asked, and waited for, if anything."""
+        """End all tasks; return a call for the workers to wait for, or None."""
 
 
 class Team(Protocol):
     """Processes that do tasks."""
 
     def workers(self) -> dict[str, int]:
-        """Return the workers that are there, and how many tasks each does at a time."""
+        """Return the tasks that each available worker does at a time."""
 
     def begin(self, number: int, worker: str) -> None:
-        """Have a worker, and no other, do a task."""
+        """Start a task on this worker and no other."""
 
     def forget(self, number: int) -> None:
-        """Want nothing more of a task whose worker died."""
+        """Drop a task whose worker died."""
 
     def done(self, seconds: float) -> tuple[int, Row | None] | None:
         """Return a task that is done with and its row, None if its worker died; None if there is none in time."""
@@ -102,7 +102,7 @@ class Dispatch:
         self.left += 1
 
     def rows(self, team: Team, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
-        """Have the tasks done that are left; yield number and row of each as soon as it is known."""
+        """Do the remaining tasks; yield number and row of each as it ends."""
         seen = time.monotonic()
         while self.left:
             there = team.workers()
@@ -125,7 +125,7 @@ class Dispatch:
                 yield self._settled(number, row)
 
     def _chosen(self, there: dict[str, int]) -> Iterator[tuple[int, str]]:
-        """Yield what is to be begun, and by whom: tasks on all free workers, or a suspect on one of them."""
+        """Yield tasks to start and their workers: tasks on all free workers, or one suspect alone."""
         busy = Counter(self._running.values())
         free = [worker for worker, count in there.items() for _ in range(count - busy[worker])]
         if self._waiting:
@@ -135,7 +135,7 @@ class Dispatch:
             yield self._suspects.popleft(), free[0]
 
     def _died(self, number: int, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
-        """Have a task whose worker died done again, or yield its row if it is done with."""
+        """Repeat a task whose worker died, or yield its row if the results exist."""
         row = found(number)
         if row is not None:
             yield self._settled(number, row)

@@ -1,4 +1,4 @@
-"""Processes of this machine as a team that does tasks; it reaches them by pipes, which no other user can open."""
+"""Team of processes of this machine, reached by pipes that no other user can open."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ class _Worker:
     closed: bool = False  # the other end of the pipe is
 
     def is_gone(self) -> bool:
-        """Return whether the process has died, and all that it sent was received."""
+        """Return True if the process has died and all that it sent was received."""
         return self.closed or not (self.process.is_alive() or self.pipe.poll())
 
     def send(self, *call: Any) -> None:
-        """Have the process call a function; one that has died is found so later."""
+        """Send a call; a dead process is detected later."""
         with suppress(OSError):
             self.pipe.send_bytes(pickle.dumps(call, pickle.HIGHEST_PROTOCOL))
 
     def receive(self) -> tuple[bool, Any] | None:
-        """Return an answer that is there: whether it is an error, and the value; None if the process has died."""
+        """Return an answer as (is an error, value), or None if the process has died."""
         try:
             answer: tuple[bool, Any] = self.pipe.recv()
         except (EOFError, OSError):
@@ -60,7 +60,7 @@ class _Worker:
 
 
 class ProcessTeam:
-    """Processes of this machine, each of which does one task at a time. One that dies is replaced."""
+    """Processes of this machine with one task each at a time; dead ones are replaced."""
 
     def __init__(self, number: int, tasks: Tasks, devices: list[str]) -> None:
         self._tasks, self._devices = tasks, devices
@@ -94,7 +94,7 @@ class ProcessTeam:
         worker.send(*self._tasks.check(), False)
 
     def workers(self) -> dict[str, int]:
-        """Return the processes that are ready, each of which does one task at a time; replace those that died."""
+        """Return the ready processes, each for one task at a time; replace dead ones."""
         for name, worker in list(self._workers.items()):
             if not worker.is_gone():
                 continue
@@ -109,7 +109,7 @@ class ProcessTeam:
         return {name: 1 for name, worker in self._workers.items() if worker.ready}
 
     def begin(self, number: int, worker: str) -> None:
-        """Have a process do a task."""
+        """Send a task to a process."""
         self._workers[worker].number = number
         self._workers[worker].send(*self._tasks.call(number), True)
 
@@ -134,7 +134,7 @@ class ProcessTeam:
         return None
 
     def _take_as_ready(self, worker: _Worker, failed: bool, value: Any) -> None:
-        """Take a process among those that are given tasks, unless it says what keeps it from working."""
+        """Mark a process as ready, or raise the error that its check reported."""
         problem, is_device = (in_one_line(value), False) if failed else value
         if is_device:
             raise DeviceError(problem)
@@ -143,7 +143,7 @@ class ProcessTeam:
         worker.ready = True
 
     def end(self) -> None:
-        """End the processes. Where tasks have to be waited for, they are; others are left, and clean up."""
+        """End the processes; wait only for tasks that must finish, others are interrupted and clean up."""
         workers = list(self._workers.values())
         if self._tasks.over() is not None:
             deadline = time.monotonic() + _LONGEST
@@ -211,7 +211,7 @@ def _heirs(environment: dict[str, str]) -> Iterator[None]:
 
 
 def _serve(pipe: Any, device: str | None, environment: dict[str, str]) -> None:
-    """Make the calls that come by a pipe, until it is closed or the process is asked to end."""
+    """Execute calls from a pipe until it is closed or the process is told to end."""
     status = 1
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -229,7 +229,7 @@ def _serve(pipe: Any, device: str | None, environment: dict[str, str]) -> None:
 
 
 def _leave(number: int, frame: Any) -> None:
-    """Leave the task, and have all that is open clean up behind itself."""
+    """Raise out of the current task so that open resources clean up."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise KeyboardInterrupt
 
@@ -246,7 +246,7 @@ def _listen(pipe: Any, calls: queue.SimpleQueue[bytes | None]) -> None:
 
 
 def _answer(call: bytes, device: str | None) -> tuple[bool, Any]:
-    """Make a call; return whether it raised an error, and that or the value."""
+    """Execute a call; return (is an error, value or error)."""
     try:
         function, arguments, on_device = pickle.loads(call)
         more = (device,) if on_device else ()
@@ -256,7 +256,7 @@ def _answer(call: bytes, device: str | None) -> tuple[bool, Any]:
 
 
 def _send(pipe: Any, answer: tuple[bool, Any]) -> None:
-    """Send an answer; what cannot be sent, its text."""
+    """Send an answer, as text if it cannot be pickled."""
     try:
         content = pickle.dumps(answer, pickle.HIGHEST_PROTOCOL)
         if answer[0]:
@@ -282,7 +282,7 @@ def local_devices() -> list[str]:
 
 
 def worker_count(workers: int | None) -> int:
-    """Return how many processes are wanted on this machine: as asked, else one per GPU, else one per two cores."""
+    """Return the number of processes on this machine: as given, else one per GPU, else one per two cores."""
     from clsim.opencl.device import list_devices
 
     if workers is not None:

@@ -26,7 +26,7 @@ _REACH = 10  # s, for a scheduler to answer
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Workers that are asked for."""
+    """Requested workers: processes of this machine or a Dask scheduler."""
 
     number: int | None = None  # processes on this machine: one per GPU, else one per two cores where None
     scheduler: str | None = None  # address of a running Dask scheduler, whose workers do the work instead
@@ -53,7 +53,7 @@ class Workers:
             )
 
     def count(self) -> int:
-        """Return how many processes are wanted on this machine; 0 where others do the work."""
+        """Return the number of processes on this machine; 0 with a scheduler."""
         from clsim.cluster.processes import worker_count
 
         return 0 if self.scheduler else worker_count(self.number)
@@ -63,7 +63,7 @@ class Workers:
         return self if self.scheduler else Workers(max(1, min(self.count(), number)))
 
     def rows(self, dispatch: Dispatch, tasks: Tasks, devices: Sequence[str]) -> Generator[tuple[int, Row], None, None]:
-        """Have tasks done; yield number and row of each. If all processes of this machine are lost, start new ones."""
+        """Do tasks; yield number and row of each. If all processes of this machine die, start new ones."""
         from clsim.cluster.processes import local_team
 
         number, tries = self.count(), 0
@@ -86,7 +86,7 @@ class Workers:
 
 
 def is_open(scheduler: str) -> bool:
-    """Return whether a scheduler is on another machine and asks its clients for no certificate.
+    """Return True if a scheduler is on another machine and requires no certificates.
 
     Examples
     --------
@@ -112,7 +112,7 @@ class DaskTeam:
         self._done: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
 
     def workers(self) -> dict[str, int]:
-        """Return the workers that are there and have been seen to work, and how many tasks each does at a time."""
+        """Return the checked workers that are connected, and the tasks that each does at a time."""
         with _scheduler_there():
             there = self._client.nthreads()
             new = sorted(there.keys() - self._known)
@@ -133,7 +133,7 @@ class DaskTeam:
         return {a: threads if self._tasks.several else 1 for a, threads in there.items() if a in self._known}
 
     def begin(self, number: int, worker: str) -> None:
-        """Have a worker do a task."""
+        """Submit a task to this worker alone."""
         with _scheduler_there():
             future = self._client.submit(
                 _on_worker, *self._tasks.call(number),
@@ -165,7 +165,7 @@ class DaskTeam:
         return number, row
 
     def end(self) -> None:
-        """Want nothing more at all, and wait for workers that have to be waited for."""
+        """Cancel all tasks, and wait for workers that are still writing."""
         for future in self._futures.values():
             future.cancel()
         asked = self._tasks.over()
@@ -174,7 +174,7 @@ class DaskTeam:
             self._ask(asked, sorted(self._known & there.keys()), "ignore")
 
     def _ask(self, call: Call, workers: list[str], on_error: str) -> dict[str, Any]:
-        """Return what workers answer to a call, by their addresses."""
+        """Return the workers' results of a call, by address."""
         function, arguments = call
         answers: dict[str, Any] = self._client.run(function, *arguments, workers=workers, on_error=on_error)
         return answers
@@ -196,7 +196,7 @@ def _on_worker(function: Callable[..., Row], arguments: tuple[Any, ...]) -> Row:
 
 
 def row_of(future: Any, number: int, tasks: Tasks) -> Row | None:
-    """Return the row of a task that is done with, None if its worker died before it could tell."""
+    """Return the row of a task that ended, None if its worker died before it reported one."""
     from distributed import KilledWorker
 
     row = tasks.found(number)
@@ -221,7 +221,7 @@ def remote_team(scheduler: str, tasks: Tasks) -> Iterator[DaskTeam]:
 
 
 def check_reach(scheduler: str) -> None:
-    """See that a scheduler can be reached, before there is anything to do."""
+    """Raise an InputError if a scheduler cannot be reached."""
     with _quiet(), _client(scheduler):
         pass
 
@@ -240,7 +240,7 @@ def _client(scheduler: str) -> Iterator[Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Have Dask say nothing of what is said in one line anyway."""
+    """Silence Dask's log of errors that clsim reports itself."""
     import logging
 
     from distributed.utils import silence_logging_cmgr

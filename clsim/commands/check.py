@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Print what a scene file holds; return the exit status."""
+    """Print the content of a scene file; return the exit status."""
     file = load_scene(options.scene)
     for line in file.scene.describe():  # before the search, which may take long or give up
         print(line, flush=True)
@@ -56,7 +56,7 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _motion(trajectory: Trajectory) -> list[str]:
-    """Return how long and how fast a motion from a file is: times and lengths in other units show."""
+    """Return duration and speed of a motion from a file, which reveal wrong units."""
     if not trajectory.notes:
         return []
     t = np.linspace(trajectory.start, trajectory.end, _INSTANTS)
@@ -80,14 +80,14 @@ def _facing(scene: Scene) -> list[str]:
 
 
 def _left_by_images(planned: PlannedScene) -> list[str]:
-    """Return what images leave to a tail, unless the plan has it."""
+    """Return a note on the energy beyond the image sources, unless the plan has a tail."""
     asked = planned.plan.options
     left = left_by_images(planned.paths, asked.sampling_rate) if asked.tail == "off" else None
     return [] if left is None else [f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter"]
 
 
 def _thin(file: SceneFile) -> list[str]:
-    """Return what is said of panels of two edges within two wavelengths, where paths turn round one edge alone."""
+    """Return notes on panels with two edges within two wavelengths, where paths bend round one edge alone."""
     if file.paths["diffraction"] > 1:
         return []
     lowest = min(source.emitted.centre_frequency for source in file.scene.sources)

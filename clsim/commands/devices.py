@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """List them, or test one; return the exit status, 1 where a test fails."""
+    """List the devices, or test one; return the exit status, 1 if a test fails."""
     if options.test is not None:
         return _test(options.test or None)
     found = list_devices()

@@ -90,7 +90,7 @@ def _air(options: argparse.Namespace, humidity: float) -> Air:
 
 
 def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], list[Path]]:
-    """Return what is drawn, and the files that it was read from."""
+    """Return the diagrams to draw, and the files that they were read from."""
     wanted = None if options.frequencies is None else _checked_frequencies(options.frequencies)
     given = [name for name in ("scene", "name", "table") if getattr(options, name) is not None]
     if len(given) != 1:
@@ -148,7 +148,7 @@ def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> lis
 
 
 def _heard_frequencies(scene: Scene) -> Floats:
-    """Return the ends and the centres of what the sources emit, Hz."""
+    """Return the ends and centres of the emitted bands, Hz."""
     found = set()
     for source in scene.sources:
         emitted = source.emitted

@@ -97,7 +97,7 @@ def _paths(scene: Scene, kind: str, output: Path) -> list[Path]:
 
 
 def _kind(options: argparse.Namespace) -> str:
-    """Return the format: as asked, by the output's ending, or WAV files in a folder."""
+    """Return the format: as given, by the output's ending, or WAV files in a folder."""
     ending = options.output.suffix.removeprefix(".")
     kind: str = options.format or (ending if ending in ("npz", "sofa") else "wav")
     if kind != "wav" and ending != kind:

@@ -103,7 +103,7 @@ def _fill(
     options: argparse.Namespace,
     workers: Workers | None,
 ) -> list[Path]:
-    """Make what is missing in a folder; return its paths. Sound is moved there first: what fails later costs none."""
+    """Create missing results in a folder; return their paths. Sound comes first: a later failure does not lose it."""
     planned = plan_scene(file, progress)
     paths, plan = planned.paths, planned.plan
     if options.table != "none":

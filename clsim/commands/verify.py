@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Print which results have changed; return the exit status, 1 if any has."""
+    """Print the results that have changed; return the exit status, 1 if there are any."""
     folder = options.folder
     record = load_record(folder, "folder")
     if record.files:

@@ -80,7 +80,7 @@ def _box() -> Shoebox:
 
 
 def _render(signal: Signal, room: Room, device: str) -> None:
-    """Render a source that moves at 6 m/s past the corner, heard at rest, and heard there and on the way."""
+    """Render a source that passes the corner at 6 m/s, for receivers at rest and in motion."""
     way = Trajectory.line((3.6, 4.55, 1.5), (3.6, 4.55 - 6.0 * signal.duration, 1.5), signal.duration)
     source = Source("source", signal, way)
     at_rest = Receiver("at rest", Trajectory.fixed((7.0, 1.0, 2.0)))

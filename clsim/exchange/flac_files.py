@@ -82,7 +82,7 @@ def _rate(value: float) -> int:
 
 
 def _full_scales(recording: Recording, given: float | None) -> dict[str, float]:
-    """Return what 1 means for each unit, above all samples in it."""
+    """Return the full scale of each unit, above all samples in it."""
     if given is not None:
         given = as_number("full_scale", given, above=0.0, at_most=LOUDEST)
     found = {}

@@ -1,4 +1,4 @@
-"""Recordings as .mat files, for MATLAB and GNU Octave: samples and what is true of them."""
+"""Recordings as .mat files for MATLAB and GNU Octave: samples and ground truth."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _cells(words: Sequence[str]) -> NDArray[Any]:
 
 
 def _ground_truth(paths: PathSet, times: Floats) -> dict[str, Any]:
-    """Return what is true at times (T,), s."""
+    """Return the ground truth at times (T,), s."""
     scene, found = paths.scene, direct_path(paths, times)
     content: dict[str, Any] = {name: getattr(found, name) for name in _KEPT}
     content |= {"times": times, "source_names": _cells(found.source_names)}

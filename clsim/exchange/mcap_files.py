@@ -145,7 +145,7 @@ def _header(stamp: int, frame: str) -> dict[str, Any]:
 
 
 def _sound(recording: Recording, begin: int) -> Iterator[Message]:
-    """Yield what every receiver heard, piece by piece."""
+    """Yield messages of every receiver's samples, chunk by chunk."""
     rate, names = int(recording.sampling_rate), file_names(recording.receiver_names)
     channels = 1 if recording.carrier is None else 2
     info = {

@@ -24,13 +24,13 @@ _TEMPORARY = re.compile(r"\.clsim-([0-9a-f]{8})-(\d{1,9})-[0-9a-f]{8}\.partial(\
 
 
 def temporary_path(path: Path) -> Path:
-    """Return a name beside `path` under which it is written: short, and with its suffix, which libraries go by."""
+    """Return a short temporary name beside `path` with its suffix, from which libraries choose the format."""
     token = secrets.token_hex(4)
     return path.with_name(f".clsim-{_machine()}-{os.getpid()}-{token}.partial{path.suffix}")
 
 
 def is_temporary(name: str) -> bool:
-    """Return whether a file is called as those that are not whole yet."""
+    """Return True for names of unfinished files."""
     return _TEMPORARY.fullmatch(name) is not None
 
 
@@ -47,7 +47,7 @@ def remove_leftovers(folder: Path) -> None:
 
 @cache
 def _machine() -> str:
-    """Return what tells this machine, and this container, from others that share a disk with it."""
+    """Return an identity of this machine and container, for disks that several share."""
     space = Path("/proc/self/ns/pid")
     inode = space.stat().st_ino if space.exists() else 0
     return f"{zlib.crc32(f'{platform.node()} {inode}'.encode()):08x}"
@@ -84,14 +84,14 @@ def atomic_path(path: str | os.PathLike[str], within: Path | None = None) -> Ite
 
 
 def not_written(path: str | os.PathLike[str], error: Exception) -> OSError:
-    """Return what tells that a file cannot be written; libraries in C tell of a full disk as of any other failure."""
+    """Return the error of a file that cannot be written, with a full disk named, which C libraries do not report."""
     folder = Path(path).parent
     full = folder.is_dir() and shutil.disk_usage(folder).free < _NEXT_TO_NOTHING
     return OSError(f"cannot write {path}: {'disk full' if full or not str(error) else error}")
 
 
 def to_disk(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk itself."""
+    """Flush a file, or the names in a folder, to the disk."""
     if os.name == "nt" and path.is_dir():  # Windows keeps names safe on its own, and opens no folders
         return
     number = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
@@ -102,7 +102,7 @@ def to_disk(path: Path) -> None:
 
 
 def tree_to_disk(folder: Path) -> None:
-    """Wait until all that a folder holds is on the disk itself."""
+    """Flush all files of a folder to the disk."""
     for path in sorted(folder.rglob("*"), reverse=True):
         to_disk(path)
     to_disk(folder)

@@ -27,7 +27,7 @@ _KINDS = (
 
 
 def check_file(path: str | os.PathLike[str], largest: int) -> None:
-    """See that a path leads to a regular file of at most `largest` bytes."""
+    """Raise unless a path leads to a regular file of at most `largest` bytes."""
     try:
         found = Path(path).stat()
     except ValueError as error:  # a zero character, or one that the system cannot write
@@ -56,7 +56,7 @@ def read_file(path: str | os.PathLike[str], largest: int) -> bytes:
 
 
 def check_archive(file: IO[bytes], largest: int = LARGEST_BINARY) -> None:
-    """See that a ZIP archive says of itself that it unpacks to at most `largest` bytes."""
+    """Raise unless a ZIP archive declares at most `largest` unpacked bytes."""
     with zipfile.ZipFile(file) as archive:
         size = sum(member.file_size for member in archive.infolist())
     if size > largest:
@@ -83,7 +83,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _check_content(content: dict[str, Any] | list[Any], field: str, depth: int) -> None:
-    """Refuse whole numbers that no field can hold, and depths at which Python gives up."""
+    """Refuse integers beyond every field's range, and depths beyond Python's recursion limit."""
     if depth > _DEEPEST:
         raise InputError(f"{field:.80}", f"must not be deeper than {_DEEPEST} tables and lists within each other")
     table = isinstance(content, dict)

@@ -1,4 +1,4 @@
-"""What may be written where: nothing that others made is written over, and no input ever."""
+"""Checks before writing: foreign files and inputs are never overwritten."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class NewFile:
 
 
 def check_folder(folder: Path, field: str = "--output") -> None:
-    """See that a folder is there or can be made."""
+    """Raise unless a folder exists or can be created."""
     here = Path(os.path.abspath(folder))  # noqa: PTH100  (links are not to be resolved)
     first = next(path for path in [here, *here.parents] if os.path.lexists(path))
     if not first.is_dir():
@@ -54,7 +54,7 @@ def check_folder(folder: Path, field: str = "--output") -> None:
 
 
 def refuse_inputs(paths: Iterable[Path], inputs: Sequence[Path], field: str = "--output") -> None:
-    """See that no file that is written is, or holds, one that is read, by whatever name."""
+    """Raise if an output is, or contains, an input file, under whatever name."""
     read = {_number(path): path for path in inputs if path.exists()}
     real = {Path(os.path.realpath(path)): path for path in inputs}
     for path in paths:
@@ -67,6 +67,6 @@ def refuse_inputs(paths: Iterable[Path], inputs: Sequence[Path], field: str = "-
 
 
 def _number(path: Path) -> tuple[int, int]:
-    """Return what is the same for all names of a file."""
+    """Return the file's identity (device, inode)."""
     found = path.stat()
     return found.st_dev, found.st_ino

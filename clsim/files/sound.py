@@ -1,4 +1,4 @@
-"""Sound files: those that users have are read, and WAV files of 32-bit floats are written piece by piece."""
+"""Sound files: reading of users' files, and WAV files of 32-bit floats written chunk by chunk."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
 
 
 def as_scale(value: Any) -> float:
-    """Return what full scale of a file means, or raise an InputError for the field ``scale``."""
+    """Return the value of full scale, or raise an InputError for the field ``scale``."""
     return as_number("scale", value, at_least=-LOUDEST, at_most=LOUDEST)
 
 
@@ -169,7 +169,7 @@ class WavWriter:
 
 
 def wav_header(sampling_rate: float, channels: int, samples: int) -> bytes:
-    """Return what stands before the samples of a WAV file of 32-bit floats whose length is given.
+    """Return the header of a WAV file of 32-bit floats of given length.
 
     Above 4 GiB it is an RF64 file (EBU Tech 3306), which has the lengths in a chunk ``ds64``.
     """
@@ -196,14 +196,14 @@ def _whole_rate(sampling_rate: float) -> int:
 
 
 def as_frames(samples: NDArray[Any]) -> NDArray[np.float32]:
-    """Return samples (rows, n) as a file holds them, (n, channels): complex ones as real and imaginary channels."""
+    """Return samples (rows, n) as frames (n, channels); complex ones become real and imaginary channels."""
     if np.iscomplexobj(samples):
         samples = np.stack([samples.real, samples.imag], axis=1).reshape(-1, samples.shape[1])
     return np.asarray(samples.T, dtype=np.float32)
 
 
 class SoundFile:
-    """Samples of a mono sound file, read where they are cut."""
+    """Samples of a mono sound file, read on slicing."""
 
     def __init__(self, path: Path) -> None:
         import soundfile
@@ -224,7 +224,7 @@ class SoundFile:
 
 
 class EnvelopeFile(SoundFile):
-    """Samples of a file of real and imaginary parts, read where they are cut, complex64."""
+    """Samples of a file of real and imaginary parts, complex64, read on slicing."""
 
     def __getitem__(self, part: slice) -> Any:
         import soundfile

@@ -38,7 +38,7 @@ _FINE = 130  # dpi, of thin lines close to each other
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectivityDiagram:
-    """What one polar diagram shows.
+    """Content of one polar diagram.
 
     Shapes: frequencies (f,) Hz.
     """
@@ -101,7 +101,7 @@ def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathL
 
 
 def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
-    """Draw by how much sound in air is faster than at 0 Hz."""
+    """Draw the dispersion of air: speed of sound minus its value at 0 Hz."""
     dispersing = replace(air, dispersion=True)
     raised = [1e3 * (dispersing.speed_at(f) - air.speed_of_sound) for f in frequencies]
     told = f"{100 * air.state[1]:g} %: {air.speed_of_sound:.3f} m/s"
@@ -184,7 +184,7 @@ def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 
 def reflection_loss(material: Material, frequency: Floats, cosine: Floats) -> Floats:
-    """Return ``-20 log10 |R|``, dB; NaN where the material is not known, and no warning where it is held.
+    """Return ``-20 log10 |R|``, dB; NaN where the material is unknown. Extrapolation gives no warning.
 
     frequency, cosine: hz, and cosine of the angle of incidence; one of them may be a single number.
     """

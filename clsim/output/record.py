@@ -1,4 +1,4 @@
-"""The record of a folder: which of its files clsim wrote, of which run they are, and what they held then."""
+"""The record of a folder: clsim's files, their run and their digests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Fingerprint = tuple[int, str]  # bytes, and SHA-256 in hexadecimal
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What clsim wrote into a folder."""
+    """Files that clsim wrote into a folder."""
 
     identity: dict[str, Any] = field(default_factory=dict)  # of the run, as JSON keeps it; empty where there is none
     finished: bool = False  # whether all of it was made
@@ -31,7 +31,7 @@ class Record:
     replaced: tuple[tuple[str, Fingerprint], ...] = ()  # earlier results in whose place others are being put
 
     def fingerprints(self, name: str) -> list[Fingerprint]:
-        """Return what a file of clsim's may hold."""
+        """Return the possible fingerprints of one of clsim's files."""
         now = [self.files[name]] if name in self.files else []
         return now + [mark for other, mark in self.replaced if other == name]
 
@@ -70,7 +70,7 @@ def save_record(folder: Path, record: Record, work: Path) -> None:
 
 
 def changed_results(folder: Path, record: Record, names: Iterable[str] | None = None) -> list[str]:
-    """List results, of all or of those of some names, that no longer hold what was written, or are missing."""
+    """List results, all or those of given names, that are missing or differ from their record."""
     wanted = record.files if names is None else [name for name in names if name in record.files]
     return [name for name in wanted if fingerprint(folder / name) != record.files[name]]
 
@@ -83,7 +83,7 @@ def _plain(name: Any) -> str:
 
 
 def fingerprint(path: Path) -> Fingerprint | None:
-    """Return size and digest of a file, or of all that a folder holds; None of what is missing, a link or a device."""
+    """Return size and digest of a file or folder; None if it is missing, a link or a device."""
     try:
         mode = path.lstat().st_mode
         if stat.S_ISREG(mode):

@@ -155,6 +155,6 @@ def _tell_room(sofa: Any, scene: Scene) -> None:
 
 
 def _is_box(room: Room) -> bool:
-    """Return whether a room is a box along the axes."""
+    """Return True for a room that is a box along the axes."""
     across = np.sort(np.abs(room.faces.normals), axis=1)
     return room.is_convex and np.array_equal(across, np.tile([0.0, 0.0, 1.0], (6, 1)))

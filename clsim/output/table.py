@@ -42,7 +42,7 @@ def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
 
 
 def check_table(name: str, field: str = "path") -> None:
-    """See that a path table of a name can be written, before there is one; an error names `field`."""
+    """Raise if a path table of this name cannot be written; an error names `field`."""
     suffix = Path(name).suffix
     if name and suffix not in (".npz", ".parquet"):
         raise InputError(field, f"must end in .npz or .parquet, but is {name!r}")
@@ -51,7 +51,7 @@ def check_table(name: str, field: str = "path") -> None:
 
 
 def write_ground_truth(found: DirectPath, path: str | os.PathLike[str], echoes: Sequence[EchoTruth] = ()) -> None:
-    """Write what receivers should find out as ``.npz``: arrays as in `DirectPath`, ``scatterer_…`` and ``body_…``."""
+    """Write ground truth as ``.npz``: arrays as in `DirectPath`, ``scatterer_…`` and ``body_…``."""
     columns: dict[str, Any] = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
     columns = {name: np.array(value) if name in _NAMES else value for name, value in columns.items()}
     for echo in echoes:

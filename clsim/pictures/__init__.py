@@ -1,1 +1,1 @@
-"""Pictures and pages of plain values: what they show comes from above."""
+"""Plots and HTML pages made from plain values."""

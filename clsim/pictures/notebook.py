@@ -1,4 +1,4 @@
-"""What notebooks show: tables as HTML, pages inline, sound."""
+"""Notebook output: tables as HTML, pages inline, sound."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]
 
 
 def inline_page(field: str, page: str, height: int) -> Any:
-    """Return what shows a whole HTML page in a notebook, so many pixels high; `field` asks for it."""
+    """Return an HTML page for display in a notebook, of a height in pixels; errors name `field`."""
     check_packages(field, "a notebook", "notebook", "IPython")
     from IPython import display
 
@@ -37,7 +37,7 @@ def inline_page(field: str, page: str, height: int) -> Any:
 
 
 def inline_sound(field: str, samples: NDArray[Any], rate: int) -> Any:
-    """Return what plays samples (n,) in a notebook at a rate, Hz; `field` asks for it."""
+    """Return a player of samples (n,) for a notebook at a rate, Hz; errors name `field`."""
     check_packages(field, "a notebook", "notebook", "IPython")
     from IPython import display
 

@@ -68,7 +68,7 @@ def draw_spectrogram(
     segment: int | None = None,
     unit: str = "Pa",
 ) -> None:
-    """Draw level over time and frequency into axes; what is given is as in `spectrogram_picture`."""
+    """Draw level over time and frequency into axes; parameters as in `spectrogram_picture`."""
     low, high = band or (0.0, 0.5 * sampling_rate)
     raster = spectrogram(pressure, sampling_rate, (low, high), segment)
     against, offset = _REFERENCES[unit]
@@ -208,7 +208,7 @@ def draw_envelope_spectrogram(
     segment: int | None = None,
     shown: float | None = None,
 ) -> None:
-    """Draw the level of a complex envelope into axes; what is given is as in `envelope_spectrogram`."""
+    """Draw the level of a complex envelope into axes; parameters as in `envelope_spectrogram`."""
     from scipy.signal import ShortTimeFFT
     from scipy.signal.windows import hann
 

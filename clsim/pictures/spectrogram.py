@@ -23,7 +23,7 @@ _REFERENCE = 20e-6  # Pa
 
 
 class Readable(Protocol):
-    """Samples that can be cut: an array, or a sound file behind one."""
+    """Samples that can be sliced: an array or an open sound file."""
 
     def __len__(self) -> int: ...
 

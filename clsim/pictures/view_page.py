@@ -45,7 +45,7 @@ class ViewedWall:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewedEnd:
-    """A source or receiver: name, kind, positions (F, 3) at the frames and its whole way (M, 3), m.
+    """A source or receiver: name, kind, positions (F, 3) at the frames and its whole trajectory (M, 3), m.
 
     A position that is not known is NaN: nothing is drawn there. `aims` (F, 3) are unit vectors of what it is aimed at.
     """
@@ -71,7 +71,7 @@ class ViewedBody:
     axes: Floats
 
     def corners(self, frame: int) -> Floats:
-        """Return where its corners (V, 3) are in a frame, m."""
+        """Return the corners (V, 3) in a frame, m."""
         return np.asarray(self.places[frame] + self.vertices @ self.axes[frame])
 
 
@@ -102,7 +102,7 @@ def page_text(
     edges: Floats | None = None,
     bodies: Sequence[ViewedBody] = (),
 ) -> str:
-    """Return the text of one HTML page that holds everything, the drawing library included.
+    """Return the text of one self-contained HTML page, the drawing library included.
 
     Shapes: times (F,) s; edges (E, 2, 3) m.
     """
@@ -162,7 +162,7 @@ def _document(
     edges: Floats | None,
     bodies: Sequence[ViewedBody],
 ) -> dict[str, Any]:
-    """Return all that the page draws: traces that stay, those that change, and per frame what goes into them."""
+    """Return the data of the page: fixed traces, changing traces, and their values per frame."""
     last = max(int(np.max(f.order, initial=0)) for f in frames)
     pairs = [pair for frame in frames for pair in frame.pairs]
     sources, receivers = (list(dict.fromkeys(names)) for names in zip(*pairs, strict=True)) if pairs else ([], [])
@@ -187,13 +187,13 @@ def _plain(text: str) -> str:
 
 
 def _rounded(values: Floats) -> list[Any]:
-    """Return coordinates (n,) to a millimetre; what is not known is None."""
+    """Return coordinates (n,) rounded to a millimetre; None where unknown."""
     rounded = np.round(np.asarray(values, dtype=np.float64), 3) + 0.0  # no minus zero
     return [v if np.isfinite(v) else None for v in rounded.tolist()]
 
 
 def _wall_traces(walls: Sequence[ViewedWall]) -> list[dict[str, Any]]:
-    """Return for each material its surface and the outlines of its walls, which one legend entry toggles."""
+    """Return the surface and the wall outlines of each material, toggled by one legend entry."""
     traces = []
     for m, material in enumerate(dict.fromkeys(wall.material for wall in walls)):
         mine = [wall for wall in walls if wall.material == material]
@@ -206,7 +206,7 @@ def _wall_traces(walls: Sequence[ViewedWall]) -> list[dict[str, Any]]:
 
 
 def _edge_traces(edges: Floats | None) -> list[dict[str, Any]]:
-    """Return the edges that diffract, which a legend entry toggles."""
+    """Return the diffracting edges, toggled by one legend entry."""
     if edges is None or not len(edges):
         return []
     points = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
@@ -274,7 +274,7 @@ def _mark_trace(ends: Sequence[ViewedEnd]) -> dict[str, Any]:
 
 
 def _aim_lines(ends: Sequence[ViewedEnd], frame: int, reach: float) -> list[Any]:
-    """Return the ends of the lines, `reach` m long, that show what is aimed where: three coordinates each."""
+    """Return lines of length `reach` (m) along the orientations: three coordinates each."""
     aimed = [(end.positions[frame], end.aims[frame]) for end in ends if end.aims is not None]
     return [[_rounded(at), _rounded(at + reach * aim)] for at, aim in aimed]
 
@@ -290,7 +290,7 @@ def _order_trace(order: int) -> dict[str, Any]:
 
 
 def _frame(paths: ViewedPaths, last: int, sources: list[str], receivers: list[str]) -> list[dict[str, Any]]:
-    """Return for each order what is told of its paths, and all their vertices in a row: x, y, z, x, ..., whole mm."""
+    """Return for each order the paths' labels, and all their vertices in a row: x, y, z, x, ..., whole mm."""
     order = np.asarray(paths.order)
     orders = []
     for n in range(last + 1):

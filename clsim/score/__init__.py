@@ -1,4 +1,4 @@
-"""How well ranges and positions are found in a recording, against what is true."""
+"""Errors of ranges and positions estimated from a recording, against the ground truth."""
 
 from clsim.score.position import GdopMap, PositionScore, gdop, gdop_map, position
 from clsim.score.range_doppler import RangeDopplerMap, range_doppler

@@ -1,4 +1,4 @@
-"""A pulse's matched filter, and where between samples its output peaks."""
+"""Matched filter of a pulse, and peaks of its output between samples."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class MatchedFilter:
 
 
 def envelope_peak(output: Complexes, index: int) -> float:
-    """Return where the magnitude of an output (n,) peaks near a sample, in samples."""
+    """Return the position of the magnitude's peak in an output (n,), near a sample, in samples."""
     places, values = _between(output, index)
     level = np.square(np.abs(values))
     top = int(np.clip(np.argmax(level), 1, len(level) - 2))
@@ -84,7 +84,7 @@ def envelope_peak(output: Complexes, index: int) -> float:
 
 
 def phase_peak(output: Complexes, index: int) -> float:
-    """Return where, nearest to the envelope's peak by a sample, the output (n,) is real and positive, in samples.
+    """Return the position nearest to the envelope's peak at which the output (n,) is real and positive, in samples.
 
     That is the crest of the correlation itself: exact to a fraction of a wave, if the envelope finds the right one.
     """

@@ -166,7 +166,7 @@ def gdop_map(anchors: Floats, x: Floats, y: Floats, z: float, method: str = "toa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionScore:
-    """Positions that were found, and what is true of them.
+    """Estimated positions and their ground truth.
 
     Attributes
     ----------

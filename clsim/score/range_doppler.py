@@ -1,4 +1,4 @@
-"""Range-Doppler maps: where echoes of a train of pulses come from, and how fast that changes."""
+"""Range-Doppler maps: echoes of a train of pulses by range and speed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _RANGE_DB = 60.0  # shown below the loudest
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeDopplerMap:
-    """What a train of pulses brings back, by range and speed.
+    """Echoes of a train of pulses by range and speed.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ _LATE = 1e-10  # s, of rounding, by which a receiver's trajectory may be exceede
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangingScore:
-    """Ranges that were measured, and what is true of them.
+    """Estimated ranges and their ground truth.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class RangingScore:
         return pandas.DataFrame(columns | {name: getattr(self, name).ravel() for name in over})
 
     def plot(self) -> list[Axes]:
-        """Draw errors over time, by line of sight, and how their magnitudes are distributed.
+        """Draw errors over time, by line of sight, and the distribution of their magnitudes.
 
         Returns
         -------
@@ -292,7 +292,7 @@ def emissions_of(recording: Recording, source: int, length: int) -> Floats:
 
 
 def span_of(emitted: Floats, recording: Recording, max_range: float | None, speed_of_sound: float) -> int:
-    """Return in how many samples after an emission a pulse is looked for."""
+    """Return the search window after an emission, in samples."""
     rate = recording.sampling_rate
     gap = float(np.diff(emitted).min(initial=recording.samples.shape[1] / rate))
     if max_range is not None:
@@ -303,7 +303,7 @@ def span_of(emitted: Floats, recording: Recording, max_range: float | None, spee
 def outputs_of(
     samples: NDArray[Any], matched: MatchedFilter, emitted: Floats, span: int
 ) -> Iterator[tuple[int, Complexes]]:
-    """Yield, for each emission, the sample from which on a pulse is looked for, and the filter's output (n,)."""
+    """Yield, for each emission, the first sample of its search window and the filter's output (n,)."""
     begins = np.floor(emitted * matched.sampling_rate).astype(np.int64)
     length = span + len(matched.pulse) - 1
     for i in range(0, len(begins), _AT_A_TIME):
@@ -316,7 +316,7 @@ def outputs_of(
 
 
 def _found(output: Complexes, method: str, detection: float, first: float) -> float | None:
-    """Return where a pulse begins in a filter's output (n,), in samples, or None if there is none."""
+    """Return the arrival of a pulse in a filter's output (n,), in samples, or None."""
     level = np.abs(output)
     top, least = int(np.argmax(level)), detection * float(np.median(level))
     if not level[top] > least:
@@ -355,7 +355,7 @@ def _noise_density(end: Receiver, sampling_rate: float, frequency: float) -> flo
 
 
 def heard_scene(recording: Recording, what: str) -> PathSet:
-    """Return the paths of a recording that a score of some kind is made of."""
+    """Return the paths of a recording, or raise if a score of this kind cannot be made from it."""
     recording = as_recording(recording)
     if recording.carrier is not None:
         raise InputError("recording", f"must be sound for {what}, but is the envelope about {recording.carrier:g} Hz")

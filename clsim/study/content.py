@@ -1,4 +1,4 @@
-"""What is kept of a member of a study: sound, ground truth, paths, and what the user's function makes of them."""
+"""Stored content of a member of a study: sound, ground truth, paths, and the user's metrics."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def computed(study: Study, member: Member, device: str | None, folder: Path) -> 
 
 
 def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | None) -> Recording | None:
-    """Render into a store, and into a file of a folder, from which the recording is read; None is neither."""
+    """Render into a store, and into a file of a folder from which the recording is read; either may be None."""
     plan, rendering = planned.plan, Rendering(planned.plan)
     sinks: list[Sink] = []
     if store is not None:
@@ -127,7 +127,7 @@ def _add_paths(content: Any, table: PathTable) -> None:
 
 
 def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
-    """Add what the user's function returned: numbers, arrays, or arrays with dimensions of their own."""
+    """Add the metrics that the user's function returned: numbers, arrays, or arrays with own dimensions."""
     import xarray
 
     if not isinstance(found, dict):

@@ -1,4 +1,4 @@
-"""Study files: TOML that names a scene file and what is varied in it."""
+"""Study files: TOML with a scene file and the fields to vary."""
 
 from __future__ import annotations
 

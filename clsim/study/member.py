@@ -138,7 +138,7 @@ def as_row(text: str | bytes) -> dict[str, Any] | None:
 
 
 def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[str, bool]:
-    """Return what keeps a worker from doing its work, or an empty text, and whether that is its device."""
+    """Return the reason why a worker cannot work, or an empty text, and whether its device is the reason."""
     from clsim.opencl.device import find_device
 
     if not (Path(folder) / SETTINGS).exists():
@@ -155,7 +155,7 @@ def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[s
 
 
 def is_disk_full(error: BaseException) -> bool:
-    """Return whether an error is one that all other members would meet, too."""
+    """Return True for an error that all other members would meet, too."""
     return isinstance(error, OSError) and error.errno in _DISK_FULL
 
 
@@ -171,7 +171,7 @@ def _read_settings(folder: str, changed: int) -> Study:
 
 
 def study_to_settings(study: Study) -> dict[str, Any]:
-    """Return a study as what JSON holds."""
+    """Return a study as values for JSON."""
     members = [{"parameters": m.parameters, "changes": m.changes} for m in study.members]
     return {
         "content": study.content, "base": str(study.base), "folder": str(study.folder), "keep": list(study.keep),
@@ -213,12 +213,12 @@ def discard(group: Path) -> None:
 
 
 def root_attributes() -> dict[str, Any]:
-    """Return what stands at the root of a study's store."""
+    """Return the root attributes of a study's store."""
     return {"clsim_store_format": STORE_FORMAT, "clsim_version": __version__}
 
 
 def changed_arrays(store: Path) -> tuple[list[str], int]:
-    """List arrays of a store, or the store, whose chunks cannot be read or have other checksums; count all of them."""
+    """List arrays of a store whose chunks cannot be read or fail their checksum, and count all arrays."""
     check_packages("folder", "zarr", "store", "zarr")
     import zarr
 

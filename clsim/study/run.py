@@ -44,7 +44,7 @@ INDEX = "index.jsonl"
 
 @dataclass(frozen=True, slots=True)
 class MemberRow:
-    """What became of a member."""
+    """Result of a member."""
 
     member: int  # from 0
     parameters: dict[str, Any]  # values of what is varied, by its name
@@ -87,7 +87,7 @@ class Index:
 
     @property
     def untouched(self) -> bool:
-        """Whether nothing is known of any member."""
+        """True if no member has a result."""
         return all(row.status == "waiting" for row in self.rows.values())
 
     def _take(self, row: dict[str, Any]) -> MemberRow:
@@ -103,7 +103,7 @@ class Index:
         return [row.member for row in self.rows.values() if row.status in wanted]
 
     def add(self, row: dict[str, Any]) -> MemberRow:
-        """Note what became of a member, on the disk itself."""
+        """Append a member's result to the file, flushed to the disk."""
         taken = self._take(row)
         with self._path.open("a", encoding="utf-8") as file:
             file.write(_line(taken))
@@ -123,7 +123,7 @@ def _line(row: MemberRow) -> str:
 
 
 def create_store(folder: Path) -> None:
-    """Make the store of a study, still without members, or what is broken of it."""
+    """Create the store of a study without members, or repair its root."""
     import zarr
 
     root = folder / STORE / "zarr.json"
@@ -309,7 +309,7 @@ def run_study(
 
 
 def _refuse_begun(folder: Path) -> None:
-    """See that a folder holds no study, and nothing else of the names that one takes."""
+    """Raise if a folder holds a study, or other files of a study's names."""
     if (folder / SETTINGS).exists():
         raise InputError(
             "--output", f"must hold no study yet, but {folder} does (--resume goes on, --retry also with what failed)"
@@ -320,7 +320,7 @@ def _refuse_begun(folder: Path) -> None:
 
 
 def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
-    """Make the folder of a study, or see that it holds this very one; return whether it was made."""
+    """Create the folder of a study, or check that it holds this very one; return True if it was created."""
     if new or not (folder / SETTINGS).exists():
         _refuse_begun(folder)  # another process may have made it meanwhile
     settings = study_to_settings(study) | {"made_by": _made_by(study, files)}
@@ -350,7 +350,7 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
 
 
 def _undo(folder: Path) -> None:
-    """Delete what `_begin` made, because nothing could be run: the same command will do when the reason is gone."""
+    """Delete the output of `_begin`, because nothing could be run: the same command works once the reason is gone."""
     shutil.rmtree(folder / PARTIAL, ignore_errors=True)
     for name in (INDEX, f"{STORE}/zarr.json", SETTINGS, ".lock"):
         (folder / name).unlink(missing_ok=True)
@@ -360,7 +360,7 @@ def _undo(folder: Path) -> None:
 
 
 def _made_by(study: Study, files: set[Path]) -> dict[str, Any]:
-    """Return what the results depend on beside the study: versions, and the contents of files."""
+    """Return the other inputs of the results: versions, and digests of files."""
     import scipy
 
     module = study.folder / f"{study.metrics.partition(':')[0]}.py"
@@ -372,7 +372,7 @@ def _made_by(study: Study, files: set[Path]) -> dict[str, Any]:
 
 
 def _run(tasks: MemberTasks, dispatch: Dispatch, index: Index, workers: Workers, progress: Progress) -> None:
-    """Run members on workers, and note what becomes of each."""
+    """Run members on workers, and record their results."""
     from clsim.cluster.processes import local_devices
 
     if not dispatch.left:

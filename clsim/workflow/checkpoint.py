@@ -1,4 +1,4 @@
-"""A run that may be killed at any moment, and goes on from where it was."""
+"""A run that can be killed at any moment and resumed, in this process or in pieces on workers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _UNKNOWN = 16  # workers that a scheduler is taken to have
 def render_sound(
     results: ResultFolder, plan: Plan, store: SoundStore, identity: dict[str, Any], workers: Workers | None = None
 ) -> list[Path]:
-    """Render into a store, from the beginning or from where the journal says; return what was moved to its place."""
+    """Render into a store, from the beginning or from the checkpoint; return the paths moved to their place."""
     names = [path.name for path in store.paths]
     if all(map(results.is_whole, names)):
         return []
@@ -71,19 +71,19 @@ def render_sound(
 
 
 class _Notes:
-    """What is noted in the journal of a run, not too often."""
+    """Checkpoints of a run, at a limited rate."""
 
     def __init__(self, results: ResultFolder, identity: dict[str, Any], samples: int, done: int) -> None:
         self._results, self._identity, self._samples = results, identity, samples
         self._done, self._noted = done, -math.inf
 
     def due(self, done: int) -> bool:
-        """Return whether it is time to note that so many samples are there."""
+        """Return True if a checkpoint at so many samples is due."""
         finished = done == self._samples
         return done > self._done and (finished or time.monotonic() - self._noted > _PERIOD)
 
     def __call__(self, done: int, state: State) -> None:
-        """Note what is there, on the disk itself, and what is remembered behind it, if it is time."""
+        """Write a checkpoint of samples and state to the disk, if one is due."""
         if self.due(done):
             self._results.journal.save(self._identity, done, state)
             self._done, self._noted = done, time.monotonic()
@@ -166,7 +166,7 @@ def render_on_workers(
 
 
 def _tell(warnings: list[str], told: set[str]) -> None:
-    """Warn of what pieces warned of: each has its own numbers, and the first stands for all."""
+    """Forward the warnings of pieces; those that differ in numbers alone appear once."""
     for text in warnings:
         without_numbers = re.sub(r"[\d.]+", "", text)
         if without_numbers not in told:
@@ -175,7 +175,7 @@ def _tell(warnings: list[str], told: set[str]) -> None:
 
 
 def _devices(workers: Workers, plan: Plan) -> list[str]:
-    """Return devices of this machine over which its workers are spread: those of the kind that the plan is for."""
+    """Return the devices of this machine over which workers are spread: those of the plan's kind."""
     from clsim.cluster.processes import local_devices
     from clsim.render.planning import on_device
 
@@ -231,7 +231,7 @@ class Pieces:
         return [*(len(self._next) * stretch for stretch in stretches), *range(self._behind, self.count)]
 
     def _can_be_summed(self, stretch: int) -> bool:
-        """Return whether all is there that a stretch's pressure is made of."""
+        """Return True if all inputs of a block's pressure exist."""
         return not self._parts[stretch] and (not self._is_chain or stretch == self._next[0])
 
     def piece(self, number: int) -> Piece:
@@ -245,7 +245,7 @@ class Pieces:
         return Piece(first, last, self._later[chain - 1] if chain else None)
 
     def rendered(self, number: int) -> int:
-        """Return how many samples of pressure a piece adds."""
+        """Return the number of pressure samples that a piece adds."""
         piece = self.piece(number)
         return piece.last - piece.first if piece.receivers is None and piece.shared is None else 0
 
@@ -254,7 +254,7 @@ class Pieces:
         return check_worker, (self.file, device_of(self._plan), versions())
 
     def call(self, number: int) -> Call:
-        """Return a call of `do_piece` with what is remembered before it."""
+        """Return a call of `do_piece` with the state before the piece."""
         if number >= self._behind:
             return do_piece, (self.file, self.piece(number), {})
         stretch, chain = divmod(number, len(self._next))
@@ -265,7 +265,7 @@ class Pieces:
         )  # fmt: skip
 
     def found(self, number: int) -> Row | None:
-        """Return nothing: only what a worker tells is known of a piece."""
+        """Return None: a piece's result is known from its worker alone."""
         return None
 
     def failed(self, number: int, error: BaseException) -> Row:
@@ -273,12 +273,12 @@ class Pieces:
         raise error
 
     def over(self) -> Call:
-        """Have workers write nothing more; return a call that waits until they do not."""
+        """Stop workers from writing; return a call that waits until they have stopped."""
         self.file.remove()
         return idle, ()
 
     def settle(self, number: int, state: State) -> list[int]:
-        """Take a piece as done; return those that can be done now, what comes first last."""
+        """Mark a piece as done; return the pieces that became possible, the most urgent last."""
         if number >= self._behind:
             return self._found(self._shared[number - self._behind])
         stretch, chain = divmod(number, len(self._next))
@@ -304,7 +304,7 @@ class Pieces:
         return ready
 
     def _found(self, name: str) -> list[int]:
-        """Take what is shared by a name as made; return the pieces that it was all that was missing for."""
+        """Mark a shared part as made; return the pieces that waited for it alone."""
         for stretch in self._users[name]:
             self._parts[stretch].discard(name)
         ready = filter(self._can_be_summed, self._users[name])
@@ -317,7 +317,7 @@ class Pieces:
                 self.file.shared(name).unlink(missing_ok=True)
 
     def whole(self) -> tuple[int, State]:
-        """Return how many samples are there without a gap, and what is remembered behind them."""
+        """Return the number of samples without a gap, and the state after them."""
         stretch = min(self._next)
         state: State = {}
         for states in self._states:

@@ -1,4 +1,4 @@
-"""What the command line shows beside its results: progress and warnings."""
+"""Progress and warnings on the command line."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def in_prefixes(value: float) -> str:
 
 @contextmanager
 def no_progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
-    """Yield a function that shows nothing: where no terminal is, or others show what is done."""
+    """Yield a function that shows nothing."""
     yield lambda amount: None
 
 
@@ -86,7 +86,7 @@ class BuiltPrograms(logging.Handler):
         self.count, self._seconds, self._told = 0, 0.0, not sys.stderr.isatty()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Take what the compiler logs of a program: its name, and seconds."""
+        """Count a program from the compiler's log record: its name, and seconds."""
         _, seconds = record.args if isinstance(record.args, tuple) else ("", 0.0)
         self.count, self._seconds = self.count + 1, self._seconds + float(str(seconds))
         if self._seconds > _MOMENT and not self._told:
@@ -96,7 +96,7 @@ class BuiltPrograms(logging.Handler):
 
 @contextmanager
 def built_programs() -> Iterator[BuiltPrograms]:
-    """Yield what counts, and tells of, the programs that are built in this block."""
+    """Yield a counter of the programs that are built in this block."""
     log, handler = logging.getLogger("clsim.opencl.compiler"), BuiltPrograms()
     level, spreads = log.level, log.propagate
     log.addHandler(handler)

@@ -1,4 +1,4 @@
-"""A device put to the test: parity with the reference engine on a handful of scenes, and its rates."""
+"""Test of a device: parity with the reference engine on a handful of scenes, and its rates."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _SIZE = np.array([6.0, 5.0, 3.0])
 
 @dataclass(frozen=True, slots=True)
 class DeviceReport:
-    """What became of a device's test."""
+    """Result of a device's test."""
 
     info: DeviceInfo  # the device
     apart_db: dict[str, float]  # by scene, how far it is from the reference engine, dB of what is heard
@@ -51,11 +51,11 @@ class DeviceReport:
 
     @property
     def passed(self) -> bool:
-        """Whether every scene is within what is promised at default settings."""
+        """True if every scene is within the promised error at default settings."""
         return max(self.apart_db.values()) < PROMISED_DB
 
     def line(self) -> str:
-        """Return all of it in one line, to be sent in."""
+        """Return the report in one line."""
         info = self.info
         worst = max(self.apart_db, key=self.apart_db.__getitem__)
         parts = [
@@ -70,7 +70,7 @@ class DeviceReport:
 
 
 def put_to_test(wanted: str | None = None, tell: Callable[[str], None] = lambda text: None) -> DeviceReport:
-    """Put a device to the test."""
+    """Test a device."""
     info, _ = find_device(wanted)
     apart, begun, first = {}, time.perf_counter(), 0.0
     for name, plan in _plans(info.id).items():
@@ -83,7 +83,7 @@ def put_to_test(wanted: str | None = None, tell: Callable[[str], None] = lambda 
 
 
 class _TimedEngine(OpenclEngine):
-    """Measures how long making nodes takes, by itself."""
+    """Engine that measures the time spent on making nodes."""
 
     def __init__(self, plan: Plan) -> None:
         super().__init__(plan)
@@ -91,12 +91,12 @@ class _TimedEngine(OpenclEngine):
         self._timed: dict[int, _TimedMaker] = {}
 
     def maker(self, pair: int) -> Any:
-        """Return what makes the nodes of a pair, and takes the time."""
+        """Return the node maker of a pair, timed."""
         found = super().maker(pair)
         return self._timed.setdefault(id(found), _TimedMaker(self, found))
 
     def finish(self) -> None:
-        """Wait until the device has done what it was given."""
+        """Wait for the device's queue."""
         self._queue.finish()
 
 
@@ -106,7 +106,7 @@ class _TimedMaker:
         self.prepare = maker.prepare
 
     def nodes(self, *arguments: Any) -> DeviceNodes:
-        """Make nodes, and add the time that it takes, s, to the engine's."""
+        """Make nodes, and add the time taken (s) to the engine's."""
         self._engine.finish()
         begun = time.perf_counter()
         made: DeviceNodes = self._maker.nodes(*arguments)
@@ -134,7 +134,7 @@ def _wall(factor: float) -> Material:
 
 
 def _plans(device: str) -> dict[str, Plan]:
-    """Return the plans that are compared, by what they are about."""
+    """Return the compared plans, by subject."""
     tone = Signal.tone(40e3, _DURATION, RATE, fade=0.005)
     sweep = Signal.chirp(36e3, 44e3, _DURATION, RATE, window="tukey")
     pulses = Signal.pulses(Signal.chirp(38e3, 42e3, 1e-3, RATE, window="hann"), 0.012, 2)

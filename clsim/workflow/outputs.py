@@ -1,4 +1,4 @@
-"""The names of all that a run writes, known before anything is computed."""
+"""Names of all files of a run, known before anything is computed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PICTURES = ("paths", "spectrogram", "echogram")  # of each, the first only where
 
 @dataclass(frozen=True, slots=True)
 class RunOutputs:
-    """What a run may write into its folder."""
+    """Files that a run may write into its folder."""
 
     receivers: list[str]  # names of the receivers, as files are called
     sound: list[str]  # files or folders of the sound
@@ -28,19 +28,19 @@ class RunOutputs:
 
     @classmethod
     def of(cls, file: SceneFile, store: str, table: str, *, pictures: bool) -> RunOutputs:
-        """Return what a scene file gives with a kind of store, and of table, "none" for none of it."""
+        """Return the outputs of a scene file for a kind of store and of table ("none" for no table)."""
         names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
         file_of_table = "" if table == "none" else f"paths.{table}"
         return cls(names, STORES[store].names(names), file_of_table, names[:MOST_DRAWN] if pictures else [])
 
     def beside_sound(self, changing: bool = True) -> list[str]:
-        """Return what is made once there is sound, the completed scene last; `changing`: whether paths come and go."""
+        """Return the files made after the sound, the completed scene last; `changing`: paths come and go."""
         tables = [self.table, GROUND_TRUTH] if self.table else [GROUND_TRUTH]
         kinds = PICTURES if changing else PICTURES[1:]
         return [*tables, *(picture(name, kind) for name in self.drawn for kind in kinds), COMPLETED]
 
     def all(self) -> list[str]:
-        """Return all that may be written."""
+        """Return all files that may be written."""
         return [*self.sound, *self.beside_sound()]
 
 

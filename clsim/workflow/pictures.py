@@ -46,7 +46,7 @@ def draw_pictures(
     outputs: RunOutputs,
     missing: list[str],
 ) -> None:
-    """Draw the missing pictures; one that fails is a warning, and the others are drawn.
+    """Draw the missing plots at times (T,), s; one that fails becomes a warning.
 
     Shapes: times (T,) s.
     """
@@ -85,7 +85,7 @@ def _draw(kind: str, planned: PlannedScene, times: Floats, sound: Readable, r: i
 
 
 def _sweep_window(plan: Plan) -> int | None:
-    """Return the window in which a short sweep goes as far as the window resolves; None for other signals."""
+    """Return the window of a spectrogram that resolves a short sweep best, samples; None for other signals."""
     windows = []
     for filters in plan.source_filters:
         pulse = filters.signal.pulse
@@ -97,7 +97,7 @@ def _sweep_window(plan: Plan) -> int | None:
 
 
 def _theory(planned: PlannedScene, times: Floats, r: int) -> list[tuple[Floats, Floats, str]]:
-    """Return frequencies over time of direct sound and first reflections, of a single tone heard by few paths."""
+    """Return frequencies over time of the direct path and first reflections, for a tone with few active paths."""
     sources = planned.plan.source_filters
     if len(sources) != 1:
         return []
@@ -116,7 +116,7 @@ def _theory(planned: PlannedScene, times: Floats, r: int) -> list[tuple[Floats, 
 
 
 def _shown_band(plan: Plan) -> tuple[float, float]:
-    """Return the frequencies worth showing: those that hold nearly all energy, with a margin for Doppler."""
+    """Return the band (Hz) that contains nearly all energy, with a margin for Doppler shifts."""
     low: float = np.inf
     high: float = 0.0
     for filters in plan.source_filters:

@@ -45,7 +45,7 @@ _busy = threading.Lock()  # a process does one piece at a time: engines are not 
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what samples depend on."""
+    """Return the versions of packages that samples depend on."""
     import scipy
 
     return {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
@@ -77,7 +77,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Handed:
-    """What all workers of a run have of it."""
+    """Data of a run that all workers share."""
 
     plan: Plan  # what is rendered
     store: SoundStore  # into which; created
@@ -86,33 +86,33 @@ class Handed:
 
     @classmethod
     def of(cls, plan: Plan, store: SoundStore, blocks: int) -> Handed:
-        """Return what workers are to have, with receivers in so many blocks."""
+        """Return the shared data, with receivers in so many blocks."""
         edges = np.linspace(0, plan.receiver_count, min(blocks, plan.receiver_count) + 1).astype(int).tolist()
         return cls(plan, store, tuple(map(range, edges[:-1], edges[1:])), blas_threads())
 
     def later(self) -> list[range]:
-        """Return the blocks in which something rings on, whose pieces are a chain."""
+        """Return the blocks with receivers that carry state, whose pieces form a chain."""
         ends = receivers_with_ends(self.plan)
         return [block for block in self.blocks if any(i in block for i in ends)]
 
 
 @dataclass(frozen=True, slots=True)
 class PlanFile:
-    """A file from which workers take a run; what they write for each other stands beside it."""
+    """File from which workers read a run; intermediate results of workers stand beside it."""
 
     path: str  # the same on all machines
     digest: str  # SHA-256 of what it holds
 
     @classmethod
     def write(cls, folder: Path, handed: Handed) -> PlanFile:
-        """Write one into a folder of what is not whole yet."""
+        """Write the shared data into a folder of unfinished results."""
         content, path = pickle.dumps(handed, pickle.HIGHEST_PROTOCOL), temporary_path(folder.absolute() / "run.plan")
         with safe_path(path) as temporary:
             temporary.write_bytes(content)
         return cls(str(path), hashlib.sha256(content).hexdigest())
 
     def load(self) -> Handed:
-        """Return what it holds."""
+        """Return the shared data."""
         content = Path(self.path).read_bytes()
         if hashlib.sha256(content).hexdigest() != self.digest:
             raise ClsimError(f"{self.path} must hold the plan of this run, but holds another one")
@@ -120,12 +120,12 @@ class PlanFile:
         return handed
 
     def between(self, start: int, block: range) -> Path:
-        """Return the file in which a block's pressure, for the chunk from `start` on, waits for its receivers."""
+        """Return the file of a block's pressure for the chunk from `start` on, until its receivers take it."""
         path = Path(self.path)
         return path.with_name(f"{path.stem}.{start}-{block.start}.npy")
 
     def shared(self, name: str) -> Path:
-        """Return the file in which what several pieces are made of waits for them, by its name."""
+        """Return the file of an intermediate result that several pieces use, by its name."""
         path = Path(self.path)
         return path.with_name(f"{path.stem}.shared-{name}.npy")
 
@@ -138,7 +138,7 @@ class PlanFile:
 
 
 def check_worker(plan: PlanFile, device: str, wanted: dict[str, str]) -> tuple[str, bool]:
-    """Return what keeps a worker from rendering like the others, or "", and whether that is its device."""
+    """Return the reason why a worker cannot render like the others, or "", and whether its device is the reason."""
     for name, mine in versions().items():
         if mine != wanted[name]:
             return f"must have {name} {wanted[name]}, with which the run was begun, but has {mine}", False
@@ -153,7 +153,7 @@ def check_worker(plan: PlanFile, device: str, wanted: dict[str, str]) -> tuple[s
 
 
 def do_piece(plan: PlanFile, piece: Piece, state: State, device: str | None) -> Row:
-    """Render a piece into the store, on the disk itself; return its row with what the next one is to remember."""
+    """Render a piece into the store, flushed to the disk; return its row with the state for the next piece."""
     begun = time.process_time()
     with _busy, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
@@ -187,7 +187,7 @@ def _site(plan: PlanFile, device: str | None) -> _Site:
 
 
 class _Site:
-    """What a worker keeps of a run from piece to piece."""
+    """State that a worker keeps between pieces of a run."""
 
     def __init__(self, plan: PlanFile, device: str | None) -> None:
         self.handed, self._file = _handed(plan), plan
@@ -197,7 +197,7 @@ class _Site:
         self._chains: dict[range, ReceiverChain] = {}
 
     def do(self, piece: Piece, state: State) -> State:
-        """Do a piece; return what the next one is to remember."""
+        """Do a piece; return the state for the next one."""
         if piece.shared is not None:
             self._make(piece.shared)
             return {}
@@ -211,7 +211,7 @@ class _Site:
         return remembered
 
     def _sum(self, piece: Piece, state: State) -> State:
-        """Render pressure; write what is sound by that, and leave the rest to the receivers' pieces."""
+        """Render pressure; write the receivers whose samples it is, and leave the rest to the receivers' pieces."""
         whole = self._whole()
         if state:
             whole.restore(state)
@@ -229,21 +229,21 @@ class _Site:
         return whole.state()
 
     def _make(self, name: str) -> None:
-        """Make what several pieces are made of."""
+        """Compute an intermediate result that several pieces use."""
         made = self._whole().made(name)
         self._check_on()
         with atomic_path(self._file.shared(name)) as path:
             np.save(path, made)
 
     def _whole(self) -> PressureSum:
-        """Return the sum of all contributions, which look up what others made."""
+        """Return the sum of all contributions, which read the intermediate results of others."""
         if self._pressure is None:
             self._pressure = PressureSum(self._plan)
             self._pressure.look_up(lambda name: np.load(self._file.shared(name), allow_pickle=False))
         return self._pressure
 
     def _taken(self, piece: Piece, state: State) -> State:
-        """Have receivers take pressure that others rendered."""
+        """Apply the receivers' electronics to pressure that others rendered."""
         block = piece.receivers
         assert block is not None
         if block not in self._chains or not state:
@@ -265,6 +265,6 @@ class _Site:
         self.handed.store.write(start, samples, block.start)
 
     def _check_on(self) -> None:
-        """See that the run goes on: another one may have begun where it was."""
+        """Raise if another run has begun in the same folder."""
         if not Path(self._file.path).exists():
             raise ClsimError("the run is over")

@@ -58,21 +58,21 @@ class PlannedScene:
         return paths.table(times, self.plan.options.motion, self.plan.options.amplitude)
 
     def ground_truth(self, times: Floats) -> DirectPath:
-        """Return what receivers should find out of the direct sound, at times of reception, s."""
+        """Return the ground truth of the direct path, at times of reception, s."""
         return direct_path(self.paths, times, self.plan.options.motion)
 
     def echo_truths(self, times: Floats) -> tuple[EchoTruth, ...]:
-        """Return what they should find out of scatterers and bodies, at times of reception, s."""
+        """Return the ground truth of scatterers and bodies, at times of reception, s."""
         scene, motion = self.paths.scene, self.plan.options.motion
         scattered = (scatterer_truth(scene, times, motion),) if scene.scatterers else ()
         return (*scattered, body_truth(scene, times, motion)) if scene.bodies else scattered
 
     def completed(self, folder: Path) -> str:
-        """Return the text of the scene file with all defaults and what was chosen, that works from a folder."""
+        """Return the text of the scene file with all defaults and choices, with file names relative to a folder."""
         return completed_scene(self.file, folder, duration=self.plan.duration, chunk=self.plan.chunk)
 
     def stored_sound(self, folder: Path) -> StoredSound:
-        """Return what a store in a folder says of the sound."""
+        """Return the description of the sound for a store in a folder."""
         plan, receivers = self.plan, self.paths.scene.receivers
         positions = np.concatenate([receiver.trajectory.position(np.zeros(1)) for receiver in receivers])
         return StoredSound(
@@ -106,7 +106,7 @@ def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathS
 
 @contextmanager
 def _errors_within(table: str) -> Iterator[None]:
-    """Have errors name the field of the scene file, which is this table's if it is not of the scene itself."""
+    """Name the field of the scene file in errors; fields that are not the scene's belong to `table`."""
     try:
         yield
     except InputError as error:
@@ -116,7 +116,7 @@ def _errors_within(table: str) -> Iterator[None]:
 
 
 def table_times(plan: Plan, rate: float, field: str) -> Floats:
-    """Return the times of tables and ground truth, s: ``k / rate``, fewer where tables would grow beyond all use."""
+    """Return the times of tables and ground truth, s: ``k / rate``, fewer where tables would grow too large."""
     if not 0.0 < rate <= plan.sampling_rate:
         raise InputError(field, f"must be above 0 and at most {plan.sampling_rate:g} Hz, but is {rate:g} Hz")
     count = int(plan.duration * rate) + 1
@@ -131,7 +131,7 @@ def table_times(plan: Plan, rate: float, field: str) -> Floats:
 
 
 def check_table_size(plan: Plan, field: str, rule: str) -> None:
-    """Raise an InputError of a field if a plan has too many paths for a table; the rule is what must be instead."""
+    """Raise an InputError of a field if a plan has too many paths for a table; `rule` states the requirement."""
     most = LARGEST_TABLE // 2
     if plan.path_count > most:
         raise InputError(field, f"{rule} for more than {most} paths, but there are {plan.path_count}")
@@ -143,11 +143,11 @@ def input_files(scene: Path, file: SceneFile) -> list[Path]:
 
 
 def shares(advance: Callable[[float], None]) -> Callable[[float], None]:
-    """Return a function that takes the share of the work that is done, for one that takes what was done since."""
+    """Convert a callback of increments into one of the total share done."""
     done = 0.0
 
     def report(share: float) -> None:
-        """Tell the caller's bar how much has been done since the last call, of a share of all."""
+        """Advance the bar by the increment since the last call."""
         nonlocal done
         advance(share - done)
         done = share

@@ -85,7 +85,7 @@ def _in_words(value: Any) -> str:
 
 
 class ResultFolder:
-    """The folder of one run; what it may write is known beforehand.
+    """The folder of one run, whose possible files are known beforehand.
 
     resume, force: whether to go on with what is there, or to put something else in its place; not both.
 
@@ -111,7 +111,7 @@ class ResultFolder:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the folder for this process alone; refuse what is not ours, and clear up when the block ends."""
+        """Lock the folder for this process; refuse foreign files, and clean up when the block ends."""
         check_folder(self.folder)
         self._look_before()
         made = [path for path in [self.folder, *self.folder.parents] if not path.exists()]
@@ -131,7 +131,7 @@ class ResultFolder:
                     path.rmdir()
 
     def begin(self, identity: dict[str, Any]) -> None:
-        """Say which run this is; what is in the folder of another one is gone on with by none."""
+        """Record the run's identity; results of another run are not resumed."""
         self._identity = json.loads(json.dumps(identity))
         if self._resume:
             old = self._record.identity if self._record.files else self._identity
@@ -148,12 +148,12 @@ class ResultFolder:
             temporary.write_text(json.dumps(made_here), "utf-8")
 
     def is_whole(self, name: str) -> bool:
-        """Return whether a result of this run is there, as it was written."""
+        """Return True if a result of this run exists unchanged."""
         mine = self._record.identity == self._identity and name in self._record.files
         return mine and fingerprint(self.folder / name) == self._record.files[name]
 
     def take(self, names: Sequence[str], *, finished: bool = False) -> list[Path]:
-        """Move whole results from `work` to where they belong; return their paths."""
+        """Move finished results from `work` to their place; return their paths."""
         names = [name for name in names if (self.work / name).exists()]
         if not names and self._record.finished:
             return []
@@ -173,7 +173,7 @@ class ResultFolder:
         return [self.folder / name for name in names]
 
     def _fixed(self, name: str) -> Fingerprint | None:
-        """Return the fingerprint of what is made, once it is on the disk itself; sound is there already."""
+        """Return the fingerprint of a finished result, once it is on the disk; sound is flushed already."""
         path = self.work / name
         if path.is_file():
             to_disk(path)
@@ -222,7 +222,7 @@ class ResultFolder:
             self._refuse(lock)
 
     def _look(self) -> None:
-        """Refuse what is not ours."""
+        """Raise if the folder holds foreign files."""
         self._look_into_work()
         self._seen = True
         self._record = load_record(self.folder)
@@ -236,7 +236,7 @@ class ResultFolder:
         remove_leftovers(self.folder)
 
     def _refuse_results(self) -> None:
-        """Refuse a folder that holds results, because nobody said what becomes of them."""
+        """Raise if a folder holds results and neither --resume nor --force is given."""
         unfinished = self._record.names() and not self._record.finished
         if self.journal.exists() or unfinished:
             where = self.work if self.journal.exists() else self.folder
@@ -259,7 +259,7 @@ class ResultFolder:
         refuse_inputs(self.work.rglob("*"), self._inputs)
 
     def _contents(self) -> list[str]:
-        """Return the names of what clsim makes in `work`, beside the lock."""
+        """Return the names of clsim's files in `work`, beside the lock."""
         path = self.work / _CONTENTS
         if not path.exists():
             return [_CONTENTS]
@@ -274,7 +274,7 @@ class ResultFolder:
             raise InputError("--output", f"must hold nothing of others in the way, but clsim did not write {path}")
 
     def _keep_or_clear(self, error: BaseException) -> None:
-        """Delete what is of no use; a note says what is kept of the sound."""
+        """Delete useless files; a note on the error names the kept ones."""
         if not self._seen:  # nor is it known to be ours
             return
         if not self.journal.exists() and (self._record.finished or not self._record.names()):
@@ -284,7 +284,7 @@ class ResultFolder:
             error.add_note(f"what was rendered is kept in {kept}: --resume goes on with it")
 
     def _clear(self, *, lock: bool = True) -> None:
-        """Delete what we made in `work`, last what says that it is ours."""
+        """Delete our files in `work`, the list of them last."""
         ours = {*self._contents(), _LOCK} if lock else {*self._contents()}
         for path in sorted(self.work.iterdir(), key=lambda path: (path.name == _LOCK, path.name == _CONTENTS)):
             if path.name in ours or is_temporary(path.name):
