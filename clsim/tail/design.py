@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,12 +13,8 @@ from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
-from clsim.tail.bands import band_centres
-from clsim.tail.histogram import Listener, volume_within
-from clsim.tail.rays import FLOOR, Tracer
-from clsim.tail.reflections import WallEnergies
-from clsim.tail.room_rays import room_rays
-from clsim.tail.smoothing import smoothed
+from clsim.tail.rays import FLOOR, Listener, Tracer, volume_within
+from clsim.tail.room_rays import WallEnergies, room_rays
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -220,3 +216,77 @@ def _settled(listener: Listener, runs: int) -> TailEnergy:
     departed = listener.departed.sum(axis=1)
     departed = departed / departed.sum() if departed.any() else np.full(len(departed), 1.0 / len(departed))
     return TailEnergy(smoothed(tail[:last]).astype(np.float32), departed, images)
+
+
+_OF_TIME = 0.03  # half of a window of time over the time itself
+_OF_DIRECTIONS = 0.2  # the same for directions, which change more slowly and of which there are many
+_LEAST = 2  # bins, half of a window for directions at the beginning
+
+
+def smoothed(energy: Floats) -> Floats:
+    """Return energies (T, M, B) by bin of time, direction and band, smoothed over times that grow with time.
+
+    The sum over directions is kept, but for a short window in which it is smoothed; how it is spread over them is taken
+    from a longer one, for it changes slowly.
+    """
+    total = _smoothed(energy.sum(axis=1), _OF_TIME, 0)
+    spread = _smoothed(energy, _OF_DIRECTIONS, _LEAST)
+    whole = spread.sum(axis=1, keepdims=True)
+    even = np.full_like(spread, 1.0 / energy.shape[1])
+    return np.asarray(total[:, None, :] * np.where(whole > 0.0, spread / np.maximum(whole, 1e-300), even))
+
+
+def _smoothed(values: Floats, share: float, least: int) -> Floats:
+    """Return means of values (T, ...) over times from `t - w` to `t + w`, w a share of t, cut at both ends alike."""
+    count = len(values)
+    t: NDArray[np.int64] = np.arange(count)
+    half = np.minimum(np.maximum((share * t).astype(np.int64), least), np.minimum(t, count - 1 - t))
+    cumulated = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    length = (2 * half + 1).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((cumulated[t + half + 1] - cumulated[t - half]) / length)
+
+
+_LOWEST = 31.25  # Hz, of a band's centre
+_SILENT = 1e-30  # energy, whose logarithm is still a number
+
+
+def band_centres(low: float, high: float) -> Floats:
+    """Return centres (B,) of thirds of octaves that hold a band, Hz."""
+    low = max(low, _LOWEST)
+    high = max(high, low)
+    first, last = (round(3.0 * math.log2(f / 1000.0)) for f in (low, high))
+    return np.asarray(1000.0 * 2.0 ** (np.arange(first, last + 1) / 3.0))
+
+
+def band_shares(frequencies: NDArray[Any], centres: Floats) -> Floats:
+    """Return the amplitude (B, F) of each band's part at frequencies (F,), Hz: together 1 everywhere.
+
+    At a centre a band is alone; between two of them one fades into the other over the logarithm of frequency, so that
+    the amplitude of noise shaped in bands goes smoothly from one centre's to the next; it is held beyond the ends.
+    """
+    at = np.interp(np.log(np.maximum(frequencies, 1e-3)), np.log(centres), np.arange(len(centres), dtype=np.float64))
+    away = np.abs(at - np.arange(len(centres))[:, None])
+    return np.asarray(np.where(away < 1.0, np.cos(0.5 * np.pi * np.minimum(away, 1.0)) ** 2, 0.0))
+
+
+def with_middles(centres: Floats) -> Floats:
+    """Return the centres (2B - 1,) of bands and the geometric middles between them, Hz."""
+    return np.exp(np.interp(np.arange(2 * len(centres) - 1) / 2.0, np.arange(len(centres)), np.log(centres)))
+
+
+def at_middles(energy: NDArray[Any]) -> Floats:
+    """Return energies (..., 2B - 1) at the centres of bands and the middles between, of those at centres (..., B).
+
+    Decays are exponential, so the logarithm goes smoothly over frequency: it is cubic through four centres, and stays
+    between the two about a middle. Where two amplitudes fade into each other, the slower decay wins; over half a third
+    of an octave that is little.
+    """
+    level = np.log(np.maximum(energy, _SILENT))
+    out = np.repeat(level, 2, axis=-1)[..., :-1]
+    if level.shape[-1] > 1:
+        before, after = level[..., :-1], level[..., 1:]
+        ends = 2.0 * level[..., :1] - level[..., 1:2], 2.0 * level[..., -1:] - level[..., -2:-1]
+        outer = np.concatenate([ends[0], level[..., :-2]], axis=-1) + np.concatenate([level[..., 2:], ends[1]], axis=-1)
+        middle = (9.0 * (before + after) - outer) / 16.0
+        out[..., 1::2] = np.clip(middle, np.minimum(before, after), np.maximum(before, after))
+    return np.asarray(np.exp(out))

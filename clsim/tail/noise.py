@@ -11,7 +11,7 @@ import numpy as np
 from clsim.numerics.quaternions import rotate
 from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
-from clsim.tail.bands import at_middles, band_shares, with_middles
+from clsim.tail.design import at_middles, band_shares, with_middles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

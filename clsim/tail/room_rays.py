@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from clsim.errors import InputError
 from clsim.packages import check_packages
+from clsim.paths.response import NEPERS, covered
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -15,8 +17,51 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.room.mesh import MeshRoom
     from clsim.scene.room.protocol import Room
+    from clsim.scene.scene import Scene
 
     Met = tuple[Floats, NDArray[np.int64]]
+
+_ANGLES = 128  # cells of the root of the cosine of incidence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallEnergies:
+    """Energy sent back by kind of wall, angle and band."""
+
+    kind: NDArray[np.int64]  # (walls,) of which material each wall is
+    returned: Floats  # (kinds, angles, B) share of energy that comes back
+    scattered: Floats  # (kinds, angles, B) share of that which leaves the mirror's direction
+    air: Floats  # (B,) absorption of energy by the air, 1/m
+
+    @classmethod
+    def of(cls, scene: Scene, centres: Floats) -> WallEnergies:
+        """Return those of a scene's walls at frequencies (B,), Hz."""
+        materials = list(dict.fromkeys(scene.room.faces.materials))
+        cosine = ((np.arange(_ANGLES) + 0.5) / _ANGLES)[:, None] ** 2
+        c = scene.air.speed_of_sound
+        made = [
+            (
+                material.energy_at(covered(centres, material), cosine, c),
+                material.scattered_share(covered(centres, material), cosine, c),
+            )
+            for material in materials
+        ]
+        kind = np.array([materials.index(material) for material in scene.room.faces.materials])
+        returned, scattered = (np.array([pair[i] for pair in made]) for i in range(2))
+        return cls(kind, returned, scattered, 2.0 * NEPERS * scene.air.absorption_at(centres))
+
+    def groups(self) -> list[NDArray[np.int64]]:
+        """Return the bands that scatter alike, and may share rays: others take ways of their own."""
+        _, which = np.unique(self.scattered.reshape(-1, len(self.air)), axis=1, return_inverse=True)
+        return [np.flatnonzero(which.ravel() == i) for i in range(which.max() + 1)]
+
+    def at(self, walls: NDArray[np.int64], cosine: Floats, bands: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """Return what of rays (n,) comes back in bands (n, B), and the share (n,) scattered in the first of them."""
+        angle = np.minimum((_ANGLES * np.sqrt(np.abs(cosine))).astype(np.int64), _ANGLES - 1)
+        row = self.kind[walls] * _ANGLES + angle
+        returned, scattered = (table.reshape(-1, len(self.air)) for table in (self.returned, self.scattered))
+        return returned[:, bands].take(row, axis=0), scattered[:, bands[0]].take(row)
+
 
 _OFF_WALL = 1e-5  # of the size; Embree's float32 is no judge nearer than this
 

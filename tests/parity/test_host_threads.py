@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.render.opencl import host_nodes, threads
+from clsim.render.opencl import host_nodes
 from clsim.render.opencl.engine import OpenclEngine
-from clsim.render.opencl.threads import side_by_side
+from clsim.render.opencl.host_nodes import side_by_side
 from clsim.render.planning import plan_render
 
 RATE = 192e3
@@ -53,7 +53,7 @@ def test_not_a_bit_depends_on_the_number_of_threads(device: None, monkeypatch: p
     monkeypatch.setattr(host_nodes.HostTracks, "_part", watched)
     for count in (1, 2, 7):
         at_work.clear()
-        monkeypatch.setattr(threads, "thread_count", lambda count=count: count)
+        monkeypatch.setattr(host_nodes, "thread_count", lambda count=count: count)
         heard.append(OpenclEngine(plan).render(0, plan.samples))
         assert (len(at_work) > 1) == (count > 1)
     assert np.any(heard[0])

@@ -5,7 +5,7 @@ import pytest
 
 import clsim
 from clsim.numerics.band_filters import BandFilters, band_filters
-from clsim.tracks.shortfall import Held
+from clsim.tracks.basis_design import Held
 
 C = 343.0
 AIR = clsim.Air(speed_of_sound=C)

@@ -15,8 +15,7 @@ from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL
 from clsim.render.opencl.path_kinds import KINDS, OF_GAINS
-from clsim.render.opencl.receiver_nodes import RECEIVER_NODE, receiver_at
-from clsim.render.opencl.surroundings import VECTOR, Surroundings
+from clsim.render.opencl.surroundings import RECEIVER_NODE, VECTOR, Surroundings, receiver_at
 from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:

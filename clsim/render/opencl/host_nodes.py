@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from clsim.opencl.launch import upload
 from clsim.render.opencl.block_polynomials import SMOOTH_SHARE, between, block_error, block_polynomials
-from clsim.render.opencl.threads import side_by_side
 from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from clsim.render.opencl.fades import Boundaries
     from clsim.render.source_filters import SourceFilters
     from clsim.tracks.basis import Basis
+
+    Item = TypeVar("Item")
+    Result = TypeVar("Result")
 
 _CELL = 4  # nodes from one at which costly gains are taken to the next
 _PATHS_EACH = 128  # paths of a pair that one thread makes at a time
@@ -184,3 +188,28 @@ def _parts(batch: PathBatch, i: int) -> list[NDArray[np.int64]]:
     here = batch.of_pair(i)
     order = here.start + np.argsort(batch.path[here], kind="stable")
     return [order[first : first + _PATHS_EACH] for first in range(0, len(order), _PATHS_EACH)]
+
+
+def thread_count() -> int:
+    """Return how many threads of this process can run at the same time, as the operating system tells."""
+    affinity = getattr(os, "sched_getaffinity", None)  # not told by every operating system
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def side_by_side(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    meanwhile: Callable[[], None] | None = None,
+    threads: int | None = None,
+) -> list[Result]:
+    """Return what a function makes of each item, in their order."""
+    count = min(thread_count() if threads is None else threads, len(items))
+    if count <= 1:
+        if meanwhile is not None:
+            meanwhile()
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(count) as pool:
+        made = pool.map(function, items)
+        if meanwhile is not None:
+            meanwhile()
+        return list(made)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.quaternions import rotate
 from clsim.paths.response import SceneResponse
 from clsim.render.opencl.lookup_tables import directivity_kind, directivity_table, wall_table
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
     from clsim.tracks.basis import Basis
 
@@ -123,3 +125,21 @@ def air_polynomials(at: SceneResponse, mach: float) -> tuple[Floats, Floats]:
         if max(np.abs(m - e).max() for m, e in zip(made, exact, strict=True)) <= _AIR_ERROR * largest:
             break
     return found[0], found[1]
+
+
+# A receiver at a node, as in nodes/image.h.
+RECEIVER_NODE = np.dtype(
+    [("position", "f8", 3), ("velocity", "f8", 3), ("axes", "f8", (2, 3)), ("clock_error", "f8"), ("clock_rate", "f8")]
+)
+
+
+def receiver_at(receiver: Receiver, times: Floats) -> NDArray[Any]:
+    """Return position, velocity, axes and clock of a receiver, (times,)."""
+    out = np.empty(len(times), dtype=RECEIVER_NODE)
+    out["clock_error"] = receiver.clock_error(times)
+    out["clock_rate"] = receiver.clock_rate
+    true = times + out["clock_error"]
+    out["position"], out["velocity"] = receiver.trajectory.position(true), receiver.trajectory.velocity(true)
+    for i, axis in enumerate(np.eye(3)[:2]):
+        out["axes"][:, i] = rotate(receiver.orientation(true), axis)
+    return out

@@ -7,18 +7,16 @@ import pyopencl as cl
 import pytest
 
 import clsim
-from clsim.opencl.compiler import compiler_of
+from clsim.opencl.compiler import ALONE, LONG_ALONE, LONG_KERNELS, as_built, compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, upload
-from clsim.opencl.pocl import ALONE, LONG_ALONE, LONG_KERNELS, as_built
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
 from clsim.render.opencl.body_nodes import BODY_VIEW
 from clsim.render.opencl.edge_nodes import EDGE_VIEW
 from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
-from clsim.render.opencl.receiver_nodes import RECEIVER_NODE
 from clsim.render.opencl.scatterer_nodes import SCATTERER_VIEW
-from clsim.render.opencl.surroundings import VECTOR
+from clsim.render.opencl.surroundings import RECEIVER_NODE, VECTOR
 
 KNOWN = {"CLK_LOCAL_MEM_FENCE", "OPENCL", "FP_CONTRACT", "OFF"}  # of OpenCL C itself
 TYPEDEFS = {"bins", "gains"}  # vectors of float, as wide as constants say

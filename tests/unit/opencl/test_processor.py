@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from clsim.opencl.device import list_devices
-from clsim.opencl.processor import able_processor
+from clsim.opencl.device import able_processor, list_devices
 
 AVX2 = "sse2 sse4_2 abm avx avx2 bmi1 bmi2 f16c fma movbe"
 
@@ -17,7 +16,7 @@ UNKNOWN = """
 import numpy as np
 import pyopencl as cl
 from clsim.opencl.device import find_device
-from clsim.opencl.processor import UNKNOWN, processor, set_processor
+from clsim.opencl.device import UNKNOWN, processor, set_processor
 
 def build():
     program = cl.Program(context, "__kernel void root(__global double *a) { a[get_global_id(0)] = sqrt(a[get_global_id(0)]); }")
